@@ -1,4 +1,4 @@
-"""The chain of the theodolite's axes: definition, first order, Jacobians, inverse, zenith, quadrants."""
+"""Axis geometry of the theodolite: definition, first order, Jacobians, inverse, zenith, quadrants."""
 
 from itertools import product
 
@@ -30,7 +30,7 @@ LARGE = AxisErrors(g=2.0, h=-0.3, c=0.04, I=-0.03, beta_x=0.02, beta_y=0.05, fle
 
 
 def everywhere() -> tuple[FloatArray, FloatArray]:
-    """All azimuths in all quadrants and on the axes, elevations of both faces."""
+    """Return azimuths in all quadrants and on the axes, elevations of both faces."""
     azimuth_deg = np.arange(0.0, 360.0, 15.0)
     elevation_deg = np.array([-5.0, 0.0, 10.0, 30.0, 60.0, 80.0, 89.9, 100.0, 150.0, 185.0])
     azimuth, elevation = np.meshgrid(np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg))
@@ -66,7 +66,7 @@ def test_the_chain_of_models_5(errors: AxisErrors) -> None:
         np.testing.assert_allclose(main_axis_rotation(errors, azimuth, elevation), expected, rtol=0.0, atol=1e-14)
 
 
-def test_without_errors_the_axis_looks_where_the_encoders_say() -> None:
+def test_axis_without_errors_follows_the_encoder_angles() -> None:
     azimuth, elevation = everywhere()
     expected = np.stack(
         [np.cos(azimuth) * np.cos(elevation), np.sin(elevation), np.sin(azimuth) * np.cos(elevation)], axis=-1
@@ -145,7 +145,7 @@ def test_change_of_the_direction() -> None:
 
 @pytest.mark.parametrize("errors", [AxisErrors(), SMALL, LARGE])
 def test_inverse_gives_the_encoder_angles_back(errors: AxisErrors) -> None:
-    """To 1e-12 rad on the sky, in all quadrants, on the face they were taken."""
+    """To 1e-12 rad on the sky, in all quadrants, on the same face."""
     azimuth, elevation = everywhere()
     direction = main_axis_rotation(errors, azimuth, elevation)[..., 0]
     raised = elevation - errors.h + errors.flexure * np.cos(elevation)
@@ -191,7 +191,7 @@ def test_one_direction_is_as_many() -> None:
         np.testing.assert_allclose(one_axis.by_encoder, many.by_encoder[number], rtol=0.0, atol=1e-15)
 
 
-def test_zenith_is_reached_exactly_where_the_errors_allow() -> None:
+def test_zenith_is_reached_only_if_the_errors_allow() -> None:
     up = np.array([0.0, 1.0, 0.0])
     azimuth, elevation = encoder_angles(AxisErrors(g=0.1), up)
     assert azimuth == pytest.approx(0.1)
@@ -205,7 +205,7 @@ def test_zenith_is_reached_exactly_where_the_errors_allow() -> None:
 
 
 @pytest.mark.parametrize(("off_arcsec", "reached"), [(0.0, False), (59.99, False), (60.01, True), (80.0, True)])
-def test_no_encoder_angles_where_the_axes_do_not_reach(off_arcsec: float, reached: bool) -> None:
+def test_unreachable_directions_have_no_encoder_angles(off_arcsec: float, reached: bool) -> None:
     apart = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
     wanted = main_axis_rotation(AxisErrors(), 2.0, 0.5 * np.pi - off_arcsec * ARCSEC)[:, 0]
     for plunged in (False, True):

@@ -1,4 +1,4 @@
-"""Messages that cannot be used: the reason, where it is told, and that the pointing is as without them."""
+"""Unusable messages: the reason, its place of publication, and the pointing without them."""
 
 import copy
 import functools
@@ -49,7 +49,7 @@ Change = Callable[[Any], None]
 
 
 def put(path: str, value: Any) -> Change:
-    """Sets a field (``orientation.x``) or all of an array."""
+    """Set a field (``orientation.x``) or all of an array."""
     *parents, leaf = path.split(".")
 
     def change(message: Any) -> None:
@@ -115,13 +115,13 @@ def told(run: Run, reason: Reason) -> list[tuple[str, str]]:
 
 
 def never_wrong(run: Run) -> bool:
-    """Nothing published as VALID or COASTING is off by more than it says, six sigmas."""
+    """Assert that no VALID or COASTING error exceeds six standard deviations."""
     claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
     return max(error_in_sigmas(message) for message in claimed) < 6.0
 
 
 def seen(message: Any, name: str) -> Any:
-    """A light in an image."""
+    """Return a beacon in an image."""
     return next(sighting for sighting in message.beacons if sighting.beacon_id == name)
 
 
@@ -204,7 +204,7 @@ NAMED = {
 
 
 def test_two_attitudes_of_the_ship_at_every_stamp_are_never_called_valid() -> None:
-    """Two publishers, 20″ apart in heading: which of the two is right cannot be known. [Errors of more than 5 sigma]"""
+    """Two publishers, 20″ apart in heading: the right one cannot be determined."""
     turned = [
         replace(changed_copy(a, turned_by(20.0)), receive_ns=a.receive_ns + order)
         for a, order in zip([a for a in session() if a.topic == SHIP], itertools.cycle([-1, 1, 2]))
@@ -215,7 +215,7 @@ def test_two_attitudes_of_the_ship_at_every_stamp_are_never_called_valid() -> No
 
 
 def turned_by(arcsec: float) -> Change:
-    """Another heading."""
+    """Return a change of the heading."""
 
     def change(message: Any) -> None:
         q, half = message.orientation, 0.5 * arcsec * ARCSEC
@@ -224,8 +224,8 @@ def turned_by(arcsec: float) -> Change:
     return change
 
 
-def test_mend_09_without_a_length_lights_are_points():
-    """The session's lights stand still on the detector, so that its exposures make no streaks either."""
+def test_beacons_without_exposure_length_are_points():
+    """The session's lights stand still on the detector, so that its exposures have no streaks either."""
     not_given = changed_where(session(), lambda a: a.topic == BEACONS, put("exposure_s", np.nan))
     zero = changed_where(session(), lambda a: a.topic == BEACONS, put("exposure_s", 0.0))
     points = drive(new_adapter(), not_given)
@@ -239,7 +239,7 @@ def test_mend_09_without_a_length_lights_are_points():
     assert never_wrong(longer)
 
 
-def test_exchanged_names_are_put_right_and_said() -> None:
+def test_exchanged_names_are_corrected_and_reported() -> None:
     def exchange(message: Any) -> None:
         alpha, bravo = seen(message, "alpha"), seen(message, "bravo")
         alpha.beacon_id, bravo.beacon_id = "bravo", "alpha"
@@ -252,7 +252,7 @@ def test_exchanged_names_are_put_right_and_said() -> None:
     assert run.results() == clean_run().results()
 
 
-def test_a_wrong_light_is_refused_by_the_angle_between_them() -> None:
+def test_wrong_beacon_is_rejected_by_angle() -> None:
     index = index_at(session(), BEACONS, MOMENT_S)
 
     def shift(message: Any) -> None:
@@ -261,13 +261,13 @@ def test_a_wrong_light_is_refused_by_the_angle_between_them() -> None:
     run = drive(new_adapter(), replaced(session(), index, shift))
     (message,) = run.innovations(Reason.LIGHT_CONFLICT)
     assert not message.accepted
-    assert "angle between alpha and bravo is off by" in message.reason_text
+    assert "angle between alpha and bravo: residual" in message.reason_text
     assert run.reasons(BEACONS) == {"light_conflict": 1}
     assert run.state() == drive(new_adapter(), without(session(), index)).state()
     assert never_wrong(run)
 
 
-def test_lights_alike_off_are_no_wrong_lights_but_a_wrong_telescope() -> None:
+def test_common_offset_of_beacons_is_a_telescope_fault() -> None:
     def shift(message: Any) -> None:
         for sighting in message.beacons:
             sighting.x += 0.1 * np.deg2rad(200.0 / 3600.0)
@@ -286,7 +286,7 @@ def seconds(message: Any) -> float:
     return (stamp_of(message) - session()[0].stamp_ns) * 1e-9
 
 
-def test_a_float_baseline_is_not_used_and_the_other_light_goes_on() -> None:
+def test_float_baseline_is_rejected_and_the_other_beacon_used() -> None:
     run = drive(new_adapter(), changed_where(session(), lambda a: a.topic == ALPHA, put("fix", 3)))
     assert run.reasons(ALPHA) == {"not_fixed": 30}
     assert ("baseline.alpha", "baseline is FLOAT: expected FIXED") in told(run, Reason.NOT_FIXED)
@@ -308,12 +308,12 @@ def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
     assert never_wrong(run)
 
 
-def test_float_is_used_where_it_is_allowed() -> None:
+def test_float_is_used_if_allowed() -> None:
     floating = changed_where(session(), lambda a: a.topic == ALPHA, put("fix", 3))
     assert drive(new_adapter(least_fix="float"), floating).state() == clean_run().state()
 
 
-def test_a_hidden_light_leaves_the_other() -> None:
+def test_hidden_beacon_leaves_the_other() -> None:
     def hide(message: Any) -> None:
         message.beacons = [seen(message, "bravo")]
 
@@ -324,7 +324,7 @@ def test_a_hidden_light_leaves_the_other() -> None:
     assert max(error_in_sigmas(message) for message in run.pointings) < 4.0
 
 
-def test_a_telescope_that_sees_no_light_is_well() -> None:
+def test_image_without_beacons_is_valid() -> None:
     dark = changed_where(session(), lambda a: a.topic == BEACONS, put("beacons", []))
     run = drive(new_adapter(), dark)
     assert run.health(BEACONS).accepted == 12
@@ -342,7 +342,7 @@ def test_a_telescope_that_sees_no_light_is_well() -> None:
         (put("sigma", -1.0), Reason.BAD_COVARIANCE, "positive"),
     ],
 )
-def test_a_light_that_cannot_be_read_is_left_out(change: Change, reason: Reason, text: str) -> None:
+def test_unreadable_beacon_is_rejected(change: Change, reason: Reason, text: str) -> None:
     index = index_at(session(), BEACONS, MOMENT_S)
 
     def spoil(message: Any) -> None:
@@ -359,7 +359,7 @@ def test_a_light_that_cannot_be_read_is_left_out(change: Change, reason: Reason,
     assert run.state() == drive(new_adapter(), replaced(session(), index, leave_out)).state()
 
 
-def test_a_light_named_twice_is_nobody() -> None:
+def test_duplicate_beacon_name_is_rejected() -> None:
     def twice(message: Any) -> None:
         seen(message, "alpha").beacon_id = "bravo"
 
@@ -368,7 +368,7 @@ def test_a_light_named_twice_is_nobody() -> None:
     assert never_wrong(run)
 
 
-def test_a_baseline_to_another_drone_is_refused_by_name() -> None:
+def test_baseline_of_another_drone_is_rejected() -> None:
     ids = {"beacons__alpha__rtk__rover_id": "alpha", "beacons__alpha__rtk__base_id": "ship"}
     index = index_at(session(), ALPHA, MOMENT_S)
     run = drive(new_adapter(**ids), replaced(session(), index, put("rover_id", "bravo")))
@@ -376,8 +376,8 @@ def test_a_baseline_to_another_drone_is_refused_by_name() -> None:
     assert run.state() == drive(new_adapter(**ids), without(session(), index)).state()
 
 
-def test_two_drones_that_say_each_other_s_baselines_are_in_conflict() -> None:
-    """A wrong drone id at the source: the angle stays, and exchanging the names of the lights puts it right."""
+def test_exchanged_baselines_are_a_conflict() -> None:
+    """A wrong drone id at the source: the angle stays, and exchanged names of the lights are consistent."""
     other = {BASELINE["alpha"]: BASELINE["bravo"], BASELINE["bravo"]: BASELINE["alpha"]}
     crossed = tuple(Arrival(other.get(a.topic, a.topic), a.message, a.receive_ns) for a in session())
     run = drive(new_adapter(), crossed)
@@ -394,7 +394,7 @@ def test_a_baseline_one_second_late_is_applied_at_its_own_time() -> None:
     assert run.health(ALPHA).rejected == 0
 
 
-def test_a_baseline_later_than_the_lag_is_refused() -> None:
+def test_baseline_later_than_the_lag_is_rejected() -> None:
     index = index_at(session(), ALPHA, MOMENT_S)
     late_ns = session()[index].receive_ns + SECOND_NS
     run = drive(new_adapter(lag_s=0.5), replaced(session(), index, lambda message: None, late_ns))
@@ -405,8 +405,8 @@ def test_a_baseline_later_than_the_lag_is_refused() -> None:
     assert never_wrong(run)
 
 
-def test_baselines_that_tell_where_the_drone_was_a_second_ago_are_in_conflict() -> None:
-    """A light that moves by 1.5°/s is a degree and a half from where its baseline says: after three it is excluded."""
+def test_baselines_one_second_old_are_a_conflict() -> None:
+    """A light that moves by 1.5°/s is 1.5° from its baseline's direction: excluded after three sightings."""
     stale = changed_where(session(), lambda a: a.topic == ALPHA, stamp_moved(1.0))
     stale = in_order(Arrival(a.topic, a.message, a.receive_ns + SECOND_NS * (a.topic == ALPHA)) for a in stale)
     run = drive(new_adapter(), stale)
@@ -420,7 +420,7 @@ def test_baselines_that_tell_where_the_drone_was_a_second_ago_are_in_conflict() 
 
 
 def frozen(from_s: float, until_s: float) -> tuple[Arrival, ...]:
-    """Ten seconds in which the encoder says the same for a while."""
+    """Return ten seconds with constant encoder readings in a time range."""
     value = session()[index_at(session(), ENCODER, from_s)].message
 
     def freeze(message: Any) -> None:
@@ -429,11 +429,11 @@ def frozen(from_s: float, until_s: float) -> tuple[Arrival, ...]:
     return changed_where(session(10.0), lambda a: a.topic == ENCODER and from_s < seconds_of(a) < until_s, freeze)
 
 
-def test_a_stuck_encoder_is_told_by_the_lights() -> None:
+def test_stuck_encoder_is_detected_by_beacons() -> None:
     run = drive(new_adapter(), frozen(2.0, 10.0))
     stuck = told(run, Reason.STUCK)
     assert {source for source, _ in stuck} == {"encoder"}
-    assert "stand still while the lights say" in stuck[0][1]
+    assert "both encoders stuck" in stuck[0][1]
     assert run.reasons(BEACONS).keys() <= {"gate", "attitude_conflict", "gap"}
     wrong = [m for m in run.pointings if seconds(m) > 2.0 and m.status != Status.INVALID]
     assert {m.status for m in wrong} == {Status.DEGRADED}
@@ -453,7 +453,7 @@ def test_an_encoder_comes_back_after_twenty_changing_readings() -> None:
     assert never_wrong(run)
 
 
-def test_an_encoder_in_degrees_is_not_believed_where_it_could_be_radians() -> None:
+def test_encoder_in_degrees_is_rejected() -> None:
     def degrees(message: Any) -> None:
         message.azimuth, message.elevation = np.rad2deg(message.azimuth), np.rad2deg(message.elevation)
 
@@ -473,7 +473,7 @@ def test_an_encoder_in_degrees_is_not_believed_where_it_could_be_radians() -> No
     assert {m.status for m in run.pointings} == {Status.INVALID, Status.DEGRADED}
 
 
-def test_mend_18_a_crowd_of_lights_and_endless_ids_are_cut() -> None:
+def test_too_many_beacons_and_long_ids_are_cut() -> None:
     def crowded(message: Any) -> None:
         strangers = [copy.copy(seen(message, "alpha")) for _ in range(MOST_LIGHTS + 50)]
         for number, stranger in enumerate(strangers):
@@ -486,7 +486,7 @@ def test_mend_18_a_crowd_of_lights_and_endless_ids_are_cut() -> None:
     assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT
     assert strangers[0][1].endswith("…' is unknown: expected alpha, bravo")
     ((_, text),) = told(run, Reason.OVERFLOW)
-    assert text == f"{MOST_LIGHTS + 52} lights in one image: only the first {MOST_LIGHTS} are looked at"
+    assert text == f"{MOST_LIGHTS + 52} lights in one image: only the first {MOST_LIGHTS} are used"
     assert run.state() == clean_run().state()
 
 
@@ -503,14 +503,14 @@ def test_covariances_that_are_not_given_are_not_perfect() -> None:
     for topic in (ENCODER, SHIP, BEACONS, ALPHA):
         assert run.reasons(topic) == {"covariance_unknown": run.health(topic).received}
         assert run.health(topic).rejected == 0
-    # The ship's attitude then has the INS's errors, the others what is configured: the same as the messages say.
+    # The ship's attitude then has the INS's errors, the others the configured ones, equal to those of the messages.
     # Not of a single one: what the estimates without one source dispute comes and goes with each sighting.
     of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, clean_run()))
     assert np.greater(*(np.median(covariance) for covariance in of_each))
     assert never_wrong(run)
 
 
-def test_a_drone_without_covariance_is_used_where_that_is_accepted() -> None:
+def test_drone_without_covariance_is_used_if_accepted() -> None:
     imus = tuple(IMU.values())
     unset = changed_where(session(), lambda a: a.topic in imus, put("orientation_covariance", -1.0))
     accepted = {f"beacons__{id_}__imu__accept_unset_covariance": True for id_ in IMU}
@@ -531,7 +531,7 @@ def test_without_the_ship_no_pointing_is_claimed() -> None:
     assert all(seconds(m) < 3.1 for m in run.pointings if m.status != Status.INVALID)
 
 
-def test_when_the_lights_leave_the_encoders_carry_on_with_a_growing_covariance() -> None:
+def test_covariance_grows_without_beacons() -> None:
     gone = tuple(a for a in session(10.0) if a.topic != BEACONS or seconds_of(a) < 4.0)
     run = drive(new_adapter(), gone)
     modes = [m.mode for m in run.pointings]

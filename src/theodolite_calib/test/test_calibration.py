@@ -1,4 +1,4 @@
-"""The calibration saved and loaded: file, ages, other devices, services; changes while the node runs."""
+"""Calibration saved and loaded: file, ages, other devices, services; changes while the node runs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -52,7 +52,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("old", "new", "text"), BROKEN)
-def test_a_broken_file_is_refused_by_name(tmp_path: Path, old: str, new: str, text: str) -> None:
+def test_broken_file_is_refused_by_name(tmp_path: Path, old: str, new: str, text: str) -> None:
     path = tmp_path / "calibration.yaml"
     CALIBRATION_FILE.save(path, saved())
     path.write_text(path.read_text().replace(old, new, 1))
@@ -84,7 +84,7 @@ def test_an_old_calibration_is_a_wider_prior() -> None:
     young, _ = state_from_prior(filter_, config(), saved(), NOW_NS + 29 * DAY_NS)
     old, messages = state_from_prior(filter_, config(), saved(), NOW_NS + 31 * DAY_NS)
     (message,) = messages
-    assert message.startswith("saved calibration is 31.0 d old, more than calibration_max_age_d = 30: its uncertainty")
+    assert message.startswith("saved calibration is 31.0 d old, more than calibration_max_age_d = 30: the configured")
     rows = filter_.model.rows("axes")[:6]
     added = np.diagonal(old.covariance - young.covariance)[rows]
     assert np.sqrt(added) == pytest.approx(30.0 * ARCSEC)
@@ -149,7 +149,7 @@ def test_a_file_that_cannot_be_read_is_set_aside_and_the_start_is_as_configured(
     assert drive(adapter, session()).pointings[-1].status == Status.VALID
 
 
-def test_what_is_published_is_the_state() -> None:
+def test_published_calibration_is_the_state() -> None:
     run = clean_run()
     message = run.messages("theodolite/calibration")[-1]
     assert list(message.names) == [
@@ -195,7 +195,7 @@ def test_noise_can_be_changed_while_it_runs_geometry_not() -> None:
         adapter.set_parameters({"gate.probability": 2.0})
 
 
-def test_mend_16_the_node_says_what_it_is_and_which_calibration_it_starts_from(tmp_path: Path) -> None:
+def test_node_reports_itself_and_its_start_calibration(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     absent = new_adapter(calibration_file=str(path))
     assert absent.notices == [f"no calibration at {path} yet: the filter starts as configured"]

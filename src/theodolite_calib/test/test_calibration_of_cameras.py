@@ -1,4 +1,4 @@
-"""How the main axis stands in cameras that see stars, saved and read back with the rest of the calibration."""
+"""Parallelism of star cameras, saved and loaded with the rest of the calibration."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,11 +22,11 @@ from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 NOW_NS = 1_767_225_600_000_000_000
 OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC
-"""What a night has told of the mounting, beyond what is configured."""
+"""Correction of the configured mounting, estimated in one night."""
 
 
 def learned(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:
-    """A state that knows the camera's mounting to a third of what is configured, and collimation with it."""
+    """Return a state with the camera's mounting known to a third of the configured sigma, and collimation with it."""
     filter_ = CalibrationFilter(settings)
     state = filter_.initial_state()
     rows = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism")
@@ -49,7 +49,7 @@ def through_file(prior: CalibrationPrior, path: Path) -> CalibrationPrior:
     return CALIBRATION_FILE.load(path)
 
 
-def test_the_angles_are_in_the_file_and_come_back(tmp_path: Path) -> None:
+def test_angles_are_saved_and_loaded(tmp_path: Path) -> None:
     settings = mount_config(1.0)
     prior = saved(settings)
     assert prior.names == (*SAVED_NAMES, *camera_names(CAMERA_ID))
@@ -65,7 +65,7 @@ def test_the_angles_are_in_the_file_and_come_back(tmp_path: Path) -> None:
     assert f"telescopes.{CAMERA_ID}.azimuth of theodolite ''" in loaded.sigmas()
 
 
-def test_the_next_night_begins_with_what_was_known(tmp_path: Path) -> None:
+def test_next_session_starts_with_the_saved_calibration(tmp_path: Path) -> None:
     settings = mount_config(1.0)
     filter_, before = learned(settings)
     state, messages = state_from_prior(filter_, settings, through_file(saved(settings), tmp_path / "c.yaml"), NOW_NS)
@@ -93,7 +93,7 @@ def test_a_camera_that_looks_backward_is_within_half_a_turn(tmp_path: Path, azim
 
 
 @pytest.mark.parametrize("angle", ["azimuth", "elevation", "roll"])
-def test_of_a_camera_that_was_mounted_anew_nothing_is_used_and_the_rest_is(angle: str) -> None:
+def test_remounted_camera_is_ignored_and_the_rest_used(angle: str) -> None:
     told = {f"telescopes__{CAMERA_ID}__{angle}_deg": MOUNTED_DEG[f"{angle}_deg"] + 0.1}
     settings = mount_config(1.0, **told)
     filter_ = CalibrationFilter(settings)
@@ -105,7 +105,7 @@ def test_of_a_camera_that_was_mounted_anew_nothing_is_used_and_the_rest_is(angle
     assert state.mean[filter_.model.rows("axes")[2]] == pytest.approx(3.0 * ARCSEC)
 
 
-def test_of_a_camera_that_is_gone_nothing_is_used() -> None:
+def test_removed_camera_is_ignored() -> None:
     settings = replace(mount_config(1.0), telescopes={})
     filter_ = CalibrationFilter(settings)
     state, (message,) = state_from_prior(filter_, settings, saved(mount_config(1.0)), NOW_NS)
@@ -127,7 +127,7 @@ def test_a_file_without_cameras_leaves_them_as_configured() -> None:
     assert np.sqrt(np.diagonal(state.covariance)[rows]) == pytest.approx(ARCSEC)
 
 
-def test_a_line_for_a_camera_without_its_covariance_is_refused(tmp_path: Path) -> None:
+def test_camera_without_covariance_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     CALIBRATION_FILE.save(path, saved(mount_config(1.0)))
     path.write_text(path.read_text().replace("values:\n", "values:\n  telescopes.other.roll_arcsec: 3.0\n", 1))

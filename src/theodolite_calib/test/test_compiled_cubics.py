@@ -1,4 +1,4 @@
-"""Cubics by least squares, compiled, against numpy's pseudoinverse and QR; "equal" is 1e-11 of about one."""
+"""Compiled least-squares cubics against numpy's pseudoinverse and QR; equal to 1e-11 of about one."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_the_clearest_step(count: int, step_m: float) -> None:
     np.testing.assert_allclose([of_place, squares], [weight[best], np.sum(left**2) - explained[best]], rtol=1e-11)
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_mismatched_shapes_are_refused() -> None:
     for count, rows in ((8, 7), (5, 5)):
         with pytest.raises(ValueError, match="vectors"):
             compiled_cubics.clearest_step(moments(count), np.zeros((rows, 3)), BEFORE)

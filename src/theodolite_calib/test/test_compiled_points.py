@@ -1,4 +1,4 @@
-"""How points of lights depend on states, compiled, against the same by numpy."""
+"""Compiled Jacobian of beacon points by states against numpy."""
 
 import numpy as np
 import pytest
@@ -50,8 +50,8 @@ def test_covariances_of_points_are_as_by_numpy(lights: int) -> None:
 
 
 @pytest.mark.parametrize("number", range(5))
-def test_shapes_that_do_not_fit_are_refused(number: int) -> None:
-    """The loops look at no bounds."""
+def test_mismatched_shapes_are_refused(number: int) -> None:
+    """The loops check no bounds."""
     wrong = arguments()
     wrong[number] = wrong[number][:-1].copy()
     with pytest.raises(ValueError, match="do not fit together"):
@@ -59,14 +59,14 @@ def test_shapes_that_do_not_fit_are_refused(number: int) -> None:
 
 
 @pytest.mark.parametrize("place", [[LIGHTS, 0, 0], [-2, 0, 0], [0, ERRORS, 0], [0, -1, 0], [0, 0, STATES], [0, 0, -1]])
-def test_places_that_are_not_there_are_refused(place: list[int]) -> None:
+def test_invalid_couplings_are_refused(place: list[int]) -> None:
     with pytest.raises(ValueError, match="do not fit together"):
         compiled_points.by_states(*arguments(), FOCAL_LENGTH, np.array([place]))
     with pytest.raises(ValueError, match="do not fit together"):
         compiled_points.by_states(*arguments(), STATES, PLACES)
 
 
-def test_covariances_that_do_not_fit_are_refused() -> None:
+def test_mismatched_covariances_are_refused() -> None:
     with pytest.raises(ValueError, match="do not fit together"):
         compiled_points.by_turns(drawn(4, 2), drawn(2, 3, 3))
     with pytest.raises(ValueError, match="do not fit together"):

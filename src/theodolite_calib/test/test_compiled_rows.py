@@ -1,6 +1,6 @@
-"""What the rows see of lights, compiled, against the same by numpy: whole matrices with the unit where nothing is seen.
+"""Compiled innovations of beacons in the subfilters against numpy: whole matrices, with the unit for unused components.
 
-"Equal" is 1e-12 of numbers of about one: the covariances have condition numbers of some tens.
+Equal to 1e-12 of numbers of about one: the covariances have condition numbers of some tens.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ ROWS, STATES = 4, 11
 
 
 def sighting(lights: int) -> tuple[Any, ...]:
-    """Rows and lights; the first row does without the first light, and two rows take the others as known."""
+    """Return subfilters and beacons; the first subfilter leaves out the first beacon, two condition on the others."""
     rng, m = np.random.default_rng(RNG_SEED), 2 * lights
     roots, root = rng.standard_normal((ROWS, STATES, STATES)), rng.standard_normal((m, m))
     jacobian = rng.standard_normal((m, STATES)) * (rng.random((m, STATES)) < 0.7)
@@ -42,7 +42,7 @@ def inverse_root(covariance: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("lights", [1, 2, 5])
-def test_rows_see_lights_as_by_numpy(lights: int) -> None:
+def test_beacon_innovations_equal_numpy(lights: int) -> None:
     distance, parts, residual, h, noise, first, sees, known = sighting(lights)
     residuals, gains, nis, turns = compiled_rows.rows_seen(*sighting(lights))
     every = [residual, *(residual - distance @ h.T)]
@@ -63,7 +63,7 @@ def test_rows_see_lights_as_by_numpy(lights: int) -> None:
         assert turns[row, light, 2] == 0.0
 
 
-def test_a_covariance_that_is_none_is_refused() -> None:
+def test_indefinite_covariance_is_refused() -> None:
     arrays = list(sighting(2))
     arrays[4] = -1e3 * np.eye(4)
     with pytest.raises(np.linalg.LinAlgError):
@@ -71,8 +71,8 @@ def test_a_covariance_that_is_none_is_refused() -> None:
 
 
 @pytest.mark.parametrize("number", range(8))
-def test_shapes_that_do_not_fit_are_refused(number: int) -> None:
-    """The loops look at no bounds."""
+def test_mismatched_shapes_are_refused(number: int) -> None:
+    """The loops check no bounds."""
     arrays = list(sighting(2))
     arrays[number] = arrays[number][:-1].copy()
     with pytest.raises(ValueError, match="do not fit together"):

@@ -1,4 +1,4 @@
-"""Parameters of optical_axis that are refused, with what was expected."""
+"""Refused parameters of optical_axis, with the expected values."""
 
 import pytest
 
@@ -21,7 +21,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("changes", "text"), REFUSED)
-def test_what_cannot_be_is_refused(changes: dict[str, object], text: str) -> None:
+def test_impossible_values_are_refused(changes: dict[str, object], text: str) -> None:
     with pytest.raises(ParameterError, match=text):
         config(**changes)
 
@@ -56,9 +56,9 @@ def test_the_calibration_telescope_has_one_parallelism_by_lights_and_by_stars() 
     assert "telescope.night.parallelism" not in names
     assert "telescope.night.parallelism" in state_model(config(**NIGHT, **MOUNTED)).slices
     for changes, name, expected in (
-        ({"telescope__azimuth_arcsec": 361.0}, "azimuth_deg' = 0.1", "telescope.azimuth_arcsec says 0.10027"),
-        ({"telescope__rotation_sigma_arcsec": 2.0}, "roll_sigma_arcsec' = 1", "telescope.rotation_sigma_arcsec says 2"),
-        ({"telescope__focal_length_m": 0.2}, "camera.focal_length_m' = 0.1", "telescope.focal_length_m says 0.2"),
+        ({"telescope__azimuth_arcsec": 361.0}, "azimuth_deg' = 0.1", "telescope.azimuth_arcsec = 0.10027"),
+        ({"telescope__rotation_sigma_arcsec": 2.0}, "roll_sigma_arcsec' = 1", "telescope.rotation_sigma_arcsec = 2"),
+        ({"telescope__focal_length_m": 0.2}, "camera.focal_length_m' = 0.1", "telescope.focal_length_m = 0.2"),
     ):
         with pytest.raises(ParameterError, match=f"telescopes.night.{name}.*{expected}"):
             config(**{**NIGHT, **MOUNTED, **OF_TELESCOPE, **changes})

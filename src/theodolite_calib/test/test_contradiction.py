@@ -1,4 +1,4 @@
-"""Who stepped under the theodolite: the streams of encoders and ship, asked where lights contradict them."""
+"""Isolation of a step in the pointing by the streams of encoders and ship after a contradiction by beacons."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def ship_at(seconds, rng):
 
 
 def samples(seed, encoder_step=(0.0, 0.0), ship_step_n=(0.0, 0.0, 0.0), rates=True, step_ns=10_120_000_000):
-    """Both streams at 20 Hz with steps in arcsec, from a second before on."""
+    """Return both streams at 20 Hz with steps in arcsec, from one second before on."""
     rng = np.random.default_rng(seed)
     encoder, ship = [], []
     for time_ns in range(SINCE_NS - 10**9, END_NS + 1, PERIOD_NS):
@@ -64,24 +64,24 @@ def told(encoder, ship):
     ],
 )
 def test_who_stepped_is_named(steps, off_arcsec, name, rates):
-    """Whatever the rows have it: both explain it."""
+    """Independent of the source isolated by the subfilters: both explain the step."""
     named = [
         blamed(rows, BOTH, told(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
         for seed in range(20)
         for rows in (ENCODER, SHIP)
     ]
-    # Without rates the ship's own motion hides steps of so few sigmas: then what the rows say may stand.
+    # Without rates the ship's own motion hides steps of few sigmas: the isolated source is kept.
     sure = off_arcsec > 50.0 or rates or name == ENCODER
     allowed = {name} if sure else {name, ENCODER, SHIP}
     assert set(named) <= allowed
 
 
 @pytest.mark.parametrize("rows", [ENCODER, SHIP])
-def test_what_is_too_small_to_be_seen_in_the_streams_stays_as_the_rows_have_it(rows):
+def test_undetectable_step_keeps_the_isolated_source(rows):
     assert {blamed(rows, BOTH, told(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {rows}
 
 
-def test_a_ship_that_was_in_doubt_itself_is_blamed_or_nobody():
+def test_degraded_ship_is_isolated_or_no_source():
     encoder, ship = samples(1, encoder_step=(0.0, 25.0))
     doubtful = [*ship[:25], replace(ship[25], status=Status.DEGRADED), *ship[26:]]
     gappy = [*ship[:20], *ship[24:]]
@@ -91,8 +91,8 @@ def test_a_ship_that_was_in_doubt_itself_is_blamed_or_nobody():
         assert blamed(ENCODER, {ENCODER}, streams, 25.0 * ARCSEC) is None
 
 
-def test_encoders_that_stopped_dead_are_not_believed_against_the_telescope():
-    """Frozen encoders make no step either; the lights move on without them."""
+def test_stopped_encoders_do_not_implicate_the_telescope():
+    """Stuck encoders have no step either; the beacons move on without them."""
     encoder, ship = samples(1)
     frozen = [*encoder[:22], *(replace(one, vector=encoder[22].vector) for one in encoder[22:])]
     assert blamed(ENCODER, BOTH, told(frozen, ship), 100.0 * ARCSEC) == ENCODER
@@ -100,13 +100,13 @@ def test_encoders_that_stopped_dead_are_not_believed_against_the_telescope():
     assert blamed(ENCODER, BOTH, told(at_rest, ship), 100.0 * ARCSEC) == TELESCOPE
 
 
-def test_streams_that_tell_nothing_leave_what_the_rows_say():
+def test_uninformative_streams_keep_the_isolated_source():
     streams = streams_since(SINCE_NS, [], [], (PERIOD_NS, PERIOD_NS), ARCSEC)
     assert blamed(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER
 
 
 def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
-    """A minute of attitudes at 20 Hz that creep about Up from 10 s on, then are back."""
+    """Return a minute of attitudes at 20 Hz that drift about Up from 10 s on, then return."""
     rng = np.random.default_rng(seed)
     found = []
     for time_ns in range(0, 60 * 10**9, PERIOD_NS):
@@ -118,8 +118,8 @@ def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
     return found
 
 
-def test_a_ship_attitude_that_creeps_leaves_its_own_rates():
-    """Sizes of 20" and 60" beside a noise of 1" a sample and 1"/s of a rate."""
+def test_drifting_ship_attitude_departs_from_its_rates():
+    """Drifts of 20" and 60" with a noise of 1" per sample and 1"/s of a rate."""
     for seed in range(10):
         assert ship_crept(ships(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
         assert ship_crept(ships(seed, -3.0), 2 * PERIOD_NS, ARCSEC) is True
@@ -129,18 +129,18 @@ def test_a_ship_attitude_that_creeps_leaves_its_own_rates():
 
 @pytest.mark.parametrize("every", [4, 10])
 def test_attitudes_that_come_rarely_leave_their_rates_by_the_coarseness_of_the_sum(every):
-    """At 5 Hz and 2 Hz the trapezoids alone are off by more than eight arcseconds: that is no creep."""
+    """At 5 Hz and 2 Hz the trapezoidal error alone exceeds eight arcseconds: that is no drift."""
     for seed in range(10):
         assert ship_crept(ships(seed, 0.0)[::every], 2 * every * PERIOD_NS, ARCSEC) is not True
 
 
-def test_without_rates_or_with_a_gap_nothing_tells_whether_a_ship_has_crept():
+def test_ship_drift_is_unknown_without_rates_or_with_a_gap():
     assert ship_crept(ships(0, 3.0, rates=False), 2 * PERIOD_NS, ARCSEC) is None
     assert ship_crept(ships(0, 3.0)[:100] + ships(0, 3.0)[110:], 2 * PERIOD_NS, ARCSEC) is None
     assert ship_crept([], 2 * PERIOD_NS, ARCSEC) is None
 
 
-def test_a_ship_attitude_that_was_put_right_as_its_covariance_says_has_not_crept():
+def test_corrected_ship_attitude_is_no_drift():
     sharper = [
         replace(sample, slow_covariance_n=np.eye(3) * ((30.0 if sample.time_ns < 30 * 10**9 else 1.0) * ARCSEC) ** 2)
         for sample in ships(0, 3.0)
@@ -155,7 +155,7 @@ def test_a_ship_attitude_that_was_put_right_as_its_covariance_says_has_not_crept
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, True, SHIP),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, None, None),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, False, False, None),
-        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # the ship has not crept, and encoders are no way
+        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # no ship drift, encoders no explanation
         ("beacon.a", {"beacon.a"}, True, True, "beacon.a"),
         (ENCODER, {ENCODER, SHIP}, False, True, SHIP),
         (SHIP, {ENCODER, SHIP}, False, False, ENCODER),
@@ -164,5 +164,5 @@ def test_a_ship_attitude_that_was_put_right_as_its_covariance_says_has_not_crept
         (None, {ENCODER, SHIP}, False, False, None),
     ],
 )
-def test_who_creeps(source, explaining, alike, ship, named):
+def test_isolation_of_a_drift(source, explaining, alike, ship, named):
     assert crept(source, explaining, alike, ship) == named

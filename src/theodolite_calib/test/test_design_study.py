@@ -1,4 +1,4 @@
-"""The executable ``design_study``: its numbers, what it writes, what it says to bad input."""
+"""Executable ``design_study``: its numbers, its files, and its messages for bad input."""
 
 import csv
 import re
@@ -61,7 +61,7 @@ def test_sweeps_pass_through_the_design(paper: DesignStudy) -> None:
 
 
 def test_error_of_the_principal_point_is_that_of_a_shift(paper: DesignStudy) -> None:
-    """No light shows it: at 2 km, s each axis adds √2 s / 2 km to the pointing, whatever the rest is."""
+    """No residual shows it: at 2 km, s per axis adds √2 s / 2 km to the pointing, independent of the rest."""
     telescope = paper.config.optical_axis.telescope
     shifted = replace(telescope, lens=replace(telescope.lens, sigma_m=0.1))
     config = replace(paper.config, optical_axis=replace(paper.config.optical_axis, telescope=shifted))
@@ -90,7 +90,7 @@ def test_everything_is_written_and_looked_for_before(folder: Path) -> None:
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_page_says_what_the_tables_say(folder: Path, paper: DesignStudy) -> None:
+def test_page_contains_the_tables(folder: Path, paper: DesignStudy) -> None:
     page = (folder / "design_study.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]{0,40})', page)
     assert len(sources) == 2
@@ -118,11 +118,11 @@ def test_a_requirement_that_is_not_met_is_exit_code_1(tmp_path: Path, capsys: py
     values["optical_axis"] = values["optical_axis"] | {"escort": {"elevation_min_deg": 40.0}}
     assert main([str(write(tmp_path / "one.yaml", values)), "--out", str(tmp_path / "out")]) == 1
     told = capsys.readouterr().out
-    assert "required: 0.5 arcsec" in told
+    assert "required 0.5 arcsec" in told
     assert "limits reached: elevation_min_deg" in told
     page = (tmp_path / "out" / "design_study.html").read_text(encoding="utf-8")
     assert "is <b>not</b> met" in page
-    assert "there is no place for the drones: elevation_min_deg leaves none" in page
+    assert "No position of the drones is within the limits: elevation_min_deg leaves none" in page
 
 
 def changed(**values: Any) -> dict[str, Any]:
@@ -141,7 +141,7 @@ OPTICS = {"telescope_id": "t", "focal_length_m": 0.1}
         (changed(lights={"a": LIGHTS["a"] | {"distance_m": float("nan")}}), r"'lights.a.distance_m' must be finite"),
         (changed(optical_axis={"telescope": OPTICS}, lights={}), r"'optical_axis.beacons': expected a drone"),
         (changed(optical_axis={"beacons": {"a": DRONE}}), r"'optical_axis.telescope"),
-        (changed(optical_axis={"telescope": OPTICS | {"sigma_m": 1e-6}, "beacons": {"a": DRONE}}), "take it out"),
+        (changed(optical_axis={"telescope": OPTICS | {"sigma_m": 1e-6}, "beacons": {"a": DRONE}}), "remove it"),
         (
             changed(optical_axis={"telescope": OPTICS, "beacons": {"a": DRONE}, "escort": {"range_min_m": 9000.0}}),
             r":\d+: under 'optical_axis': parameter 'escort.range_min_m' = 9000 m: expected at most",

@@ -1,4 +1,4 @@
-"""Encoders that creep under lights: what the estimates without one source dispute is in the covariance put out."""
+"""Drifting encoders under observation of beacons: the solution separations inflate the published covariance."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ FILTER = CalibrationFilter(SETTINGS)
 
 @dataclass(frozen=True)
 class Pointed:
-    """A pointing that was VALID, the time since the encoders began to creep, and the truth."""
+    """VALID pointing, the time since the encoders began to drift, and the truth."""
 
     since_s: float
     estimate: PointingEstimate
@@ -33,11 +33,11 @@ class Pointed:
 
     @property
     def disputed_n(self) -> FloatArray:
-        """What the covariance has in it because the sources dispute it."""
+        """Return the part of the covariance from the solution separations."""
         return self.estimate.covariance_n - self.estimate.undisputed_n
 
     def sigmas(self, covariance_n: FloatArray) -> float:
-        """Largest error of azimuth, elevation and image rotation in the sigmas of a covariance."""
+        """Return the largest error of azimuth, elevation and image rotation in sigmas of a covariance."""
         azimuth, elevation, _ = angles_from_rotation(self.estimate.rotation_nm)
         to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
         error = to_angles @ log_rotation(self.rotation_nm @ self.estimate.rotation_nm.T)
@@ -46,7 +46,7 @@ class Pointed:
 
 @functools.cache
 def pointed() -> tuple[Pointed, ...]:
-    """Sightings at 5 Hz, and an azimuth that creeps after 30 s; of each session what was VALID before an exclusion."""
+    """Sightings at 5 Hz and an azimuth drift after 30 s; VALID pointings of each session before an exclusion."""
     times_s, out, found = np.arange(0.0, START_S + 60.0, 0.2), PointingOutput(SETTINGS, FILTER), []
     for seed in range(SEEDS):
         given = session(SETTINGS, seed, times_s, sweep(times_s))
@@ -66,7 +66,7 @@ def pointed() -> tuple[Pointed, ...]:
 
 
 @pytest.mark.slow
-def test_what_is_disputed_is_in_the_covariance_long_before_anybody_is_excluded() -> None:
+def test_separations_inflate_the_covariance_before_an_exclusion() -> None:
     creeping = [one for one in pointed() if one.since_s > 0.0]
     with_it = [one.sigmas(one.estimate.covariance_n) > 5.0 for one in creeping]
     without = [one.sigmas(one.estimate.undisputed_n) > 5.0 for one in creeping]
@@ -75,7 +75,7 @@ def test_what_is_disputed_is_in_the_covariance_long_before_anybody_is_excluded()
     assert sum(with_it) < sum(without) / 3
 
 
-def test_while_all_is_right_little_is_disputed() -> None:
+def test_separations_are_small_without_faults() -> None:
     right = [np.any(one.disputed_n) for one in pointed() if -25.0 < one.since_s <= 0.0]
     assert len(right) > 500
     assert np.mean(right) < 0.05

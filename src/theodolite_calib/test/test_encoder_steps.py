@@ -1,4 +1,4 @@
-"""Steps of the encoders in place are told from motions that begin and end, and from single wrong readings."""
+"""Detection of encoder steps among motions that begin and end and single wrong readings."""
 
 import math
 
@@ -18,14 +18,14 @@ FAST = math.radians(100.0)
 
 
 def motion(seconds, rng, sigma_arcsec=1.0):
-    """A mount that sweeps as in the scenario theodolite.yaml: azimuth 1.2 deg/s, elevation 40 ± 30 deg in 110 s."""
+    """Return a mount that sweeps as in theodolite.yaml: azimuth 1.2 deg/s, elevation 40 ± 30 deg in 110 s."""
     azimuth, elevation = np.radians(1.2) * seconds, np.radians(40.0 + 30.0 * np.sin(2 * np.pi * seconds / 110.0))
     noise = sigma_arcsec * ARCSEC * rng.standard_normal((len(seconds), 2))
     return np.column_stack([azimuth, elevation]) % (2 * np.pi) + noise
 
 
 def watched(angles, acceleration=FAST, times_ns=None):
-    """For each reading: whether the encoders are in doubt after it; its refusal; the slip that it proved."""
+    """Return for each reading: True if unconfirmed after it; its rejection; the slip that it proves."""
     watch, found = EncoderWatch(ARCSEC, acceleration), []
     for number, row in enumerate(angles):
         time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
@@ -35,7 +35,7 @@ def watched(angles, acceleration=FAST, times_ns=None):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_step_of_twenty_arcsec_is_in_doubt_at_its_first_reading_until_lights_agree(axis):
+def test_step_is_unconfirmed_until_beacons_agree(axis):
     """A cubic through twelve readings: sigma of a prediction 1.92", bound 12.5"; 20" is 3.9 sigma above it."""
     seconds, at = np.arange(120) / RATE_HZ, 100
     first = lasts = 0
@@ -73,7 +73,7 @@ def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
 
 
 def test_slews_are_no_steps():
-    """Trapezoids of rate at up to the mount's acceleration, at any phase: in doubt at one reading of each corner."""
+    """Trapezoids of rate up to the mount's acceleration, at any phase: unconfirmed at one reading of each corner."""
     seconds = np.arange(600) / RATE_HZ
     corners = doubts = 0
     for seed in range(60):
@@ -92,7 +92,7 @@ def test_slews_are_no_steps():
     assert doubts <= 2 * corners
 
 
-def test_a_single_wrong_reading_leaves_no_doubt():
+def test_single_wrong_reading_is_not_unconfirmed():
     angles = motion(np.arange(130) / RATE_HZ, np.random.default_rng(1))
     angles[100] += 60.0 * ARCSEC
     _, found = watched(angles)
@@ -101,8 +101,8 @@ def test_a_single_wrong_reading_leaves_no_doubt():
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("sigma_arcsec", [0.3, 1.0, 5.0])
-def test_good_readings_are_not_suspected(sigma_arcsec):
-    """More noise than is stated is learnt; stamps that jitter by a tenth of a period are taken as they are."""
+def test_valid_readings_are_no_steps(sigma_arcsec):
+    """More noise than is stated is estimated; stamps with a jitter of a tenth of a period are used as they are."""
     rng = np.random.default_rng(7)
     seconds = np.arange(20_000) / RATE_HZ + rng.uniform(-0.1, 0.1, 20_000) / RATE_HZ
     angles = motion(seconds, rng, sigma_arcsec)
@@ -111,7 +111,7 @@ def test_good_readings_are_not_suspected(sigma_arcsec):
 
 
 def test_a_mount_that_takes_out_the_roll_at_twenty_hertz_hides_no_step():
-    """4 deg in 11 s: a parabola through eight readings would be off by 2.7", the cubic by less than its noise."""
+    """4 deg in 11 s: a parabola through eight readings has an error of 2.7", the cubic less than its noise."""
     seconds, at = np.arange(200) / 20.0, 150
     first = 0
     for seed in range(100):

@@ -1,4 +1,4 @@
-"""Advised places against a grid, against [W18]'s geometry and against limits drawn at random; their accuracy."""
+"""Advised positions against a grid, [W18]'s geometry and random limits; their accuracy."""
 
 from itertools import combinations_with_replacement, product
 from typing import Any
@@ -25,7 +25,7 @@ FOCAL_LENGTH_M, FOCAL_SIGMA_M, IMAGE_SIGMA_M, RTK_SIGMA_M, K_SIGMA = 0.1, 1e-4, 
 
 
 def paper_config(names: str = "ab", **limits: Any) -> OpticalAxisConfig:
-    """[W18]'s errors with refraction per light, and next to nothing known of the axes: the lights alone tell."""
+    """Return [W18]'s errors with refraction per beacon and nearly unknown axes: only beacons inform."""
     axes = {f"{name}_sigma_arcsec": 3600.0 for name in ("g", "h", "c", "I", "beta_x", "beta_y")}
     lever = dict(zip(("forward_m", "up_m", "right_m"), LEVER_M.tolist(), strict=True))
     values = {
@@ -48,22 +48,22 @@ def paper_config(names: str = "ab", **limits: Any) -> OpticalAxisConfig:
 def accuracy_of(
     config: OpticalAxisConfig, elevation_deg: float, ship: tuple[float, float, float] = (0.4, 0.0, 0.0)
 ) -> LightsAccuracy:
-    """With the ship at heading, pitch, roll, rad; on a level ship the axis is at the elevation over the horizon."""
+    """Return the accuracy at heading, pitch, roll, rad; on a level ship the elevation is over the horizon."""
     attitude = ShipAt(rotation_from_angles(*ship), np.zeros(3), None, 1e-20)
     encoder = EncoderAt(AZIMUTH, float(np.deg2rad(elevation_deg)), 1e-20)
     return LightsAccuracy(config, CalibrationFilter(config), attitude, encoder)
 
 
 def beside_axis(accuracy: LightsAccuracy, beside_deg: FloatArray, range_m: float) -> FloatArray:
-    """Places at angles (right, up) from the telescope's axis, shape (N, 3)."""
+    """Return positions at angles (right, up) from the telescope's axis, shape (N, 3)."""
     right, up = np.tan(np.deg2rad(beside_deg)).T
     path = np.column_stack([np.ones_like(up), up, right])
     return accuracy.centre_n + range_m * path / np.linalg.norm(path, axis=1)[:, None] @ accuracy.rotation_nt.T
 
 
 @pytest.mark.parametrize("elevation_deg", [10.0, 60.0])
-def test_accuracy_is_that_of_the_lights_alone_where_nothing_else_is_known(elevation_deg: float) -> None:
-    """The bound of models.md §5, 3.47", and the maximum likelihood of the telescope's attitude, made of other code."""
+def test_accuracy_without_priors_is_that_of_the_beacons(elevation_deg: float) -> None:
+    """The bound of models.md §5, 3.47", and the maximum likelihood of the telescope's attitude by other code."""
     accuracy = accuracy_of(paper_config(), elevation_deg)
     places_n = beside_axis(accuracy, PAPER_FIELD_DEG, 2000.0)
     camera = Camera(FOCAL_LENGTH_M, FOCAL_SIGMA_M, np.zeros(2))
@@ -99,7 +99,7 @@ def advice_for(config: OpticalAxisConfig, accuracy: LightsAccuracy, **now: Float
 
 @pytest.mark.parametrize("elevation_deg", [2.0, 10.0, 30.0])
 def test_better_than_the_papers_geometry_at_two_kilometres(elevation_deg: float) -> None:
-    """Refraction drawn per light: 5 % must be won against [W18]'s places, in a field that is no larger than theirs."""
+    """Refraction drawn per beacon: at least 5 % better than [W18]'s positions, in a field that is no larger."""
     config = paper_config(field_deg=3.61)
     accuracy = accuracy_of(config, elevation_deg)
     paper_n = beside_axis(accuracy, PAPER_FIELD_DEG, 2000.0)
@@ -112,7 +112,8 @@ def test_better_than_the_papers_geometry_at_two_kilometres(elevation_deg: float)
 
 
 def grid(accuracy: LightsAccuracy, config: OpticalAxisConfig) -> FloatArray:
-    """Places within the limits over angle from the axis, direction of it, and range; by the formulas of this test."""
+    """Return positions within the limits over angle from the axis, its direction, and range, by this test's
+    formulas."""
     limits = config.escort
     off_deg = limits.field_deg * np.array([0.0, 0.5, 0.999])
     ranges_m = np.geomspace(limits.range_min_m, limits.range_max_m, 5)
@@ -141,7 +142,7 @@ def test_within_two_percent_of_the_best_on_a_grid(elevation_deg: float, limits: 
     accuracy = accuracy_of(config, elevation_deg)
     places_n = grid(accuracy, config)
     assert len(places_n) > 20
-    # The drones are alike, so each pair counts once.
+    # The drones are equal, so each pair counts once.
     best = min(
         accuracy.sigma(("a", "b"), np.array(pair))
         for pair in combinations_with_replacement(places_n, 2)
@@ -160,7 +161,7 @@ def test_unlike_drones_get_the_places_that_are_theirs() -> None:
 
 
 def drawn_limits(rng: np.random.Generator) -> tuple[dict[str, float], float]:
-    """Limits that configurations accept, and an elevation to point at."""
+    """Return limits that configurations accept, and an elevation of the pointing."""
     range_min_m = float(rng.uniform(50.0, 4000.0))
     range_max_m = float(range_min_m * rng.choice([1.0, rng.uniform(1.0, 10.0)]))
     elevation_min_deg = float(rng.uniform(-5.0, 80.0))
@@ -228,7 +229,7 @@ def test_limits_reached_are_named() -> None:
          "separation_min_m"),
     ],
 )  # fmt: skip
-def test_no_place_is_said_with_the_limit(elevation_deg: float, limits: dict[str, float], reached: str) -> None:
+def test_missing_position_names_the_limit(elevation_deg: float, limits: dict[str, float], reached: str) -> None:
     config = paper_config(**limits)
     accuracy = accuracy_of(config, elevation_deg)
     advice = advice_for(config, accuracy, a=beside_axis(accuracy, PAPER_FIELD_DEG, 1000.0)[0])
@@ -238,7 +239,7 @@ def test_no_place_is_said_with_the_limit(elevation_deg: float, limits: dict[str,
     assert np.isfinite(advice.sigma_now)
 
 
-def test_only_lights_in_the_field_count_now() -> None:
+def test_only_beacons_in_the_field_count() -> None:
     config = paper_config()
     accuracy = accuracy_of(config, 20.0)
     inside_n, beside_n = beside_axis(accuracy, np.array([[1.0, 1.0], [4.0, 0.0]]), 1000.0)
@@ -251,7 +252,7 @@ def test_only_lights_in_the_field_count_now() -> None:
 
 
 @pytest.mark.parametrize("range_max_m", [500.0, 3000.0])
-def test_a_drone_on_deck_is_no_light_in_the_field(range_max_m: float) -> None:
+def test_drone_on_deck_is_not_in_the_field(range_max_m: float) -> None:
     config = paper_config(range_max_m=range_max_m)
     accuracy = accuracy_of(config, 20.0)
     on_deck_n = np.tile(accuracy.centre_n, (2, 1))

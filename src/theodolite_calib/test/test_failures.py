@@ -1,4 +1,4 @@
-"""The software itself fails on one message: that is told, and all else comes out as without it."""
+"""Software failures on one message: they are reported, and all other outputs are unchanged."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ MOMENT_S = 2.6
 
 
 def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which raises for some arguments."""
+    """Return the function, which raises for some arguments."""
 
     def call(*arguments: Any) -> Any:
         if bad(*arguments):
@@ -33,7 +33,7 @@ def assert_told(run: AdapterRun, source: str, time_ns: int) -> None:
     assert text.endswith(innovation.reason_text)
 
 
-def test_mend_02_an_exposure_on_which_the_filter_raises_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exposure_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     index = index_at(session(), BEACONS, MOMENT_S)
     bad_ns = session()[index].stamp_ns
     with monkeypatch.context() as patch:
@@ -47,7 +47,7 @@ def test_mend_02_an_exposure_on_which_the_filter_raises_is_left_out(monkeypatch:
     assert_told(run, "lights", bad_ns)
 
 
-def test_mend_02_a_pointing_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_pointing_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     clean, bad_ns = clean_run(), session()[index_at(session(), ENCODER, MOMENT_S)].stamp_ns
     bad = failing_where(lambda _, sample, *rest: sample.time_ns == bad_ns, PointingOutput.estimate)
     monkeypatch.setattr(PointingOutput, "estimate", bad)
@@ -58,7 +58,7 @@ def test_mend_02_a_pointing_that_cannot_be_computed_is_the_only_one_missing(monk
     assert_told(run, "theodolite/pointing", bad_ns)
 
 
-def test_mend_02_what_is_taken_for_exact_is_judged_like_all_else() -> None:
+def test_exact_values_pass_the_gate_as_others() -> None:
     """Axes, deformation, levers, air and mounting without any error: nothing is singular."""
     zero = [f"axes__{name}_sigma_arcsec" for name in ("g", "h", "c", "I", "beta_x", "beta_y")]
     zero += ["deformation__sigma_arcsec", "ship__white_sigma_arcsec", "air__sigma", "air__light_sigma"]

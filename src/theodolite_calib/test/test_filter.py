@@ -1,4 +1,4 @@
-"""The calibration filter: its Jacobian, its optimum against a batch least squares, its budget, its iteration."""
+"""Calibration filter: its Jacobian, its optimum against a batch least squares, its budget, its iteration."""
 
 from dataclasses import replace
 
@@ -99,7 +99,7 @@ def test_the_jacobian_is_that_of_finite_differences(seed: int) -> None:
 
 
 def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
-    """All errors of all moments unknowns at once, whitened, by scipy; the last state is the filter's."""
+    """All errors at all times are unknowns, whitened, by scipy; the last state equals the filter's."""
     settings = config(
         air__sigma=0.06,
         air__time_s=50.0,
@@ -156,7 +156,7 @@ def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
     assert sigma[free] == pytest.approx(np.sqrt(np.diagonal(covariance))[free], rel=2e-3)
 
 
-def test_a_start_far_off_ends_where_a_near_one_does() -> None:
+def test_distant_start_converges_to_the_same_estimate() -> None:
     """Ten arcminutes in the zero points: linearised once, their squares alone would be 1.7"."""
     far = {"axes__g_arcsec": 600.0, "axes__h_arcsec": -600.0}
     sigma = {"axes__g_sigma_arcsec": 1000.0, "axes__h_sigma_arcsec": 1000.0}
@@ -212,7 +212,7 @@ def test_normalised_innovations_are_chi_square() -> None:
 
 @pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
 def test_hypotheses_are_carried_as_each_alone(source: str) -> None:
-    """Two states of one model as the leading axis of one, over a minute in which stars go, and over a jump."""
+    """Two states of one model on one leading axis, over a minute in which stars end, and over a jump."""
     settings = config(**{**EVERYTHING, "ship__source": source})
     filter_ = CalibrationFilter(settings)
     alone = [filtered(filter_, sightings_of(settings, 2, seed)) for seed in (3, 4)]

@@ -1,4 +1,4 @@
-"""The executable ``fit_axes``: what it writes, and what it says to bad input."""
+"""Executable ``fit_axes``: its files, and its messages for bad input."""
 
 import csv
 import math
@@ -25,7 +25,7 @@ KNOCKED = 11
 
 
 def table_rows() -> list[list[float]]:
-    """Forty sightings with 5″ per component, one of them knocked by 2′."""
+    """Return forty sightings with 5″ per component, one of them displaced by 2′."""
     rng = np.random.default_rng(1)
     sightings = sight(rng, ERRORS, spread(rng, COUNT, (10.0, 85.0)), 5.0)
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
@@ -62,7 +62,7 @@ def test_everything_is_written(folder: Path) -> None:
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
 
 
-def test_tables_say_the_same(folder: Path) -> None:
+def test_tables_are_consistent(folder: Path) -> None:
     document = yaml.safe_load((folder / "axes.yaml").read_text(encoding="utf-8"))
     terms = {row["term"]: row for row in rows_of(folder / "axes.csv")}
     assert tuple(terms) == NAMES
@@ -99,7 +99,7 @@ def test_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shown = capsys.readouterr().out
     assert re.search(r"^beta_x +-2\.50 +fixed   tilt of the vertical axis", shown, re.MULTILINE)
     assert re.search(r"^without a model +\d", shown, re.MULTILINE)
-    assert "poorly told apart: g, c, I: g +" in shown
+    assert "poorly separated: g, c, I: g +" in shown
     assert f"{len(rows)} sightings, 0 of them plunged; elevations " in shown
     one_place = [[10.0 + 1e-7 * number, 40.0, 0.01, 0.01] for number in range(6)]
     assert main([str(write_table(tmp_path / "one.csv", one_place)), "--out", str(tmp_path)]) == 0
@@ -119,7 +119,7 @@ def test_zero_points_may_be_degrees(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.slow
-def test_flexure_is_fitted_when_asked_for(tmp_path: Path) -> None:
+def test_flexure_is_fitted_if_requested(tmp_path: Path) -> None:
     table = write_table(tmp_path / "s.csv")
     assert main([str(table), "--out", str(tmp_path), "--flexure", "--fix", "c", "--fix", "I=-25"]) == 0
     document = yaml.safe_load((tmp_path / "axes.yaml").read_text(encoding="utf-8"))
@@ -128,7 +128,7 @@ def test_flexure_is_fitted_when_asked_for(tmp_path: Path) -> None:
     assert document["values_arcsec"]["I"] == pytest.approx(-25.0)
 
 
-def test_yaml_and_csv_are_read_alike(tmp_path: Path) -> None:
+def test_yaml_and_csv_are_equal(tmp_path: Path) -> None:
     rows = table_rows()
     rows[0][0] += 360.0
     entries = [{"observation": f"S{number}", **dict(zip(COLUMNS, row, strict=True))} for number, row in enumerate(rows)]
@@ -243,7 +243,7 @@ def test_options_that_contradict(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "contradict each other" in capsys.readouterr().err
     every = [argument for name in NAMES for argument in ("--fix", name)]
     assert main([table, "--out", str(tmp_path), *every]) == 2
-    assert "nothing is left to fit" in capsys.readouterr().err
+    assert "no term to fit" in capsys.readouterr().err
 
 
 def test_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -255,8 +255,8 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         assert word in shown
 
 
-def test_mend_23_what_the_table_states_of_shared_errors_is_in_the_calibration_file(tmp_path: Path) -> None:
-    """The optical axis takes the file; a turn of the base by 20″ leaves the tilt open by as much, plain rows do not."""
+def test_shared_errors_are_in_the_calibration_file(tmp_path: Path) -> None:
+    """The optical axis uses the file; a base rotation error of 20″ keeps the tilt as uncertain, plain rows do not."""
     rows = table_rows()
     header = f"{HEADER},time_s,group,group_sigma_arcsec"
     lines = [
@@ -272,14 +272,14 @@ def test_mend_23_what_the_table_states_of_shared_errors_is_in_the_calibration_fi
     assert tilt_arcsec[0] == pytest.approx([20.0, 20.0], abs=1.0)
     assert np.all(tilt_arcsec[1] < 3.0)
     assert (grouped.serial, grouped.time_ns) == ("T7", round((1.4e9 + COUNT - 1) * 1e9))
-    # Without a time nobody knows how old it is.
+    # Without a time its age is unknown.
     assert plain.time_ns == 0
     fitted = yaml.safe_load((tmp_path / "grouped" / "axes.yaml").read_text(encoding="utf-8"))
     np.testing.assert_allclose(grouped.covariance[:6, :6], fitted["covariance_rad2"], rtol=1e-12)
     np.testing.assert_array_equal(grouped.covariance[6:], 0.0)
 
 
-def test_mend_23_no_sigma_where_sightings_share_errors_that_nothing_states(
+def test_no_sigma_with_unstated_shared_errors(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rng = np.random.default_rng(4)
@@ -293,8 +293,8 @@ def test_mend_23_no_sigma_where_sightings_share_errors_that_nothing_states(
     assert main([str(write_table(tmp_path / "s.csv", rows.tolist())), "--out", str(out), "--force"]) == 0
     shown = capsys.readouterr().out
     assert re.search(r"^beta_x +-?[0-9.]+ +unknown", shown, re.MULTILINE)
-    assert "no sigma: the residuals of neighbouring sightings hang together" in shown
-    assert "not written: calibration.yaml, for no sigma is known" in shown
+    assert "no sigma: the residuals of neighbouring sightings are correlated" in shown
+    assert "not written: calibration.yaml, because no sigma is known" in shown
     assert not (out / "calibration.yaml").exists()
     document = yaml.safe_load((out / "axes.yaml").read_text(encoding="utf-8"))
     assert document["sigma_arcsec"] is None
@@ -302,11 +302,11 @@ def test_mend_23_no_sigma_where_sightings_share_errors_that_nothing_states(
     assert {row["sigma_arcsec"] for row in rows_of(out / "axes.csv")} == {""}
 
 
-def test_mend_23_rows_given_twice_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_repeated_rows_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, rows in (("once", table_rows()), ("twice", [*table_rows(), *table_rows()[:7]])):
         assert main([str(write_table(tmp_path / f"{name}.csv", rows)), "--out", str(tmp_path / name)]) == 0
     shown = capsys.readouterr().out
-    assert "given again, counted once: observation S40 (as S0)" in shown
+    assert "repeated, counted once: observation S40 (as S0)" in shown
     once, twice = (yaml.safe_load((tmp_path / name / "axes.yaml").read_text()) for name in ("once", "twice"))
     assert once.pop("given_again") == []
     assert len(twice.pop("given_again")) == 7
@@ -319,19 +319,19 @@ def test_mend_23_rows_given_twice_count_once(tmp_path: Path, capsys: pytest.Capt
     [
         (lambda row: row, None),
         (lambda row: [*row[:2], row[2] * math.cos(math.radians(row[1])), row[3]], "already multiplied by cos E"),
-        (lambda row: [*row[:2], -row[2], row[3]], "the other sign than elevation_offset_deg"),
-        (lambda row: [*row[:3], -row[3]], "the other sign than elevation_offset_deg"),
+        (lambda row: [*row[:2], -row[2], row[3]], "the opposite sign of elevation_offset_deg"),
+        (lambda row: [*row[:3], -row[3]], "the opposite sign of elevation_offset_deg"),
     ],
 )
-def test_mend_23_offsets_that_mean_something_else_are_told(
+def test_wrong_offset_conventions_are_reported(
     changed: Callable[[list[float]], list[float]], told: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = write_table(tmp_path / "s.csv", [changed(row) for row in table_rows()])
     assert main([str(table), "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
-    # Which sign both have no sighting can tell: the first is written out.
-    assert "observation S0 truly looked at" in shown
-    assert ("doubtful: " in shown) == (told is not None)
+    # No sighting can show the common sign of both: the first one is printed.
+    assert "observation S0 has the true direction" in shown
+    assert ("warning: " in shown) == (told is not None)
     assert (tmp_path / "out" / "calibration.yaml").exists() == (told is None)
     if told is not None:
         assert told in shown
@@ -348,7 +348,7 @@ def test_mend_23_offsets_that_mean_something_else_are_told(
         ("group", "a", "columns missing: group, group_sigma_arcsec belong together"),
     ],
 )
-def test_mend_23_columns_of_shared_errors_that_cannot_be_read(
+def test_unreadable_columns_of_shared_errors(
     column: str, value: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = tmp_path / "s.csv"

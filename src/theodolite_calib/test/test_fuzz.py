@@ -1,4 +1,4 @@
-"""Garbage in any field, thousands of times: nothing is raised, and afterwards the node is as good as new."""
+"""Random values in any field, thousands of times: nothing is raised, and afterwards the node works as before."""
 
 import copy
 import pickle
@@ -62,7 +62,7 @@ def later(arrival: Arrival, ns: int) -> Arrival:
 
 
 def take(run: Run, arrival: Arrival, now_ns: int) -> None:
-    """Hand over a message; all that comes of it must be fit to be sent."""
+    """Pass a message to the adapter; assert that all outputs can be sent."""
     run.now_ns = now_ns
     for topic, message in run.adapter.handle(arrival.topic, arrival.message, now_ns):
         message_bytes(message)

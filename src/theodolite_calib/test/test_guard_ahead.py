@@ -1,4 +1,4 @@
-"""What is said of the ship's attitudes does not depend on whether the guard was told of them before, rightly or not."""
+"""Checks of the ship's attitudes do not depend on their announcement, right or wrong."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -26,7 +26,7 @@ def rolling(time_s: float) -> FloatArray:
 
 
 def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> list[ShipSample]:
-    """A ship that rolls; the covariance that it states shrinks every two seconds, and grows fast in each third time."""
+    """Return a rolling ship; its stated covariance shrinks every two seconds and grows fast in each third time."""
     rng, samples = np.random.default_rng(RNG_SEED), []
     for k in range(COUNT):
         time_s = k / RATE_HZ
@@ -45,7 +45,7 @@ def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> l
 
 
 class Run:
-    """A guard, told of nothing, or of whole blocks, and what it says of samples as the watch over them asks it."""
+    """Check with announcements of nothing or of whole blocks, and its results as the ship check requests them."""
 
     def __init__(self, guard: GuardAhead | InsGuard) -> None:
         self.guard, self.said = guard, []
@@ -67,7 +67,7 @@ class Run:
 
 
 def said(judged: JudgedIns) -> tuple[Any, ...]:
-    """All that a judgement says, comparable to the bit."""
+    """Return all fields of a result, comparable to the bit."""
     jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.creeps) for jump in judged.jumps)
     return judged.sample.content(), judged.refusal, jumps, judged.rates_wrong_after_ns
 
@@ -86,7 +86,7 @@ VOYAGES = {
 
 
 @pytest.mark.parametrize("name", VOYAGES)
-def test_told_of_all_it_says_the_same_of_each(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     ahead, looked = [], InsGuard.look_ahead
 
     def counted(guard: InsGuard, *arguments: Any) -> Any:
@@ -106,8 +106,8 @@ def test_told_of_all_it_says_the_same_of_each(name: str, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("name", VOYAGES)
-def test_told_of_what_does_not_come_so_it_says_the_same(name: str) -> None:
-    """Every block lacks one of its samples, has one twice, or comes in another order from somewhere on."""
+def test_wrong_announcement_gives_the_same_results(name: str) -> None:
+    """Every block lacks one of its samples, has one twice, or changes its order at some sample."""
     run, samples, came = Run(GuardAhead(CONFIG)), VOYAGES[name], []
     for number, start in enumerate(range(0, COUNT, BLOCK)):
         block = samples[start : start + BLOCK]
@@ -123,7 +123,7 @@ def test_told_of_what_does_not_come_so_it_says_the_same(name: str) -> None:
     assert run.said == one_by_one(came)
 
 
-def test_told_in_several_parts_or_too_early_it_says_the_same() -> None:
+def test_partial_or_early_announcement_gives_the_same_results() -> None:
     run, samples = Run(GuardAhead(CONFIG)), VOYAGES["calm"]
     run.take(samples[:600])
     run.guard.expect(samples[600:700])
@@ -134,7 +134,7 @@ def test_told_in_several_parts_or_too_early_it_says_the_same() -> None:
     assert run.said == one_by_one(samples)
 
 
-def test_another_noise_among_samples_that_were_judged_ahead_holds_from_there_on() -> None:
+def test_noise_change_within_a_batch() -> None:
     run, plain, samples = Run(GuardAhead(CONFIG)), Run(InsGuard(CONFIG)), VOYAGES["calm"]
     louder = GuardedInsConfig(white_sigma_arcsec=20.0)
     run.guard.expect(samples)
@@ -145,7 +145,7 @@ def test_another_noise_among_samples_that_were_judged_ahead_holds_from_there_on(
     assert run.said == plain.said
 
 
-def test_a_step_of_which_the_source_says_no_number_is_judged_by_itself() -> None:
+def test_unreported_step_is_checked_one_by_one() -> None:
     guard, used, samples = GuardAhead(CONFIG), AttitudeTrack(500_000_000), voyage()
     at = 6 * RATE_HZ
     for sample in samples[:at]:

@@ -1,4 +1,4 @@
-"""The camera of the calibration telescope and the points that it predicts: axes, derivatives, covariance."""
+"""Camera of the calibration telescope and its predicted points: axes, derivatives, covariance."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ PREDICTED = predict_points(PAPER_CAMERA, TRUTH.rotation_nt, DIRECTION_N)
 
 
 def points(count: int = 300) -> FloatArray:
-    """All over a detector of 40 mm: 11° from the axis."""
+    """Return points all over a detector of 40 mm: 11° from the axis."""
     return np.random.default_rng(1).uniform(-0.02, 0.02, (count, 2, 2))
 
 
@@ -30,7 +30,7 @@ def test_axes_of_the_models_page():
     assert above == pytest.approx(np.array([0.1, 0.02, 0.0]) / np.hypot(0.1, 0.02), abs=1e-15)
 
 
-def test_principal_point_is_where_the_axis_is_seen():
+def test_principal_point_is_the_image_of_the_axis():
     assert CAMERA.directions(np.array([[3e-4, -5e-4]]))[0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
 
 
@@ -50,7 +50,7 @@ def test_each_exposure_has_its_focal_length():
         assert many.points(many.directions(points(3)))[i] == pytest.approx(points(3)[i], abs=1e-16)
 
 
-def test_nothing_is_seen_behind():
+def test_points_behind_the_telescope_are_nan():
     behind = np.array([[-1.0, 0.1, 0.1], [0.0, 1.0, 0.0], [1.0, 0.1, 0.1]])
     assert np.isnan(CAMERA.points(behind)).all(axis=-1).tolist() == [True, True, False]
     predicted = predict_points(CAMERA, np.eye(3), behind)

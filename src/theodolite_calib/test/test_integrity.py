@@ -1,4 +1,4 @@
-"""The integrity of the pointing as it is published: levels, limits, exclusions, and configurations that are none."""
+"""Published integrity of the pointing: levels, limits, exclusions, and invalid configurations."""
 
 from typing import Any
 
@@ -45,7 +45,7 @@ def test_levels_go_out_once_a_second_and_name_their_hypotheses() -> None:
     assert last.dominant in last.hypotheses
 
 
-def test_without_lights_nothing_checks_the_encoders() -> None:
+def test_integrity_is_unavailable_without_beacons() -> None:
     dark = tuple(a for a in session(10.0) if a.topic != BEACONS or (a.stamp_ns - START_NS) < 3 * SECOND_NS)
     run = drive(new_adapter(), dark)
     last = run.messages(TOPIC)[-1]
@@ -53,7 +53,7 @@ def test_without_lights_nothing_checks_the_encoders() -> None:
     assert np.all(np.isnan(last.protection_level))
 
 
-def test_a_source_that_is_excluded_is_told_at_once_and_in_the_diagnostics() -> None:
+def test_exclusion_is_published_at_once_and_in_diagnostics() -> None:
     def moved(message: Any) -> None:
         message.enu.z += 3.0
 
@@ -72,7 +72,7 @@ def test_a_source_that_is_excluded_is_told_at_once_and_in_the_diagnostics() -> N
 
 
 def frozen_ship() -> Any:
-    """The ship's attitude stands still for four seconds while she sways."""
+    """Return a ship's attitude that is constant for four seconds while she rolls."""
     frozen: list[Any] = []
 
     def stand(message: Any) -> None:
@@ -88,7 +88,7 @@ def lost_lights() -> Any:
 
 
 @pytest.mark.parametrize("arrivals", [frozen_ship(), lost_lights()], ids=["ship frozen", "no lights"])
-def test_what_is_told_covers_each_output(arrivals: Any) -> None:
+def test_published_levels_cover_each_output(arrivals: Any) -> None:
     run = LevelledRun(new_adapter(), arrivals)
     assert len(run.told_and_own()) > 100
     assert run.uncovered() == []
@@ -104,7 +104,7 @@ def test_what_is_told_covers_each_output(arrivals: Any) -> None:
         ({"integrity__prior_per_h": {"encoder": 0.0}}, "integrity.prior_per_h.encoder"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(changes: dict[str, Any], name: str) -> None:
+def test_impossible_configuration_is_refused_by_name(changes: dict[str, Any], name: str) -> None:
     with pytest.raises(ParameterError) as refused:
         config(**changes)
     assert name in str(refused.value)
@@ -112,7 +112,7 @@ def test_what_cannot_be_is_refused_by_name(changes: dict[str, Any], name: str) -
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None:
-    """A baseline that jumps by 3 m, then messages of lights and baselines up to two seconds late."""
+    """A baseline jumps by 3 m; messages of beacons and baselines are up to two seconds late."""
 
     def moved(message: Any) -> None:
         message.enu.z += 3.0

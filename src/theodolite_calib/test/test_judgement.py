@@ -1,4 +1,4 @@
-"""Which sightings are used: three lights of which one is wrong, runs of disagreement, gates re-opened."""
+"""Gate of the sightings: three beacons with a wrong one, runs of rejections, inflated covariances."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ TIMES_S = np.arange(0.0, 30.0)
 
 
 def shifted(sighting: Sighting, shift_arcsec: np.ndarray) -> Sighting:
-    """Lights moved on the detector, arcseconds, shape (N, 2)."""
+    """Return beacons moved on the detector, arcseconds, shape (N, 2)."""
     image = Image(sighting.image.point_m + 0.1 * ARCSEC * shift_arcsec, sighting.image.sigma_m)
     return replace(sighting, image=image)
 
@@ -41,7 +41,7 @@ def _three():
     return step, state, given[-1]
 
 
-def test_a_decision_tells_the_covariance_of_its_residual_and_the_part_that_is_noise(three) -> None:
+def test_decision_has_residual_covariance_and_noise(three) -> None:
     step, state, last = three
     _, decision = step(state, last, exposure(last))
     residual, covariance = decision.residual, decision.covariance
@@ -53,7 +53,7 @@ def test_a_decision_tells_the_covariance_of_its_residual_and_the_part_that_is_no
 
 
 @pytest.mark.parametrize("wrong", range(3))
-def test_of_three_lights_the_wrong_one_is_left_out(three, wrong: int) -> None:
+def test_wrong_one_of_three_beacons_is_rejected(three, wrong: int) -> None:
     step, state, last = three
     shift = np.zeros((3, 2))
     shift[wrong] = [90.0, -60.0]
@@ -93,7 +93,7 @@ def off_sightings() -> list[Sighting]:
 
 
 def off_for_good(lights: tuple[int, ...] = (0,), **gate: float):
-    """States and decisions of sightings; the mount slips by 600", and one light alone cannot tell who is wrong."""
+    """Return states and decisions; the mount slips by 600", and one beacon alone cannot isolate the fault."""
     settings = config(**gate)
     filter_ = CalibrationFilter(settings)
     step, state, found = SightingStep(settings, filter_), filter_.initial_state(), []
@@ -108,7 +108,7 @@ def off_for_good(lights: tuple[int, ...] = (0,), **gate: float):
 
 
 @pytest.mark.parametrize("row", range(3))
-def test_mend_08_a_light_that_is_no_number_passes_no_gate(three, row: int) -> None:
+def test_nan_beacon_fails_the_gate(three, row: int) -> None:
     step, state, last = three
     for field in ("point_m", "sigma_m"):
         values = np.array(getattr(last.image, field), dtype=float)
@@ -126,21 +126,21 @@ def assert_no_part(step, state, wrong: Sighting, row: int) -> None:
         assert not decision.accepted or wrong.names[row] not in used
 
 
-def test_a_run_of_disagreement_is_a_conflict_and_the_estimate_is_held() -> None:
+def test_run_of_rejections_is_a_conflict_and_keeps_the_estimate() -> None:
     found = off_for_good()
     reasons = [decision.reason for _, decision in found]
     assert reasons[:30] == [Reason.NONE] * 30
     assert reasons[30:39] == [Reason.GATE] * 9
     assert set(reasons[39:]) == {Reason.ATTITUDE_CONFLICT}
-    assert found[-1][1].text.startswith("30 refusals in a row: the lights and the encoders with the ship's attitude")
+    assert found[-1][1].text.startswith("30 rejections in a row: lights are inconsistent with encoders and ship")
     assert found[-1][0].mean.tobytes() == found[29][0].mean.tobytes()
     assert [state.refusals for state, _ in found[28:33]] == [0, 0, 1, 2, 3]
 
 
-def test_where_configured_the_gate_is_opened_again() -> None:
+def test_covariance_is_inflated_after_rejections_if_configured() -> None:
     found = off_for_good(gate__reopen_after=10, gate__reopen_factor=1e4)
     reasons = [decision.reason for _, decision in found]
-    assert "gate re-opened: covariance times 10000" in found[39][1].text
+    assert "covariance inflated by 10000" in found[39][1].text
     assert set(reasons[45:]) == {Reason.NONE}
     # The telescope is put back where the light has it: by the slip, which the encoders add to where the axis points.
     settings, elevation = config(), sweep(np.array([59.0]))[0, 1]

@@ -1,4 +1,4 @@
-"""Messages late and out of order: within the lag the end is the same to the last bit, and outputs never go back."""
+"""Late and reordered messages: within the lag the final state is equal to the bit, and outputs never go back."""
 
 from itertools import pairwise
 from typing import Any
@@ -41,7 +41,7 @@ ALL = ALL_TOPICS
 
 
 def shuffled(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
-    """Delays drawn over the whole lag for these topics, a few milliseconds for the others."""
+    """Return random delays over the whole lag for these topics, a few milliseconds for the others."""
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in topics for a in session()])
     return delayed(session(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
@@ -82,7 +82,7 @@ def test_the_shuffles_do_shuffle() -> None:
 @pytest.mark.parametrize("topic", ALL)
 @pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
 def test_one_late_message_is_applied_at_its_own_time(topic: str, late_s: float) -> None:
-    """As late as it can be behind the newest stamp that came."""
+    """The message is the maximum lag behind the newest received stamp."""
     index = index_at(session(), topic, 2.6)
     limit_ns = session()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in session() if a.stamp_ns > limit_ns)
@@ -92,7 +92,7 @@ def test_one_late_message_is_applied_at_its_own_time(topic: str, late_s: float) 
 
 
 @pytest.mark.parametrize("topic", ALL)
-def test_what_is_later_than_the_lag_is_refused_and_counted(topic: str) -> None:
+def test_data_later_than_the_lag_are_rejected_and_counted(topic: str) -> None:
     index = index_at(session(), topic, 2.6)
     late_ns = session()[index].receive_ns + round((LAG_S + 0.3) * SECOND_NS)
     run = drive(new_adapter(), replaced(session(), index, lambda message: None, late_ns))
@@ -101,16 +101,16 @@ def test_what_is_later_than_the_lag_is_refused_and_counted(topic: str) -> None:
 
 
 def test_a_pointing_waits_for_the_ship_and_comes_with_it() -> None:
-    """Encoder readings come first, the ship's attitude of their moment 0.3 s later."""
+    """Encoder readings come first, the ship's attitude of the same time 0.3 s later."""
     late = delayed(session(), np.array([0.3 if a.topic == SHIP else 0.003 for a in session()]))
     run = drive(new_adapter(), late)
     times = [(ns - stamp_of(m)) * 1e-9 for ns, topic, m in run.published if topic == "theodolite/pointing"]
     assert 0.3 <= np.median(times) < 0.36
-    # The first tick found none and said INVALID.
+    # The first tick published INVALID.
     assert len(run.pointings) >= len(clean_run().pointings) - 1
 
 
-def test_the_clock_goes_back_once_and_all_begins_anew() -> None:
+def test_clock_jump_back_resets_once() -> None:
     adapter = new_adapter()
     first = drive(adapter, session())
     adapter.clock_jumped_back(session()[0].receive_ns)
@@ -122,17 +122,17 @@ def test_the_clock_goes_back_once_and_all_begins_anew() -> None:
 
 
 @pytest.mark.slow
-def test_a_flood_with_random_stamps_costs_few_steps_and_what_is_refused_leaves_no_trace(
+def test_flood_of_random_stamps_costs_few_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Exposures at 2 Hz; unbounded, each of the flood would make some hundred steps."""
+    """Exposures at 2 Hz; without a bound, each message of the flood would cost some hundred steps."""
     assert_a_flood_costs_little(
         monkeypatch, OpticalAxisCore, lambda a: drive(new_adapter(), a), session(3.0), BEACONS, "lights"
     )
 
 
 def told_twice(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
-    """Of the time from 2.0 s to 2.3 s some sources tell what is so a second later, too."""
+    """Repeat the stamps 2.0 s to 2.3 s of some sources with data of one second later."""
 
     def again(message: Any) -> None:
         ns = stamp_of(message) - SECOND_NS
@@ -144,12 +144,12 @@ def told_twice(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
 
 
 def lights_used(run: Run) -> list[float]:
-    """Stamps of the lights used, s after the start."""
+    """Return the stamps of accepted beacons, s after the start."""
     told = [m for m in run.messages("theodolite/innovation") if m.source == "lights" and m.accepted]
     return sorted({(stamp_of(m) - START_NS) / SECOND_NS for m in told})
 
 
-def test_no_lights_are_used_while_encoders_and_ship_tell_a_time_twice() -> None:
+def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:
     run = drive(new_adapter(), told_twice((ENCODER, SHIP)))
     core = run.adapter.core
     assert not core.state.trust.left_out
@@ -159,7 +159,7 @@ def test_no_lights_are_used_while_encoders_and_ship_tell_a_time_twice() -> None:
     assert [s for s in used if s > 12.4]
 
 
-def test_in_any_order_no_lights_are_used_while_encoders_and_ship_tell_a_time_twice() -> None:
+def test_repeated_times_reject_beacons_in_any_order() -> None:
     arrivals = told_twice((ENCODER, SHIP))
     one = drive(new_adapter(), arrivals)
     rng = np.random.default_rng(7)
@@ -168,6 +168,6 @@ def test_in_any_order_no_lights_are_used_while_encoders_and_ship_tell_a_time_twi
     assert other.state() == one.state()
 
 
-def test_lights_are_used_while_one_source_alone_tells_a_time_twice() -> None:
+def test_beacons_are_used_while_one_source_repeats_times() -> None:
     used = lights_used(drive(new_adapter(), told_twice((SHIP,))))
     assert len([s for s in used if 3.5 < s < 12.0]) == 17  # all: there are two a second

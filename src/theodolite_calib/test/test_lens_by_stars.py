@@ -1,4 +1,4 @@
-"""N' = 60 mm and what is not parallel, by lights and stars together: estimated, and what stays open named.
+"""N' = 60 mm and the parallelism from beacons and stars together: estimates, and unobservable combinations.
 
 The noise is that of the scenario ``theodolite_sweep``: five minutes through 360°, 10° to 70°, lights and stars in turn
 in the calibration telescope.
@@ -61,7 +61,7 @@ def _watch():
 def swept(
     seed: int, watch, distance_m=None, settings=SETTINGS, lens_error_m=PER_AXIS_M
 ) -> tuple[CalibrationFilter, CalibrationState, Session]:
-    """The filter's state after the sweep, and what was true; without ``watch`` by lights alone."""
+    """Return the filter's state after the sweep, and the truth; without ``watch`` by beacons alone."""
     drawn = session(settings, seed, TIMES_S, ENCODER, lens_error_m=np.full(3, lens_error_m), distance_m=distance_m)
     filter_, rng = CalibrationFilter(settings), np.random.default_rng(1000 + seed)
     by_lights, sky = SightingStep(settings, filter_), rng.standard_normal(4)
@@ -87,14 +87,14 @@ def swept(
 
 
 def lens_error_m(filter_: CalibrationFilter, state: CalibrationState) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate minus truth, and sigma."""
+    """Return estimate minus truth, and sigma."""
     rows = filter_.model.slices["lens"]
     return state.mean[rows] - PER_AXIS_M, np.sqrt(np.diagonal(state.covariance)[rows])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("distance_m", [None, NEAR_AND_FAR_M], ids=["2 km", "0.5 to 2 km"])
-def test_lights_and_stars_tell_n_to_the_right_and_up_and_name_what_they_do_not(watch, distance_m) -> None:
+def test_beacons_and_stars_observe_n_right_and_up(watch, distance_m) -> None:
     found = [swept(seed, watch, distance_m)[:2] for seed in range(3)]
     errors_m, sigmas_m = np.array([lens_error_m(*one) for one in found]).swapaxes(0, 1)
     assert np.max(sigmas_m[:, RIGHT]) < 0.005
@@ -112,7 +112,7 @@ def test_lights_and_stars_tell_n_to_the_right_and_up_and_name_what_they_do_not(w
         assert {"parallelism_azimuth", "parallelism_elevation", "parallelism_rotation"} <= set(calibration.names)
 
 
-def test_lights_alone_take_n_for_errors_of_the_axes() -> None:
+def test_beacons_alone_confuse_n_with_axis_errors() -> None:
     filter_, state, _ = swept(0, None)
     _, sigma_m = lens_error_m(filter_, state)
     assert np.min(sigma_m) > 0.9 * LENS_M
@@ -122,7 +122,7 @@ def test_lights_alone_take_n_for_errors_of_the_axes() -> None:
     assert "h + 2e+03 lens_up" in open_ones
 
 
-def test_a_star_sensor_on_the_main_tube_tells_how_parallel_the_calibration_telescope_is(watch) -> None:
+def test_star_sensor_on_the_main_tube_observes_parallelism(watch) -> None:
     """The sensor is surveyed to 0.2″, the telescope to a minute of arc, N' to 2 mm."""
     surveyed = {
         **{f"telescope__{name}_sigma_arcsec": 60.0 for name in ("azimuth", "elevation", "rotation")},

@@ -1,4 +1,4 @@
-"""Lights taken for one another, or for what they are not."""
+"""Beacons with exchanged names, or at wrong positions."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ THREE_LIGHTS_DEG = FOUR_LIGHTS_DEG[:3]
 
 
 def an_epoch(lights_deg: FloatArray = LIGHTS_DEG, seed: int = 2) -> Epochs:
-    """One of the paper's epochs."""
+    """Return one of the paper's epochs."""
     many = paper_epochs(truth_of(np.array([75.0]), 35.0, 15.0, lights_deg), seed=seed)
     return replace(
         many,
@@ -42,12 +42,12 @@ def an_epoch(lights_deg: FloatArray = LIGHTS_DEG, seed: int = 2) -> Epochs:
 
 
 def seen_as(epoch: Epochs, order: list[int]) -> Epochs:
-    """Sighting i is in truth that of light ``order[i]``."""
+    """Return the epoch with sighting i of beacon ``order[i]``."""
     return replace(epoch, image=replace(epoch.image, point_m=epoch.image.point_m[order]))
 
 
 def encoder_prior(epoch: Epochs, off_arcmin: float = 1.0) -> AttitudePrior:
-    """What encoder and INS say, to an arcminute."""
+    """Return the prior from encoder and INS, to an arcminute."""
     off = np.array([0.6, -0.6, 0.5]) * off_arcmin * 60.0 * ARCSEC
     return AttitudePrior(exp_rotation(off) @ epoch.truth.rotation_nt, {"prior": (60.0 * ARCSEC) ** 2 * np.eye(3)})
 
@@ -62,7 +62,7 @@ def axis_error_arcsec(epoch: Epochs, check: LightCheck) -> float:
 
 @pytest.mark.parametrize("lights_deg", [LIGHTS_DEG, THREE_LIGHTS_DEG], ids=["two", "three"])
 @pytest.mark.parametrize("with_prior", [False, True])
-def test_right_lights(lights_deg, with_prior):
+def test_right_beacons(lights_deg, with_prior):
     epoch = an_epoch(lights_deg)
     check = checked(epoch, encoder_prior(epoch) if with_prior else None)
     assert check.verdict is Verdict.CONSISTENT
@@ -71,7 +71,7 @@ def test_right_lights(lights_deg, with_prior):
     assert (check.prior_chi2 is not None) == with_prior
 
 
-def test_two_lights_swapped_are_found_by_the_prior():
+def test_two_swapped_beacons_are_found_with_a_prior():
     epoch = an_epoch()
     check = checked(seen_as(epoch, [1, 0]), encoder_prior(epoch))
     assert check.verdict is Verdict.SWAPPED
@@ -79,8 +79,8 @@ def test_two_lights_swapped_are_found_by_the_prior():
     assert axis_error_arcsec(epoch, check) < 15.0
 
 
-def test_two_lights_swapped_look_right_without_a_prior():
-    # The angle is the same: nothing but the half turn of the image would tell.
+def test_two_swapped_beacons_are_consistent_without_a_prior():
+    # The angle is the same: only the half turn of the image differs.
     epoch = an_epoch()
     check = checked(seen_as(epoch, [1, 0]))
     assert check.verdict is Verdict.CONSISTENT
@@ -89,7 +89,7 @@ def test_two_lights_swapped_look_right_without_a_prior():
 
 
 @pytest.mark.parametrize("order", [[1, 0, 2], [2, 1, 0], [0, 2, 1], [1, 2, 0], [2, 0, 1]])
-def test_three_lights_swapped_need_no_prior(order):
+def test_three_swapped_beacons_need_no_prior(order):
     epoch = an_epoch(THREE_LIGHTS_DEG)
     check = checked(seen_as(epoch, order))
     assert check.verdict is Verdict.SWAPPED
@@ -100,8 +100,8 @@ def test_three_lights_swapped_need_no_prior(order):
 
 @pytest.mark.parametrize("with_prior", [False, True])
 @pytest.mark.parametrize("lights_deg", [LIGHTS_DEG, THREE_LIGHTS_DEG], ids=["two", "three"])
-def test_a_wrong_light(lights_deg, with_prior):
-    # Where the second light should be, another one 0.05° beside it is seen.
+def test_wrong_beacon(lights_deg, with_prior):
+    # Instead of the second beacon another one 0.05° away is detected.
     epoch = an_epoch(lights_deg)
     elsewhere_deg = lights_deg.copy()
     elsewhere_deg[1, 0] += 0.05
@@ -119,7 +119,7 @@ def test_a_baseline_a_second_late():
     assert checked(replace(epoch, lights=lights)).verdict is Verdict.CONFLICT
 
 
-def test_lights_that_agree_and_a_prior_that_does_not():
+def test_consistent_beacons_with_an_inconsistent_prior():
     # An encoder stuck while the telescope went on for half a degree.
     epoch = an_epoch()
     check = checked(epoch, encoder_prior(epoch, off_arcmin=30.0))
@@ -144,7 +144,7 @@ def test_a_little_better_the_other_way_round_is_no_swap():
     assert verdicts == {Verdict.CONSISTENT, Verdict.CONFLICT}
 
 
-def test_lights_in_one_place_are_no_attitude():
+def test_beacons_in_one_direction_give_no_attitude():
     epoch = an_epoch()
     one_place = replace(epoch, image=replace(epoch.image, point_m=epoch.image.point_m[[0, 0]]))
     check = checked(one_place)
@@ -164,7 +164,7 @@ def test_angle_residual_is_what_the_likelihood_leaves():
     assert angles.chi2[:, 0] == pytest.approx(attitude.chi2, rel=1e-2, abs=5e-3)
 
 
-def test_angles_of_three_lights():
+def test_angles_of_three_beacons():
     epochs = paper_epochs(truth_of(np.full(2_000, 75.0), 35.0, 15.0, THREE_LIGHTS_DEG), seed=4, common_refraction=True)
     angles = angle_residuals(epochs.image, epochs.camera, epochs.lines())
     assert angles.pairs.tolist() == [[0, 1], [0, 2], [1, 2]]

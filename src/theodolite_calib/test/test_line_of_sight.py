@@ -1,4 +1,4 @@
-"""Lines of sight: geometry by hand, Jacobians by differences, joint covariance by chance."""
+"""Lines of sight: geometry by hand, Jacobians by differences, joint covariance by random draws."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def inputs() -> tuple[Lights, Ship, Survey]:
 
 
 def disturbed(name: str, error: FloatArray, lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
-    """Lines of sight with what was used plus an error: (k,) where common, (N, k) where not."""
+    """Return lines of sight of the used values plus an error: (k,) if common, (N, k) if not."""
 
     def longer(lever: LeverArm) -> LeverArm:
         return replace(lever, vector_m=lever.vector_m + error)
@@ -115,7 +115,7 @@ def test_no_refraction_at_the_zenith():
 
 
 def bare_lines(path_n: FloatArray, refraction_coefficient: float) -> LinesOfSight:
-    """One light at the end of its baseline, no levers."""
+    """Return the line of sight of one beacon at the end of its baseline, without levers."""
     lights = Lights(path_n[None], np.zeros((3, 3)), np.eye(3)[None], np.zeros((3, 3)))
     survey = replace(
         SURVEY,
@@ -151,7 +151,7 @@ def test_jacobians_equal_finite_differences(name):
         assert term.jacobian_n[..., k] == pytest.approx(expected, abs=1e-4 * largest)
 
 
-def test_each_light_has_its_own_error_where_not_common():
+def test_own_errors_are_independent_between_beacons():
     for name, term in TERMS.items():
         if term.common:
             continue
@@ -162,7 +162,7 @@ def test_each_light_has_its_own_error_where_not_common():
         assert np.abs(moved[1]).max() > 0.0
 
 
-def test_what_is_common_and_what_lasts():
+def test_common_and_correlated_terms():
     common = {"rtk_base", "theodolite_lever", "principal_point", "ship_attitude", "refraction"}
     assert {name for name, term in TERMS.items() if term.common} == common
     assert {name for name, term in TERMS.items() if not term.slow} == {"rtk_noise"}
@@ -171,7 +171,7 @@ def test_what_is_common_and_what_lasts():
 
 
 def test_joint_covariance_is_that_of_drawn_errors():
-    """All errors at once, each put in where it arises: also what the lights share."""
+    """All errors at once, each applied at its origin, common errors included."""
     rng, count = np.random.default_rng(12), 20_000
     lights, ship, survey = inputs()
 
@@ -249,7 +249,7 @@ def test_block_diagonal():
     assert block_diagonal(blocks)[0].tolist() == expected
 
 
-def test_a_common_error_correlates_the_lights_fully():
+def test_common_error_correlates_the_beacons_fully():
     jacobian_n = np.ones((2, 3, 1))
     term = ErrorTerm("x", "x", common=True, slow=True, jacobian_n=jacobian_n, covariance=np.array([[4.0]]))
     assert term.direction_covariance_n().tolist() == np.full((6, 6), 4.0).tolist()

@@ -1,4 +1,4 @@
-"""The remembered calibration: residuals of lights against geometry and in distribution, departures, jumps."""
+"""Remembered calibration: residuals of beacons against geometry and in distribution, differences, jumps."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ FILTER = CalibrationFilter(SETTINGS)
 
 
 def remembered(seed: int, later_s: float = 20.0) -> tuple[CalibrationState, Sighting]:
-    """A state after 40 sightings, and the sighting of some seconds later."""
+    """Return a state after 40 sightings, and the sighting of some seconds later."""
     times_s = np.append(np.arange(40.0), 40.0 + later_s)
     *before, after = session(SETTINGS, seed, times_s, sweep(times_s)).sightings
     return filtered(before), after
@@ -43,14 +43,14 @@ def filtered(sightings: list[Sighting]) -> CalibrationState:
 
 
 def moved_across(sighting: Sighting, right_m: float) -> Sighting:
-    """The sighting with all baselines moved to the right of their lines of sight."""
+    """Return the sighting with all baselines moved to the right of their lines of sight."""
     north, _, east = sighting.lights.baseline_n.T
     right_n = np.column_stack([-east, np.zeros_like(north), north]) / np.hypot(north, east)[:, None]
     return replace(sighting, lights=replace(sighting.lights, baseline_n=sighting.lights.baseline_n + right_m * right_n))
 
 
-def test_a_baseline_that_moves_turns_its_light_to_the_other_side() -> None:
-    """By the shift across the line of sight over the distance: plane geometry."""
+def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
+    """The angle is the shift across the line of sight over the distance: plane geometry."""
     state, sighting = remembered(1)
     moved_n = np.array([0.4, 0.5, -0.3])
     baseline_n = sighting.lights.baseline_n.copy()
@@ -79,7 +79,7 @@ def test_separations_have_the_covariance_that_is_stated() -> None:
     assert low < np.mean(values) < high
 
 
-def test_what_is_expected_grows_by_the_drift() -> None:
+def test_expected_covariance_grows_with_time() -> None:
     state, sighting = remembered(2)
     later = propagate_memory(FILTER, state, [], sighting.time_ns + SECOND_NS)
     now = memory_residuals(FILTER, state, sighting)[sighting.names[0]]
@@ -106,8 +106,8 @@ def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
 
 
 @pytest.mark.parametrize(("moved_m", "least", "most"), [(0.0, 0.0, 3.0), (1.0, 4.0, np.inf)])
-def test_another_estimate_departs_from_the_memory_where_all_lights_have_moved(moved_m, least, most) -> None:
-    """A metre at 2 km is 103″; each state by itself hides it, for they are known to tens of arcseconds."""
+def test_difference_from_memory_after_all_beacons_moved(moved_m, least, most) -> None:
+    """One metre at 2 km is 103″; no single state shows it, because each is uncertain by tens of arcseconds."""
     departures = []
     for seed in range(10):
         times_s = np.append(np.arange(40.0), 70.0 + np.arange(20.0))

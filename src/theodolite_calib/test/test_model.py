@@ -1,4 +1,4 @@
-"""The ship's error when its stated covariance changes at once."""
+"""Ship's error at a step of its stated covariance."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ def test_small_changes_are_left_to_the_process() -> None:
     assert ship_error_step(covariance(1.4, 1.8, 1.4), covariance(1.6, 1.7, 1.9)) is None
 
 
-def test_stars_come_what_is_left_is_what_a_kalman_update_leaves() -> None:
-    """Heading from 72" to 20": drawn errors, updated by a measurement that does just that."""
+def test_variance_decrease_acts_as_a_kalman_update() -> None:
+    """Heading from 72" to 20": random errors, updated by a measurement with that effect."""
     before, after = 72.0, 20.0
     step = ship_error_step(covariance(10.0, before, 10.0), covariance(10.0, after, 10.0))
     assert step is not None
@@ -31,7 +31,7 @@ def test_stars_come_what_is_left_is_what_a_kalman_update_leaves() -> None:
     assert new == pytest.approx([0.0, np.sqrt(after**2 - (step.kept[1] * before) ** 2), 0.0], abs=1e-6)
 
 
-def test_stars_go_all_of_the_error_stays_and_more_comes() -> None:
+def test_variance_increase_keeps_the_error_and_adds_to_it() -> None:
     step = ship_error_step(covariance(1.4, 1.8, 1.4), covariance(3.0, 5.0, 1.4))
     assert step is not None
     assert step.kept.tolist() == [1.0, 1.0, 1.0]
@@ -44,7 +44,7 @@ def test_the_first_covariance_is_all_new() -> None:
     assert step.new_n == pytest.approx(covariance(1.4, 1.8, 1.4), abs=1e-30)
 
 
-def test_state_and_parts_take_the_step_and_nothing_is_changed_in_place() -> None:
+def test_step_changes_nothing_in_place() -> None:
     step = ship_error_step(covariance(10.0, 72.0, 10.0), covariance(2.0, 2.0, 2.0))
     assert step is not None
     root = np.random.default_rng(7).standard_normal((2, 5, 5))

@@ -1,4 +1,4 @@
-"""What the pointing rests on and what it is worth: a ship that coasts, the INS alone."""
+"""Mode and status of the pointing: a coasting ship, the INS alone."""
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def test_without_a_fused_attitude_the_ins_serves_with_its_configured_errors() ->
     assert 70.0 < np.sqrt(added) / arcsec < 78.0
 
 
-def test_the_telescope_is_told_while_it_sees_lights() -> None:
+def test_telescope_attitude_is_published_with_beacons() -> None:
     pointing = clean_run().pointings[-1]
     # Parallel to the main axis here.
     assert abs(pointing.telescope_azimuth - pointing.azimuth) < 1e-9

@@ -1,4 +1,4 @@
-"""The pointing that is put out: a function of state, ship and encoders that takes one moment or many."""
+"""Pointing as a function of state, ship and encoders, for one time or many."""
 
 import functools
 from dataclasses import replace
@@ -30,7 +30,7 @@ SOURCES = ["ship/attitude", "ins/imu"]
 
 @functools.cache
 def seen(source: str) -> tuple[OpticalAxisConfig, CalibrationFilter, CalibrationState]:
-    """A filter that has seen lights for ten seconds, and its state."""
+    """Return a filter after ten seconds of beacons, and its state."""
     settings = config(ship__source=source, integrity__alert_limit_arcsec=LIMITS_ARCSEC)
     filter_ = CalibrationFilter(settings)
     state, step = filter_.initial_state(), SightingStep(settings, filter_)
@@ -41,12 +41,12 @@ def seen(source: str) -> tuple[OpticalAxisConfig, CalibrationFilter, Calibration
 
 
 def readings(source: str, state: CalibrationState) -> tuple[EncoderRun, ShipRun]:
-    """Readings from the state's moment until long after the lights, among them some in doubt."""
+    """Return readings from the state's time until long after the beacons, some of them unconfirmed."""
     rng = np.random.default_rng(5)
     assert state.time_ns is not None
     since_ns = np.concatenate([[0], np.sort(rng.integers(1, 8 * 10**9, COUNT - 1))])
     angles = np.stack([rng.uniform(0.0, 6.0, COUNT), rng.uniform(0.1, 1.0, COUNT)], axis=-1)
-    doubt = ["", "", "the encoders stopped dead"] * (COUNT // 3)
+    doubt = ["", "", "the encoders stopped during a motion"] * (COUNT // 3)
     encoders = EncoderRun(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), doubt)
     # Stars have gone and come again: the ship's error changes at once.
     sizes = np.resize([1.0, 1.1, 3.0, 0.2], COUNT)[:, None, None]
@@ -65,8 +65,8 @@ def readings(source: str, state: CalibrationState) -> tuple[EncoderRun, ShipRun]
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_the_axis_is_where_the_predicted_state_has_it(source: str) -> None:
-    """The filter carries the whole state to each moment; of that the chain makes the axis, by numpy."""
+def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
+    """The filter propagates the whole state to each time; numpy computes the axis geometry from it."""
     _, filter_, state = seen(source)
     encoders, ship = readings(source, state)
     index, rows = filter_.model.sources.index, chain_rows(filter_.model)
@@ -86,14 +86,14 @@ def test_the_axis_is_where_the_predicted_state_has_it(source: str) -> None:
 
 
 def in_dispute(state: CalibrationState) -> CalibrationState:
-    """The state where lights contradict all else, and the estimates without one source stand apart."""
+    """Return the state with an unresolved fault and separated subfilters."""
     conflict = Conflict((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
     trust = replace(state.trust, conflict=conflict)
     return replace(state, trust=trust, separation=np.full(len(state.separation), 5.0))
 
 
 def chosen(encoders: EncoderRun, ship: ShipRun, number: int) -> tuple[EncoderRun, ShipRun]:
-    """One of the readings, as a run of its own."""
+    """Return one of the readings as a series of its own."""
     one = slice(number, number + 1)
     parts = [
         kind(**{name: None if value is None else value[one] for name, value in vars(run).items()})
@@ -126,7 +126,7 @@ def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, disp
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_what_depends_on_lights_is_there_while_they_are_recent(source: str) -> None:
+def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
     settings, filter_, before = seen(source)
     state = in_dispute(before)
     encoders, ship = readings(source, state)

@@ -62,7 +62,7 @@ def test_maximum_likelihood_reaches_the_bound_and_knows_it(elevation_deg, rotati
 
 
 @pytest.mark.parametrize("elevation_deg", ELEVATIONS_DEG)
-def test_refraction_common_to_both_lights(elevation_deg):
+def test_refraction_common_to_both_beacons(elevation_deg):
     epochs, attitude = solved(elevation_deg, 40.0, common_refraction=True)
     assert rms(axis_error_arcsec(epochs, attitude.rotation_nt)) <= 3.80
     error_n = log_rotation(epochs.truth.rotation_nt @ np.swapaxes(attitude.rotation_nt, -1, -2))
@@ -81,7 +81,7 @@ def test_the_papers_method(elevation_deg, rotation_deg):
 
 
 def untold_lens_errors_arcsec(direction: FloatArray, elevation_deg: float = 30.0, epochs: int = EPOCHS) -> FloatArray:
-    """The paper's method with 60 mm of N' in a direction of the main frame that nobody surveyed, 2.7 cm as a norm."""
+    """Return the errors of the paper's method with an unsurveyed N' of 60 mm in a direction, 2.7 cm as a norm."""
     drawn = paper_epochs(
         truth_of(np.full(epochs, AZIMUTH_DEG), elevation_deg, 0.0),
         seed=5,
@@ -114,7 +114,7 @@ def test_of_fourteen_directions_equal_parts_fit_the_print_best():
 
 
 def test_no_zero_mean_errors_in_a_plane_have_the_printed_mean_and_spread():
-    """Printed: 5.90/1.71 = 3.45. Normal errors have at most sqrt(pi/(4 - pi)) = 1.913, alike in all directions."""
+    """Printed: 5.90/1.71 = 3.45. Isotropic normal errors have at most sqrt(pi/(4 - pi)) = 1.913."""
     alike = np.sqrt(np.pi / (4.0 - np.pi))
     assert alike == pytest.approx(1.913, abs=5e-4)
     drawn = np.random.default_rng(18).standard_normal((400_000, 2))

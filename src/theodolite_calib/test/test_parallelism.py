@@ -1,4 +1,4 @@
-"""From the main axis to the telescope."""
+"""Telescope attitude from the main axis."""
 
 import numpy as np
 import pytest

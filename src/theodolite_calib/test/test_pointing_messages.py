@@ -1,4 +1,4 @@
-"""The messages of many pointings made together are those of each made alone, byte for byte, and lead back to them."""
+"""Messages of many pointings equal those of each alone, byte for byte, and decode to them."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ KINDS = [
 
 
 def pointings(count: int = 40) -> list[PointingEstimate]:
-    """Pointings of all kinds, each with other numbers."""
+    """Return pointings of all kinds, each with other numbers."""
     rng = np.random.default_rng(3)
     found = []
     for number in range(count):
@@ -52,7 +52,7 @@ def pointings(count: int = 40) -> list[PointingEstimate]:
 
 
 def run_of(estimates: list[PointingEstimate]) -> PointingRun:
-    """Pointings as a run."""
+    """Return pointings as a series."""
     whole = {name: [getattr(estimate, name) for estimate in estimates] for name in vars(estimates[0])}
     arrays = {name: values if name in ("status", "text") else np.array(values) for name, values in whole.items()}
     return PointingRun(**{**arrays, "state": None})
@@ -71,7 +71,7 @@ def test_rows_are_the_messages_of_each_pointing_in_their_order() -> None:
     assert {len(messages) for messages in found} == {1, 2}
 
 
-def test_one_pointing_says_what_it_is() -> None:
+def test_fields_of_one_pointing() -> None:
     factory = RosbagsFactory()
     for pointing in pointings(len(KINDS)):
         (topic, message), *on_tf = pointing_messages(factory, LEVER, pointing)

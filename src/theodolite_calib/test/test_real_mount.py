@@ -1,6 +1,6 @@
 """A real alt-azimuth mount: 118 sightings of stars on two nights, and an observatory package's own fit of them.
 
-Expected values: the README beside the sightings, and models.md §5.
+Expected values: the README of the sightings, and models.md §5.
 """
 
 from dataclasses import replace
@@ -42,14 +42,14 @@ def test_outliers(sightings: Sightings, six_terms: AxisFit) -> None:
     assert np.all(six_terms.weights[six_terms.outliers] < 0.5)
 
 
-def test_collimation_and_tilt_are_hardly_told_apart(six_terms: AxisFit) -> None:
+def test_collimation_and_tilt_are_nearly_dependent(six_terms: AxisFit) -> None:
     pairs = {pair[:2]: pair[2] for pair in correlated_pairs(six_terms)}
     assert pairs["c", "I"] < -0.98
     assert [combination.names for combination in poorly_told_apart(six_terms)] == [("g", "c", "I")]
 
 
 def test_left_out_is_what_refits_give(sightings: Sightings, six_terms: AxisFit) -> None:
-    """On the sightings that pull the most and on some that do not."""
+    """For the sightings with the largest influence and for some others."""
     for number in [*np.argsort(-sizes(six_terms.residuals))[:4], 0, 1]:
         kept = np.arange(len(sightings.labels)) != number
         others = Sightings(
@@ -71,7 +71,7 @@ def test_agrees_with_the_observatory(sightings: Sightings) -> None:
 
 
 @pytest.mark.parametrize("fixed", [{"flexure": 0.0}, {"c": 0.0}])
-def test_mend_23_offsets_multiplied_by_cos_e_are_told_though_they_fit_better(
+def test_multiplied_offsets_are_reported_despite_smaller_residuals(
     sightings: Sightings, fixed: dict[str, float]
 ) -> None:
     azimuth, elevation = sightings.offsets()

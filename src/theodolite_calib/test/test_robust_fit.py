@@ -1,4 +1,4 @@
-"""The robust fit of axis errors: what it finds, how well it says it knows it, what it names."""
+"""Robust fit of axis errors: estimates, covariance, and reported names."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ SEEDS = 200
 
 @pytest.mark.parametrize("g", [0.0, 1.5, 3.1, -2.5])
 def test_exact_sightings_give_the_errors_back(g: float) -> None:
-    """Zero points anywhere, the rest of degrees, both faces: the chain is exact."""
+    """Any zero points, the other errors of degrees, both faces: the axis geometry is exact."""
     rng = np.random.default_rng(1)
     errors = AxisErrors(g=g, h=-0.3, c=0.01, I=-0.012, beta_x=0.02, beta_y=-0.015, flexure=0.005)
     azimuth, elevation = spread(rng, 80, (-5.0, 85.0))
@@ -32,7 +32,7 @@ def test_exact_sightings_give_the_errors_back(g: float) -> None:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("outlier_share", [0.0, 0.05])
-def test_covariance_is_honest(outlier_share: float) -> None:
+def test_covariance_is_consistent(outlier_share: float) -> None:
     """99.9 % bands over 200 seeds, one error a seed; with outliers seven times the noise as well."""
     rng = np.random.default_rng(2)
     angles = spread(rng, 60, (10.0, 85.0))
@@ -52,8 +52,8 @@ def test_covariance_is_honest(outlier_share: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False])
-def test_mend_23_errors_that_sightings_share_are_in_the_covariance(stated: bool) -> None:
-    """A hull that turns by 20″ in ten minutes and a lever that is off for good; 99.9 % bands over the seeds."""
+def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
+    """A hull that rotates by 20″ in ten minutes and a constant lever error; 99.9 % bands over the seeds."""
     rng = np.random.default_rng(10)
     seeds, count = 40, 50
     time_s = 2.0 * np.arange(count)
@@ -89,13 +89,13 @@ def test_mend_23_errors_that_sightings_share_are_in_the_covariance(stated: bool)
     assert np.all((low <= ratio) & (ratio <= high)), ratio
 
 
-def test_outliers_are_named_and_hardly_count() -> None:
+def test_outliers_are_named_and_have_little_weight() -> None:
     rng = np.random.default_rng(3)
     angles = spread(rng, 100, (10.0, 85.0))
     clean = sight(rng, ERRORS, angles, 6.0)
     moved = clean.direction_d.copy()
     planted = [5, 17, 60]
-    # A wrong star, a wrong row, a knock: all to one side, so that plain least squares would follow.
+    # A wrong star, a wrong row, a shift: all to one side, so that plain least squares would follow.
     moved[planted] = moved[planted] @ exp_rotation(np.array([0.0, 2.0e-3, 0.0])).T
     result = fit(Sightings(clean.labels, *angles, direction_d=moved), STRAIGHT)
     assert np.flatnonzero(result.outliers).tolist() == planted
@@ -143,7 +143,7 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
     assert along > 500.0 * across
     assert np.linalg.norm(valley.run) == pytest.approx(along, rel=0.1)
     assert valley.effect == pytest.approx(2.5 * ARCSEC / np.sqrt(300), rel=0.2)
-    # So far along the valley the pointing hardly changes, as it says.
+    # Along the valley the pointing hardly changes, as stated.
     run = AxisErrors(**dict(zip(valley.names, valley.run, strict=True)))
     sightings = sight(rng, AxisErrors(), (azimuth, elevation), 0.0)
     assert rms(sightings.residuals(run)) == pytest.approx(valley.effect, rel=0.1)
@@ -157,7 +157,7 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
     assert np.max(both.sigmas) < 0.1 * np.max(narrow.sigmas)
 
 
-def test_good_coverage_is_told_apart() -> None:
+def test_good_coverage_separates_the_errors() -> None:
     rng = np.random.default_rng(7)
     azimuth, elevation = spread(rng, 100, (0.0, 85.0))
     elevation[::2] = np.pi - elevation[::2]
@@ -177,7 +177,7 @@ def test_good_coverage_is_told_apart() -> None:
         ((30.0, 30.0), (77.0, 77.0), ("g", "h", "c", "I", "beta_x", "beta_y"), 4),
     ],
 )
-def test_what_sightings_say_nothing_about_is_named_and_stays_at_zero(
+def test_unobservable_errors_are_named_and_stay_at_zero(
     elevations_deg: tuple[float, float], azimuths_deg: tuple[float, float], names: tuple[str, ...], count: int
 ) -> None:
     rng = np.random.default_rng(8)

@@ -1,4 +1,4 @@
-"""The messages of a block read together are those read one by one, to the last bit; the others are left to that."""
+"""Messages read as a batch equal those read one by one, to the last bit; irregular ones are left to that."""
 
 import functools
 from collections.abc import Callable
@@ -112,7 +112,7 @@ def test_messages_read_together_are_those_read_alone(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_refused_alone_is_not_read_together(kind: str) -> None:
+def test_messages_rejected_alone_are_not_read_in_a_batch(kind: str) -> None:
     type_name, read, read_rows, odd = KINDS[kind]
     for changed in [{name: value} for name, values in odd.items() for value in values]:
         message = FACTORY.make(type_name, **{**fields(kind, 0), **changed})

@@ -1,4 +1,4 @@
-"""Sessions from the first light to long after the last, over seeds: errors, what is claimed, what cannot be told."""
+"""Sessions from the first beacon to long after the last, over seeds: errors, covariances, unobservable combinations."""
 
 import functools
 from dataclasses import dataclass
@@ -49,14 +49,14 @@ def filtered(settings: OpticalAxisConfig, filter_: CalibrationFilter, given: Ses
 
 @dataclass(frozen=True)
 class AxisAt:
-    """The main axis at one moment: horizon from main frame, and its covariance by source, rad²."""
+    """Main axis at one time: horizon from main frame, and its covariance by source, rad²."""
 
     rotation_nm: FloatArray
     parts_n: FloatArray
 
 
 def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting, noise: float) -> AxisAt:
-    """The main axis at the moment of a sighting by a state, with so much noise of the encoders, rad²."""
+    """Return the main axis at the time of a sighting by a state, with a noise of the encoders, rad²."""
     angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
     reading = EncoderRun(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
     axes = CorrectedAxis(filter_, state).axes(ShipRun.of([sighting.ship]), reading)
@@ -65,7 +65,7 @@ def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sight
 
 @dataclass(frozen=True)
 class Left:
-    """Errors after the lights have left, arcseconds on the sky, shape (seeds, moments)."""
+    """Errors after the last beacons, arcseconds on the sky, shape (seeds, times)."""
 
     error: FloatArray
     sigma: FloatArray
@@ -74,7 +74,7 @@ class Left:
 
 @functools.cache
 def left_alone() -> Left:
-    """Five minutes of sweep with one sighting of two lights a second; then the mount goes on without them."""
+    """Five minutes of sweep with one sighting of two beacons a second; then the mount continues without them."""
     settings = config(air__sigma=0.06, **each_light(rtk__sigma_m=0.027))
     filter_ = CalibrationFilter(settings)
     times_s = np.concatenate([SWEEP_S, SWEEP_S[-1] + 1e-3 + AFTER_S])
@@ -105,7 +105,7 @@ def rms(values: FloatArray) -> float:
 
 
 @pytest.mark.slow
-def test_pointing_after_the_lights_have_left() -> None:
+def test_pointing_after_the_last_beacons() -> None:
     """Independent figures: 7.9" over the first 30 s, 29.7" after ten minutes, of which the deformation 26.3"."""
     left = left_alone()
     assert rms(left.sigma[:, :7]) < 8.5
@@ -153,14 +153,14 @@ THE_SAME_ALL_ALONG = {
     ],
     ids=["new each time", "the same all along"],
 )
-def test_ten_seconds_of_lights_are_worth_what_is_claimed(changes: dict[str, float], low: float, high: float) -> None:
+def test_ten_seconds_of_beacons_match_their_covariance(changes: dict[str, float], low: float, high: float) -> None:
     settings = config(**changes)
     filter_ = CalibrationFilter(settings)
     times_s = np.arange(0.0, 10.0, 0.1)
     encoder = np.tile(np.deg2rad([70.0, 30.0]), (len(times_s), 1))
     seeds, ratios = 20, []
     for seed in range(seeds):
-        # Still: by rolling, what lasts in the horizon is told from what lasts in the deck.
+        # Roll separates constant errors in the horizon from constant errors in the deck.
         given = session(settings, seed, times_s, encoder, ship_sigma_n=np.zeros(3), swing=0.0)
         state = filtered(settings, filter_, given, len(times_s))
         last = given.sightings[-1]
@@ -194,12 +194,12 @@ def test_a_narrow_range_of_elevation_leaves_the_valley_of_c_I_and_g() -> None:
     assert valley == "g - c + 0.46 I"
 
 
-def test_what_is_held_is_no_question() -> None:
+def test_fixed_errors_are_not_reported() -> None:
     held = {"axes__c_sigma_arcsec": 0.0}
     assert open_after(20.0, 30.0, **held) == THREE
 
 
-def test_before_the_first_light_everything_is_open() -> None:
+def test_all_is_unobservable_before_the_first_beacon() -> None:
     filter_ = CalibrationFilter(config())
     names = filter_.observability.open_combinations(filter_.initial_state().unaided)
     assert set(names) == {

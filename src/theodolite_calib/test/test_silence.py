@@ -1,4 +1,4 @@
-"""What is said of the pointing while inputs fail together or come late: it rests on what was put out."""
+"""Pointing while inputs fail together or are late: published pointings are final."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -25,7 +25,7 @@ def claimed(run: Run) -> list[Any]:
 
 
 def said_invalid(run: Run) -> list[int]:
-    """When INVALID was said, the start aside."""
+    """Return the times of INVALID outputs, except at the start."""
     return [ns for ns, topic, m in run.published if topic == POINTING and m.status == Status.INVALID and ns > at(0.5)]
 
 
@@ -45,8 +45,8 @@ def until(arrivals: Iterable[Arrival], s: float, *topics: str) -> list[Arrival]:
         ((ENCODER, SHIP), "no usable reading of the encoders"),
     ],
 )
-def test_mend_01_a_pointing_is_what_was_put_out(dead: tuple[str, ...], missing: str) -> None:
-    """The lights go on all the while."""
+def test_published_pointing_is_final(dead: tuple[str, ...], missing: str) -> None:
+    """The beacons continue all the time."""
     run = drive(new_adapter(slow_topics_period_s=0.2), until(session(), FROM_S, *dead), until_ns=at(5.0))
     said = said_invalid(run)
     assert at(FROM_S + 0.9) < said[0] <= at(FROM_S + 1.2)
@@ -59,8 +59,8 @@ def test_mend_01_a_pointing_is_what_was_put_out(dead: tuple[str, ...], missing: 
         assert len(stamps) == len(set(stamps)) > 5
 
 
-def test_mend_01_encoder_and_ship_stop_and_come_back() -> None:
-    """First the ship's attitude, then both; the encoder comes back first."""
+def test_encoder_and_ship_time_out_and_return() -> None:
+    """First the ship's attitude ends, then both; the encoder returns first."""
     gaps = {SHIP: (1.0, 3.5), ENCODER: (1.6, 3.0)}
     spans = {topic: range(*map(at, gap)) for topic, gap in gaps.items()}
     arrivals = [a for a in session() if a.stamp_ns not in spans.get(a.topic, ())]
@@ -77,21 +77,21 @@ def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tup
 
 
 @pytest.mark.parametrize("late", [(SHIP,), (ENCODER, SHIP), (ENCODER, SHIP, BEACONS)])
-def test_mend_04_old_stamps_are_no_silence(late: tuple[str, ...]) -> None:
+def test_old_stamps_are_no_timeout(late: tuple[str, ...]) -> None:
     run = drive(new_adapter(), later(session(), lambda topic: 1.3 if topic in late else 0.0))
     assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
     assert [ns for ns in said_invalid(run) if ns > at(1.4)] == []
 
 
 @pytest.mark.parametrize("step_s", [-0.04, 1.0, 5.0])
-def test_mend_04_a_clock_that_is_put_right_is_no_silence(step_s: float) -> None:
+def test_corrected_clock_is_no_timeout(step_s: float) -> None:
     run = Run(new_adapter())
     hand_over(run, session(), node_ns=lambda ns: ns + (round(step_s * SECOND_NS) if ns > at(2.0) else 0))
     expected = [result for result in clean_run().results() if result[1] != "theodolite/calibration"]
     assert [result for result in run.results() if result[1] != "theodolite/calibration"] == expected
 
 
-def test_mend_04_what_came_during_a_stop_is_put_out_after_it() -> None:
+def test_data_received_during_a_stop_are_published_after_it() -> None:
     arrivals = [replace(a, receive_ns=at(3.4)) if at(2.2) < a.receive_ns < at(3.4) else a for a in session()]
     run = drive(new_adapter(), arrivals)
     assert len(said_invalid(run)) == 1

@@ -1,7 +1,7 @@
 """The theodolite's smoother against one least-squares solution over all states of all epochs at once, by scipy.
 
-The batch knows the measurement equations and the autocorrelation of each error as docs/explanation/theodolite.md tells
-them. It shares no line with the filter or the smoother: rotations are scipy's, derivatives are differences.
+The batch has the measurement equations and the autocorrelation of each error from docs/explanation/theodolite.md. It
+shares no line with the filter or the smoother: rotations are scipy's, derivatives are differences.
 """
 
 from dataclasses import dataclass, field
@@ -70,7 +70,7 @@ def turned(vector: np.ndarray) -> np.ndarray:
 
 
 def about(axis: int, angle: float) -> np.ndarray:
-    """The elementary turn of docs/explanation/frames.md: azimuths are clockwise, elevations are up."""
+    """Return the elementary rotation of docs/explanation/frames.md: azimuths clockwise, elevations up."""
     return turned(-angle * np.eye(3)[axis])
 
 
@@ -107,7 +107,7 @@ def telescope_tm(parallelism: np.ndarray) -> np.ndarray:
 
 
 def point_m(direction: np.ndarray, focal_m: float) -> np.ndarray:
-    """Right and up on the detector, whose image is inverted, of what is seen in the axes forward, up, right."""
+    """Return right and up on the detector, with its inverted image, of a direction (forward, up, right)."""
     return -focal_m * direction[[2, 1]] / direction[0]
 
 
@@ -116,7 +116,7 @@ def point_m(direction: np.ndarray, focal_m: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sighted:
-    """One light at one moment: where the baseline has it, and where the detector."""
+    """One beacon at one time: baseline and detector point."""
 
     ms: int
     id_: str
@@ -125,7 +125,7 @@ class Sighted:
 
 
 def sighted() -> list[Sighted]:
-    """Errors of the sizes that are told, drawn without correlation: estimators must agree on any."""
+    """Return random errors of the stated sizes, without correlation: the estimators must agree for any."""
     rng, found = np.random.default_rng(5), []
     axes, parallelism = AXES * rng.standard_normal(7), TURN + TURN_SIGMA * rng.standard_normal(3)
     for ms in SIGHTED_MS:
@@ -143,7 +143,7 @@ def sighted() -> list[Sighted]:
 
 
 def smoothed_run() -> tuple[SmoothingAxisCore, list[PointingEstimate], list[PointingEstimate]]:
-    """The core fed in order of stamps: what is told at once and with hindsight of the moments that are asked for."""
+    """Run the core in the order of stamps; return real-time and smoothed pointings at the requested times."""
     core, at_once, lights = SmoothingAxisCore(CONFIG), [], sighted()
     for ms in range(0, 22000, 250):
         time_ns = START_NS + ms * 1_000_000
@@ -183,7 +183,7 @@ class Batch:
         self.rows.append(([self.unknown(name, ms, count)], lambda value: value / sigma))
 
     def process(self, name: str, epochs: list[int], covariance: np.ndarray, time_s: float) -> None:
-        """A Gauss-Markov process: its first value, then each one against the one before."""
+        """Add a Gauss-Markov process: its first value, then each one against the one before."""
         root = np.linalg.inv(np.linalg.cholesky(covariance))
         self.rows.append(([self.unknown(name, epochs[0])], lambda first: root @ first))
         for before, after in pairwise(epochs):
@@ -221,7 +221,7 @@ def batch() -> Batch:
 
 
 def steps_of(built: Batch) -> np.ndarray:
-    """For the differences: a millimetre for lengths, 1e-7 for angles."""
+    """Return the steps of the differences: a millimetre for lengths, 1e-7 for angles."""
     metres = np.zeros(built.size, dtype=bool)
     for (name, _), place in built.places.items():
         metres[place] = name.startswith(("bias", "rtk"))

@@ -1,4 +1,4 @@
-"""The states between two sightings: the filter's own prediction, and one joint distribution with the next sighting."""
+"""States between two sightings: the filter's own prediction, and the joint distribution with the next sighting."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def between_of(filter_: TracedFilter, size: float | None) -> Between:
 
 
 def correlated(filter_: TracedFilter, size: float | None):
-    """A state as after sightings: correlated, away from zero."""
+    """Return a state as after sightings: correlated, away from zero."""
     rng, n = np.random.default_rng(4), filter_.model.size
     state = filter_.predicted(filter_.initial_state(), START_NS, some(size))
     sigma = np.sqrt(state.covariance.diagonal())
@@ -109,8 +109,8 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
         np.testing.assert_allclose(cross[place, 3:6, 3:6], np.exp(-last_s / 25.0) * first.covariance[3:6, 3:6])
 
 
-def test_a_moment_before_a_jump_may_be_later_than_the_estimate_that_it_opens() -> None:
-    # The jump adds to the zero points: what the moment has in common with the opened state are the errors at that.
+def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
+    # The jump adds to the zero points: the time has only the errors before it in common with the inflated state.
     filter_ = TracedFilter(config(**ERRORS))
     state = correlated(filter_, 1.0)
     anchor = Anchor(START_NS, Known(state.mean, state.covariance), state.given)

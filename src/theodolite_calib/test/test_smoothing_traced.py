@@ -1,4 +1,4 @@
-"""What the traced filter tells of its steps: the same states, and which of them lead back."""
+"""Recorded updates of the traced filter: equal states, and the kind of each update."""
 
 from dataclasses import fields, replace
 
@@ -30,7 +30,7 @@ def stepped(filter_: CalibrationFilter, state: CalibrationState, sighting: Sight
 
 
 def without(state: TracedState, source: str) -> TracedState:
-    """The state whose filter distrusts a source."""
+    """Return the state of a filter that excludes a source."""
     assert state.time_ns is not None
     left_out = {source: LeftOut(Exclusion(state.time_ns), "it lies", 0.0)}
     return replace(state, trust=replace(state.trust, left_out=left_out))
@@ -71,7 +71,7 @@ DRONE = BEACON + "alpha"
 
 
 @pytest.mark.parametrize("source", [ENCODER, SHIP, TELESCOPE, DRONE])
-def test_of_what_leads_to_the_telescope_nothing_excluded_is_told_back(source: str) -> None:
+def test_excluded_axis_sources_are_not_smoothed(source: str) -> None:
     filter_ = TracedFilter(SETTINGS)
     first, second = sightings(2)
     before = stepped(filter_, filter_.initial_state(), first)

@@ -1,4 +1,4 @@
-"""What belongs to an exposure of stars: streaks brought to its middle by the motion of encoders and ship, and gaps."""
+"""Samples of an exposure of stars: streaks reduced to its middle by the motion of encoders and ship, and gaps."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ SEEN_S /= np.linalg.norm(SEEN_S, axis=-1, keepdims=True)
 
 
 def encoder_angles(time_s: float) -> FloatArray:
-    """A search by hand."""
+    """Return the encoder angles of a manual search."""
     azimuth_deg, elevation_deg = 10.0 * np.sin(2.0 * np.pi * time_s / 6.0), 5.0 * np.cos(2.0 * np.pi * time_s / 5.0)
     return np.deg2rad([30.0 + azimuth_deg, 40.0 + elevation_deg])
 
@@ -48,7 +48,7 @@ def tracks(until_s: float = 4.0) -> MeasuredTracks:
 
 
 def exposure(exposure_s: float) -> StarExposure:
-    """Stars of which each is seen at the mean of its pixels over a thousand moments."""
+    """Return stars, each at the mean of its pixels over a thousand times."""
     seen_n = SEEN_S @ camera_attitude(MIDDLE_NS / SECOND_NS).T
     moments_s = MIDDLE_NS / SECOND_NS + exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
     pixels = np.mean([CAMERA.pixels(seen_n @ camera_attitude(time_s)) for time_s in moments_s], axis=0)
@@ -84,7 +84,7 @@ def test_streaks_are_brought_to_the_middle_by_encoders_and_ship(exposure_s: floa
     assert np.trace(sighting.exposure.smear_s[0]) == pytest.approx(expected, rel=0.05)
 
 
-def test_without_a_length_stars_stay_where_they_were_seen() -> None:
+def test_stars_without_exposure_length_are_unchanged() -> None:
     seen = replace(exposure(0.05), length=None)
     sighting = star_sighting(seen, SETTINGS, tracks())
     assert isinstance(sighting, StarSighting)

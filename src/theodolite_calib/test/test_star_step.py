@@ -1,4 +1,4 @@
-"""Stars in a camera on the theodolite: Jacobian, accuracy of one exposure, identification, contradictions, axis errors.
+"""Stars in a camera on the theodolite: Jacobian, accuracy, identification, contradictions, axis errors.
 
 The numbers of the accuracy are those of models.md §7 and of the error budget: 1.34″ a star over ±4°, with refraction,
 position and a parallelism surveyed to 0.2″.
@@ -70,7 +70,7 @@ class Mount:
 
 
 def off_axis(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:
-    """Squares of the error of the axis, and of its sigma, on the sky; NEES of all three angles."""
+    """Return squares of the error of the axis, and of its sigma, on the sky; NEES of all three angles."""
     error_n = log_rotation(rotation_nm @ estimate.rotation_nm.T)
     across = estimate.rotation_nm[:, 1:].T
     variance = float(np.trace(across @ estimate.covariance_n @ across.T))
@@ -79,7 +79,7 @@ def off_axis(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float
 
 
 def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
-    """RMS of the pointing by one exposure, the sigma that it claims (arcsec), and the mean NEES."""
+    """Return RMS and stated sigma of the pointing by one exposure (arcsec), and the mean NEES."""
     told = []
     for seed in range(SEEDS):
         night, rng = mount.night(seed)
@@ -95,7 +95,7 @@ def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize(("count", "most_arcsec"), [(4, 1.2), (8, 0.9)])
-def test_one_exposure_gives_the_axis_as_its_covariance_says(watch, count: int, most_arcsec: float) -> None:
+def test_one_exposure_matches_its_covariance(watch, count: int, most_arcsec: float) -> None:
     rms, sigma, nees = one_exposure(Mount(SETTINGS, watch), count)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= nees <= high
@@ -105,7 +105,7 @@ def test_one_exposure_gives_the_axis_as_its_covariance_says(watch, count: int, m
 
 
 def streaked(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSighting, FloatArray]:
-    """The same through a camera that turns by 3°/s, with noise along the streaks; and the bound of the axis, rad²."""
+    """Return the exposure of a camera that rotates by 3°/s, with streak noise; and the bound of the axis, rad²."""
     length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
     rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
     turns = exp_rotation(-np.array(length.nodes.offset_ns)[:, None] * 1e-9 * rate_s)
@@ -143,7 +143,7 @@ def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_stre
     assert np.sqrt(squares) <= 1.15 * np.sqrt(np.mean(bounds))
 
 
-def test_a_parallelism_of_an_arcsecond_is_what_limits_and_the_budget_says_so(watch) -> None:
+def test_parallelism_dominates_the_budget(watch) -> None:
     mount = Mount(mount_config(parallelism_sigma_arcsec=1.0), watch)
     rms, sigma, nees = one_exposure(mount, 4)
     low, high = mean_nees_band(SEEDS, 3)
@@ -216,21 +216,21 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
     assert named + left_open == 120
 
 
-def test_without_lights_stars_and_calibration_the_pointing_is_in_doubt(watch) -> None:
+def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> None:
     mount = Mount(SETTINGS, watch)
     night, rng = mount.night(0)
     estimate = mount.pointing(night, mount.filter.initial_state(), random_field(rng))
     assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.DEGRADED)
-    assert estimate.text == "no light or star was ever seen and no calibration loaded: axis errors as configured"
+    assert estimate.text == "no light or star used yet and no calibration loaded: axis errors as configured"
 
 
 def knocked(night: MountNight) -> MountNight:
-    """The camera was knocked by 100″, or the encoders have slipped by as much: to the stars that is one thing."""
+    """Return the state after a shift of camera or encoders by 100″, which stars cannot distinguish."""
     errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
     return MountNight(night.settings, errors, night.watch, night.rng)
 
 
-def test_stars_that_contradict_the_calibrated_axes_are_refused_and_the_pointing_is_in_doubt(watch) -> None:
+def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None:
     mount = Mount(SETTINGS, watch)
     night, _ = mount.night(1)
     encoder = np.array([1.0, 0.9])
@@ -243,14 +243,14 @@ def test_stars_that_contradict_the_calibrated_axes_are_refused_and_the_pointing_
         assert state.refusals == number
         estimate = mount.pointing(night, state, encoder, time_ns)
         assert estimate.status is Status.DEGRADED
-        assert "stars disagreed" in estimate.text
+        assert "stars were inconsistent" in estimate.text
     state, decision = mount.step(state, night.sighting(encoder, 6, TIME_NS + SECOND_NS))
     assert decision.accepted
     assert mount.pointing(night, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
 
 
-def test_while_the_encoders_are_excluded_stars_with_names_tell_where_the_camera_looks(watch) -> None:
-    """The encoders have slipped by a degree: stars without names are not identified, and that is no contradiction."""
+def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
+    """The encoders slipped by a degree: stars without names are not identified, which is no contradiction."""
     mount = Mount(SETTINGS, watch)
     night, _ = mount.night(3)
     encoder = np.array([2.0, 0.8])
@@ -290,7 +290,7 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
 
 
 def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
-    """What such a camera leaves open stays as good as unknown beside stars known to an arcsecond: no step fails."""
+    """Unobservable combinations stay unknown although the stars are known to an arcsecond: no step fails."""
     mount = Mount(SETTINGS, watch)
     night, rng = mount.night(4)
     encoder, state = random_field(rng), mount.filter.initial_state()
@@ -299,12 +299,12 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
         assert decision.accepted, decision.text
     root = state.unaided.root
     assert np.all(np.isfinite(root))
-    # Of axes and deformation six are left open, of which stars at one place can tell three sums.
+    # Six combinations of axes and deformation are unknown; stars at one place determine three sums of them.
     assert mount.filter.observability.open_combinations(state.unaided)
 
 
 def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
-    """Half a minute all over the sky; then as long by the encoders, while the deformation goes on."""
+    """Half a minute all over the sky; then as long by the encoders, while the deformation continues."""
     settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
     mount, seeds, exposures = Mount(settings, watch), 6, 120
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
@@ -332,6 +332,6 @@ def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
     assert np.sqrt(np.mean(squares)) / ARCSEC < 8.0
     low, high = mean_nees_band(seeds, 3)
     assert low <= np.mean(nees) <= high
-    # Collimation and tilt of the horizontal axis, of which 26.5″ were not known, are told; the others go with the
+    # Collimation and tilt of the horizontal axis, unknown by 26.5″, are estimated; the others go with the
     # deformation, and the filter names them (theodolite/calibration).
     assert np.max(np.array(left)[:, 2:4]) < 4.0

@@ -1,4 +1,4 @@
-"""Messages of stars on the mount that cannot be used: what is refused, by which name, and what it does to the rest."""
+"""Unusable messages of stars on the mount: rejection, its name, and its effect on the rest."""
 
 import copy
 from typing import Any
@@ -61,7 +61,7 @@ def told(adapter: OpticalAxisAdapter, message: Any) -> list[Any]:
         (("header", "stamp", "sec"), 0, Reason.BAD_STAMP, ""),
     ],
 )
-def test_an_exposure_that_cannot_be_read_is_refused(adapter, path, value, reason: Reason, text: str) -> None:
+def test_unreadable_exposure_is_rejected(adapter, path, value, reason: Reason, text: str) -> None:
     message = seen()
     *ways, leaf = path
     target = message
@@ -85,7 +85,7 @@ def test_a_star_that_cannot_be_read_is_left_out_by_its_place_in_the_message(adap
     assert [text.partition(":")[0] for _, _, text in texts] == ["star 1 of the message", "star 2 of the message"]
 
 
-def test_of_two_exposures_of_one_stamp_one_is_told_as_a_conflict(adapter) -> None:
+def test_second_exposure_of_one_stamp_is_a_conflict(adapter) -> None:
     first = seen(START_NS + 20_000_000)
     second = copy.deepcopy(first)
     second.stars[0].u += 3.0
@@ -96,7 +96,7 @@ def test_of_two_exposures_of_one_stamp_one_is_told_as_a_conflict(adapter) -> Non
     assert again.reason in (Reason.DUPLICATE, Reason.CONFLICT)
 
 
-def test_a_camera_nobody_configured_has_no_topic(adapter) -> None:
+def test_unconfigured_camera_has_no_topic(adapter) -> None:
     topics = {topic.topic for topic in adapter.inputs}
     assert {STARS, "gnss/fix", "met/pressure", "met/temperature", "met/humidity"} <= topics
     assert not any(topic.required for topic in adapter.inputs if topic.topic in (STARS, "gnss/fix"))

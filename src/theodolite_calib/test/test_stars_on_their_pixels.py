@@ -1,6 +1,6 @@
-"""A camera on the theodolite that stands still: its stars keep their places on the detector, with the errors there.
+"""Pixel dwell of a fixed camera on the theodolite: its stars keep their pixels, with the errors there.
 
-The errors are those of a simulated detector (waves, a number for each pixel), drawn anew each night.
+The errors are those of a simulated detector (waves, a number for each pixel), drawn for each session.
 """
 
 from dataclasses import replace
@@ -33,7 +33,7 @@ from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
 
 ERRORS_PX = {"field_spatial_sigma_px": 0.2, "pixel_spatial_sigma_px": 0.1}
-"""2.7″ and 1.3″, beside a noise of 1.3″."""
+"""2.7″ and 1.3″, with a noise of 1.3″."""
 NIGHTS, EXPOSURES, STARS, PERIOD_NS = 24, 25, 6, 200_000_000
 
 
@@ -44,7 +44,7 @@ def configured(**errors_px: float) -> OpticalAxisConfig:
 def after_five_seconds(
     seed: int, settings: OpticalAxisConfig
 ) -> tuple[np.ndarray, PointingEstimate, CalibrationFilter]:
-    """The true main axis after 25 exposures of the brightest stars, the estimate, and the filter that made it."""
+    """Return the true main axis after 25 exposures of the brightest stars, the estimate, and its filter."""
     rng = np.random.default_rng([31, seed])
     detector = DetectorErrors(rng, Detector(**CAMERA, width_px=2201, height_px=2201, **ERRORS_PX))
     watch = mount_sky(settings)
@@ -68,7 +68,7 @@ def mean_nees(settings: OpticalAxisConfig) -> tuple[float, PointingEstimate, Cal
     return float(np.mean(nees)), estimate, filter_
 
 
-def test_the_pointing_is_as_good_as_its_covariance_says_and_the_budget_names_them() -> None:
+def test_pointing_matches_its_covariance_with_pixel_errors() -> None:
     nees, estimate, filter_ = mean_nees(configured(**ERRORS_PX))
     low, high = mean_nees_band(NIGHTS, 3)
     assert low <= nees <= high
@@ -82,7 +82,7 @@ def test_the_pointing_is_as_good_as_its_covariance_says_and_the_budget_names_the
 
 
 @pytest.mark.statistics
-def test_a_filter_that_is_not_told_of_them_claims_too_much() -> None:
+def test_filter_without_pixel_errors_is_overconfident() -> None:
     nees, _, _ = mean_nees(configured())
     assert nees > mean_nees_band(NIGHTS, 3)[1]
 
@@ -95,7 +95,7 @@ def test_each_alone_makes_the_pointing_less_sure(kind: str) -> None:
 
 
 def test_after_a_slip_of_the_encoders_the_stars_are_new() -> None:
-    """What exposures of before have told is gone with what the encoders said."""
+    """The pixel dwell is reset with the encoders' zero points."""
     _, estimate, filter_ = after_five_seconds(0, configured(**ERRORS_PX))
     state = estimate.state
     assert state.stays[f"star.{CAMERA_ID}"].exposures > 0

@@ -1,6 +1,6 @@
-"""The direction of a target: geometry, derivatives against finite differences, errors as the covariance says.
+"""Direction of a target: geometry, derivatives against finite differences, errors against the covariance.
 
-What is true is drawn here, by formulas of this file: none of the code that is tested makes a truth.
+The truth is drawn here, by formulas of this file, without any of the tested code.
 """
 
 import functools
@@ -55,7 +55,7 @@ IMAGE_SIGMA_M, RANGE_SIGMA_M = 5e-6, 0.05
 
 
 def image_of(vector_v: np.ndarray, focal_length_m: float, principal_m: np.ndarray) -> np.ndarray:
-    """The inverted image of what is seen along (forward, up, right): right of the axis at x < 0, above it at z < 0."""
+    """Return the inverted image of a vector (forward, up, right): right of the axis at x < 0, above it at z < 0."""
     forward, up, right = vector_v
     return principal_m - focal_length_m * np.array([right, up]) / forward
 
@@ -152,7 +152,7 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
     np.testing.assert_allclose(place.by_direction_n @ across, by_direction, atol=0.05)  # of 2000 m: the bend, 2e-5
 
 
-def test_a_light_path_of_two_kilometres_is_lowered_by_four_centimetres() -> None:
+def test_refraction_over_two_kilometres_is_four_centimetres() -> None:
     # models.md §5: k d / (2 R) = 4.2" at 2 km.
     place = ranged_place(np.array([1.0, 0.0, 0.0]), 2000.0, 0.13)
     assert np.arcsin(-place.path_n[1] / 2000.0) / ARCSEC == pytest.approx(4.21, abs=0.01)
@@ -163,10 +163,10 @@ def config(**changes) -> OpticalAxisConfig:
 
 
 def answered(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[TargetEstimate, np.ndarray, np.ndarray]:
-    """What the core says of a target, its true direction, and its true place from the ship's antenna, in n.
+    """Return the core's result for a target, its true direction, and its true position from the ship's antenna, in n.
 
-    The ship turns at up to 1°/s whatever her attitude, and the mount at up to 1°/s per axis. Nothing but encoders and
-    ship/attitude is there: the errors are those of the configuration and of the messages.
+    The ship rotates at up to 1°/s, and the mount at up to 1°/s per axis. Only encoders and ship/attitude are present:
+    the errors are those of the configuration and of the messages.
     """
     rng = np.random.default_rng(seed)
     normal = rng.standard_normal
@@ -231,7 +231,7 @@ def answered(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[Tar
 
 @functools.cache
 def drawn(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """NEES of the direction in its plane, of azimuth and elevation, and of the place, shape (DRAWS,) each."""
+    """Return NEES of the direction in its plane, of azimuth and elevation, and of the position, shape (DRAWS,) each."""
     settings, direction, angles, place = config(), [], [], []
     for seed in range(DRAWS):
         estimate, true_n, true_place_n = answered(seed + DRAWS * plunged, settings, plunged)
@@ -249,8 +249,8 @@ def drawn(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("plunged", [False, True])
-def test_the_errors_are_as_the_covariance_says(plunged: bool) -> None:
-    """Azimuth 0-360°, elevation -5 to 85°, detector ±180°; plunged, the image of the main axis stands on its head."""
+def test_errors_match_the_covariance(plunged: bool) -> None:
+    """Azimuth 0-360°, elevation -5 to 85°, detector ±180°; plunged, the image of the main axis is upside down."""
     direction, angles, place = drawn(plunged)
     for nees, degrees in ((direction, 2), (angles, 2), (place, 3)):
         low, high = mean_nees_band(DRAWS, degrees)
@@ -258,7 +258,7 @@ def test_the_errors_are_as_the_covariance_says(plunged: bool) -> None:
 
 
 def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
-    """A mount that swings by 1° in 2 s: the mean of the image's way over 0.2 s is 60" off its middle, 1" with it."""
+    """A mount that swings by 1° in 2 s: the mean of the image path over 0.2 s is 60" off its middle, 1" with it."""
     swing, period_s, exposure_s = np.deg2rad(1.0), 2.0, 0.2
 
     def elevation(t_s: float) -> float:
@@ -286,7 +286,7 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
 
 
 def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_images() -> None:
-    """The image that waits is answered once, by the second one; the one that was answered is known to it."""
+    """The pending image is answered once, by the second estimator; the answered one is known to it."""
 
     def told(core: OpticalAxisCore, steps: range) -> list[PointingOutcome]:
         outcomes = []

@@ -1,4 +1,4 @@
-"""Images of targets through the adapter: directions at the image's own time, bad images, silence, order of arrival."""
+"""Images of targets through the adapter: directions at the image's time, bad images, timeouts, order of arrival."""
 
 import functools
 from typing import Any
@@ -21,7 +21,7 @@ NAN = float("nan")
 
 
 def seen_n(t_s: float) -> np.ndarray:
-    """The target drifts beside the line of the mount: where it is seen."""
+    """Return the direction of a target that drifts next to the line of the mount."""
     beside = np.array([1.0, 0.004 * np.sin(t_s), 0.006])
     return mount(t_s)[2] @ (beside / np.linalg.norm(beside))
 
@@ -33,7 +33,7 @@ def path_n(t_s: float) -> np.ndarray:
 
 
 def image(t_s: float, **changes: Any) -> Any:
-    """A detector whose right side is down by 0.4 rad."""
+    """Return an image of a detector whose right side is down by 0.4 rad."""
     rho, seen_m = 0.4, mount(t_s)[2].T @ seen_n(t_s)
     up_v = seen_m @ [0.0, np.cos(rho), np.sin(rho)]
     right_v = seen_m @ [0.0, -np.sin(rho), np.cos(rho)]
@@ -96,7 +96,7 @@ def test_each_image_gets_its_direction_at_its_own_time() -> None:
     assert clean().health(TARGET).rejected == 0
 
 
-def test_a_direction_is_worth_no_more_than_the_pointings_beside_it() -> None:
+def test_direction_has_the_worst_status_of_adjacent_pointings() -> None:
     pointings = {stamp_of(m): m.status for m in clean().pointings}
     times = sorted(pointings)
     statuses = set()
@@ -111,7 +111,7 @@ def test_images_change_no_other_output_to_the_last_bit() -> None:
     assert without_targets(clean()) == run_of().results()
 
 
-def test_a_ship_that_says_degraded_makes_it_degraded() -> None:
+def test_degraded_ship_makes_it_degraded() -> None:
     base = tuple(
         Arrival(a.topic, _changed(a.message, status=2), a.receive_ns) if a.topic == SHIP else a for a in session()
     )
@@ -139,14 +139,14 @@ BAD: dict[str, tuple[Reason, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_a_bad_image_is_refused_by_name_and_leaves_no_trace(kind: str) -> None:
+def test_bad_image_is_rejected_by_name_without_effect(kind: str) -> None:
     reason, fields = BAD[kind]
     run = run_of(*images(), arriving(image(2.05, **fields)))
     assert run.reasons(TARGET) == {reason.word: 1}
     assert run.results() == clean().results()
 
 
-def test_without_a_main_detector_every_image_is_refused_and_told_what_to_set() -> None:
+def test_images_without_a_main_detector_are_rejected_with_advice() -> None:
     run = drive(new_adapter(), in_order((*session(), *images())), START_NS + 9 * SECOND_NS)
     assert run.messages(DIRECTION) == []
     assert run.reasons(TARGET) == {"unknown_sensor": len(images())}
@@ -173,7 +173,7 @@ def test_the_same_image_again_is_a_duplicate_and_another_one_a_conflict() -> Non
     other = Arrival(TARGET, image(2.05, x=0.001), first.receive_ns + 1_000_000)
     run = run_of(first, other, arriving(image(2.25)))
     assert run.reasons(TARGET) == {"conflict": 1}
-    # After it the detector has told two things of one moment: for ten seconds nothing by it is VALID.
+    # After it the detector has sent conflicting images of one time: for ten seconds nothing by it is VALID.
     assert [m.status for m in run.messages(DIRECTION)][-1] == Status.DEGRADED
 
 
@@ -195,8 +195,8 @@ def test_a_late_image_is_answered_at_its_own_time_within_the_lag(latency_s: floa
 
 
 @pytest.mark.parametrize(("topic", "text"), [(ENCODER, "no encoder readings"), (SHIP, "no attitudes of the ship")])
-def test_an_image_without_its_pointing_is_invalid_and_told(topic: str, text: str) -> None:
-    """In the silence the image waits for the lag; then INVALID says so, with NaN, and the reason stands in health."""
+def test_image_without_pointing_is_invalid_and_reported(topic: str, text: str) -> None:
+    """Without data the image waits for the lag; then INVALID with NaN is published, and the reason is in health."""
     base = tuple(a for a in session() if not (a.topic == topic and a.stamp_ns > START_NS + 3 * SECOND_NS))
     run = run_of(arriving(image(2.05)), arriving(image(4.05)), base=base)
     first, silent = sorted(run.messages(DIRECTION), key=stamp_of)
@@ -207,7 +207,7 @@ def test_an_image_without_its_pointing_is_invalid_and_told(topic: str, text: str
     assert text in run.innovations(Reason.GAP)[0].reason_text
 
 
-def test_a_flood_is_bounded_and_its_oldest_are_refused() -> None:
+def test_flood_is_bounded_and_its_oldest_are_rejected() -> None:
     base = tuple(a for a in session() if a.stamp_ns < START_NS + 3 * SECOND_NS)
     flood = [arriving(image(3.5, target_id=f"t{number}"), 0.01) for number in range(1100)]
     run = run_of(*flood, base=base)

@@ -1,4 +1,4 @@
-"""The telescope's attitude from lights: exact cases, scipy's rotations, honest covariance, error budget."""
+"""Telescope attitude from beacons: exact cases, scipy's rotations, consistent covariance, error budget."""
 
 from dataclasses import replace
 
@@ -79,7 +79,7 @@ def test_rotation_by_weights_is_scipys():
 
 @pytest.mark.parametrize("source", ["rtk", "image", "focal_length", "refraction"])
 def test_a_part_of_the_budget_is_what_its_source_does(source):
-    """Only one error is drawn, all are believed in."""
+    """Only one error is drawn, all are modelled."""
     count = 5_000
     truth = truth_of(np.full(count, 33.0), 20.0, -60.0)
     exact, drawn = error_free(truth, seed=9), paper_epochs(truth, seed=9)
@@ -124,7 +124,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
 
 
 @pytest.mark.parametrize("count", [3, 4])
-def test_more_lights_are_as_good_as_they_say(count):
+def test_more_beacons_match_their_covariance(count):
     epochs = paper_epochs(truth_of(np.full(4_000, 33.0), 50.0, 100.0, FOUR_LIGHTS_DEG[:count]), seed=11)
     attitude = solved(epochs)
     low, high = mean_nees_band(4_000, 3)
@@ -140,7 +140,7 @@ def one_light(count: int, sigma: FloatArray) -> tuple[Epochs, AttitudePrior]:
     return epochs, AttitudePrior(exp_rotation(off) @ epochs.truth.rotation_nt, {"prior": np.diag(sigma**2)})
 
 
-def test_one_light_with_a_prior_is_as_good_as_it_says():
+def test_one_beacon_with_a_prior_matches_its_covariance():
     count, sigma = 4_000, np.array([30.0, 90.0, 50.0]) * ARCSEC
     epochs, prior = one_light(count, sigma)
     attitude = solved(epochs, prior)
@@ -156,11 +156,11 @@ def test_one_light_with_a_prior_is_as_good_as_it_says():
 
 
 def about(direction_n: FloatArray, covariance_n: FloatArray) -> FloatArray:
-    """Variance of the rotation about a direction."""
+    """Return the variance of the rotation about a direction."""
     return np.einsum("ni,nij,nj->n", direction_n, covariance_n, direction_n)
 
 
-def test_one_light_leaves_the_rotation_about_it_as_the_prior_has_it():
+def test_one_beacon_keeps_the_prior_rotation_about_it():
     sigma = np.full(3, 60.0 * ARCSEC)
     epochs, prior = one_light(50, sigma)
     attitude = solved(epochs, prior)
@@ -172,12 +172,12 @@ def test_one_light_leaves_the_rotation_about_it_as_the_prior_has_it():
     assert np.sqrt(about(light_n, attitude.covariance_n)) / ARCSEC == pytest.approx(np.full(50, 60.0), rel=1e-3)
 
 
-def test_one_light_without_a_prior_is_refused():
+def test_one_beacon_without_a_prior_is_refused():
     with pytest.raises(ValueError, match="prior attitude is needed"):
         solved(error_free(truth_of(0.0, 10.0, 0.0, LIGHTS_DEG[:1])))
 
 
-def test_lights_too_near_to_each_other_need_a_prior():
+def test_close_beacons_need_a_prior():
     truth = truth_of(np.array([120.0, 120.0]), 25.0, 0.0, np.array([[3.0, 2.0], [3.0005, 2.0]]))
     # The second epoch has them apart.
     direction_n = truth.direction_n.copy()
@@ -193,7 +193,7 @@ def test_lights_too_near_to_each_other_need_a_prior():
     assert solved(epochs, prior).solved.all()
 
 
-def test_a_light_behind_the_telescope_is_not_solved():
+def test_beacon_behind_the_telescope_is_not_solved():
     # By its prior the telescope looks away from the only light: there is no image of it.
     epochs = error_free(truth_of(0.0, 10.0, 0.0, LIGHTS_DEG[:1]), RTK_ONLY)
     away = truth_of(180.0, 10.0, 0.0).rotation_nt
@@ -203,7 +203,7 @@ def test_a_light_behind_the_telescope_is_not_solved():
 
 
 def test_principal_point_off_its_place_is_seen_by_nothing():
-    """models.md §5: N' 60 mm off shifts both lights alike, 6-7" that no residual shows; only the budget can say so."""
+    """models.md §5: N' 60 mm off shifts both beacons equally, 6-7" that no residual shows; only the budget has it."""
     truth = truth_of(np.full(500, 210.0), 15.0, 30.0)
     epochs = paper_epochs(truth, seed=17)
     lens = epochs.survey.principal_point.vector_m

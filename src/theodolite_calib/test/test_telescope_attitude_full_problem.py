@@ -1,4 +1,4 @@
-"""The likelihood of one epoch against scipy: every error an unknown of its own, and the budget of the solution."""
+"""Likelihood of one epoch against scipy, with every error as an unknown, and the budget of the solution."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def solved(problem: "FullProblem") -> TelescopeAttitude:
 
 
 class FullProblem:
-    """One epoch with every error an unknown of its own, standardised, written out anew for scipy's least squares."""
+    """One epoch with every error as an unknown, standardised, formulated independently for scipy's least squares."""
 
     survey = replace(
         SURVEY,
@@ -107,7 +107,7 @@ class FullProblem:
 
 
 def a_prior(rotation_nt: FloatArray, sigma_deg: float) -> AttitudePrior:
-    """Anisotropic, correlated, off by as much as it says, of two sources."""
+    """Return an anisotropic, correlated prior with errors of its stated size, of two sources."""
     root = np.deg2rad(sigma_deg) * np.array([[1.0, 0.0, 0.0], [0.5, 0.8, 0.0], [-0.3, 0.2, 0.6]])
     off = root @ np.array([0.8, -1.1, 0.5])
     whole = root @ root.T

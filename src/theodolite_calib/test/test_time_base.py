@@ -1,4 +1,4 @@
-"""``optical_axis`` while all clocks aboard step together: the calibration is kept, and the pointing goes on."""
+"""``optical_axis`` at a common step of all clocks aboard: the calibration is kept, and the pointing continues."""
 
 from itertools import pairwise
 from typing import Any
@@ -14,7 +14,7 @@ AT_S, DURATION_S = 10.0, 20.0
 
 
 def stepped(step_s: float, *topics: str) -> tuple[Arrival, ...]:
-    """The session with the clocks of some topics, all without any, off by a step from a moment on."""
+    """Return the session with a step of the clocks of some topics, all without any, from a time on."""
 
     def change(message: Any) -> None:
         ns = stamp_of(message) + round(step_s * SECOND_NS)
@@ -49,7 +49,7 @@ def test_all_clocks_step_and_the_pointing_is_valid_within_two_seconds(step_s: fl
     sigma = np.sqrt(np.diagonal(other.covariance))
     assert np.all(np.abs(one.values - other.values) < sigma)
     assert np.sqrt(np.diagonal(one.covariance)) == pytest.approx(sigma, rel=0.2)
-    # Nothing is counted anew.
+    # No counter restarts.
     assert one.sighting_count >= other.sighting_count - 3
     assert [text for text in run.adapter.notices if text.startswith("time base stepped")] == [
         f"time base stepped by {step_s:+.3f} s: reset, mountings and calibration kept"

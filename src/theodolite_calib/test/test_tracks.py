@@ -1,4 +1,4 @@
-"""What is measured with few samples is off between them, and what is compared with it says by how much."""
+"""Interpolation errors of sparse samples are part of the stated noise."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ ABOUT = {"long before": -STEP_NS - 1, "before": -1, "at it": 0, "after": 1, "lon
 
 
 def encoder_angles(time_s: float) -> np.ndarray:
-    """A search by hand."""
+    """Return the encoder angles of a manual search."""
     azimuth_deg, elevation_deg = 10.0 * np.sin(2.0 * np.pi * time_s / 6.0), 5.0 * np.cos(2.0 * np.pi * time_s / 5.0)
     return np.deg2rad([30.0 + azimuth_deg, 40.0 + elevation_deg])
 
@@ -29,7 +29,7 @@ def ship_attitude(time_s: float) -> np.ndarray:
 
 
 def baseline(time_s: float) -> np.ndarray:
-    """A drone that circles 50 m wide in 12 s."""
+    """Return the baseline of a drone on a circle of 50 m in 12 s."""
     angle = 2.0 * np.pi * time_s / 12.0
     return np.array([1000.0 + 50.0 * np.cos(angle), 200.0, 50.0 * np.sin(angle)])
 
@@ -47,7 +47,7 @@ def inputs() -> MeasuredTracks:
 
 
 def test_an_attitude_between_two_is_worth_no_more_than_either() -> None:
-    """The source may have jumped between them: what is interpolated is then half of the jump."""
+    """The source may have jumped between them: the interpolated attitude then has half of the jump."""
     slow = inputs()
     jumped_ns = 20 * STEP_NS
     slow.ship.insert(ShipSample(jumped_ns, ship_attitude(8.0) @ rotation_from_angles(0.001, 0.0, 0.0), status=DEGRADED))
@@ -56,7 +56,7 @@ def test_an_attitude_between_two_is_worth_no_more_than_either() -> None:
     assert told == {"long before": VALID, "before": DEGRADED, "at it": DEGRADED, "after": DEGRADED, "long after": VALID}
 
 
-def test_mend_27_what_is_put_together_at_an_exposure_counts_its_interpolation() -> None:
+def test_assembled_sighting_includes_interpolation_errors() -> None:
     slow = inputs()
     of_encoder, of_ship, of_baseline = [], [], []
     for time_ns in np.random.default_rng(27).integers(2 * STEP_NS, 56 * STEP_NS, 200).tolist():

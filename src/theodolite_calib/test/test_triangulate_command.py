@@ -1,6 +1,6 @@
-"""``triangulate``: bags of several theodolites in, a table of places out; what is wrong with the input is named.
+"""``triangulate``: bags of several theodolites in, a table of positions out; messages for bad input.
 
-The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
+The true positions and directions are computed by pyerfa's own routines (ship_testing.theodolite_stations).
 """
 
 import csv
@@ -24,7 +24,7 @@ INVALID = 3
 
 
 def write(path: Path, number: int, phase_ns: int, seed: int, count: int = 20, noise: float = 1.0, turn: float = 0.0):
-    """A bag with what one of the theodolites sees, its noise being new each time."""
+    """Write a bag with the directions of one theodolite, with new noise each time."""
     rng = np.random.default_rng(seed)
     with BagWriter(path) as writer:
         writer.add_topic(TOPIC, DIRECTION)
@@ -51,8 +51,8 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_places_are_as_good_as_their_covariance_says(tmp_path: Path, capsys) -> None:
-    # Stamps of all three are alike: nothing is interpolated, errors are independent from row to row.
+def test_positions_match_their_covariance(tmp_path: Path, capsys) -> None:
+    # Stamps of all three are equal: nothing is interpolated, errors are independent from row to row.
     stations = described(tmp_path, 0, 0, 0, count=60)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) in (0, 1)
     rows = table(tmp_path / "places.csv")
@@ -71,7 +71,7 @@ def test_places_are_as_good_as_their_covariance_says(tmp_path: Path, capsys) -> 
     assert low < np.mean(squares) < high
 
 
-def test_theodolites_that_expose_at_other_moments_are_brought_together(tmp_path: Path) -> None:
+def test_directions_at_other_times_are_interpolated(tmp_path: Path) -> None:
     stations = described(tmp_path, 0, 37_000_000, -21_000_000, noise=0.0)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 0
     rows = table(tmp_path / "places.csv")
@@ -82,7 +82,7 @@ def test_theodolites_that_expose_at_other_moments_are_brought_together(tmp_path:
         np.testing.assert_allclose(found, buoy_n(since_s), atol=0.02)
 
 
-def test_where_the_first_theodolite_sees_nothing_the_next_leads(tmp_path: Path) -> None:
+def test_next_theodolite_leads_if_the_first_has_no_direction(tmp_path: Path) -> None:
     stations = described(tmp_path, 0, 20_000_000, 40_000_000, noise=0.0)
     write(tmp_path / "t0.mcap.new", 0, 0, seed=0, count=8, noise=0.0)
     (tmp_path / "t0.mcap.new").replace(tmp_path / "t0.mcap")
@@ -97,14 +97,14 @@ def test_where_the_first_theodolite_sees_nothing_the_next_leads(tmp_path: Path) 
     assert len(leaders) > 15
 
 
-def test_directions_that_do_not_fit_one_another_are_told(tmp_path: Path, capsys) -> None:
+def test_inconsistent_directions_are_reported(tmp_path: Path, capsys) -> None:
     stations = described(tmp_path, 0, 0, 0, noise=0.0)
     write(tmp_path / "t1.mcap.new", 1, 0, seed=9, noise=0.0, turn=0.01)
     (tmp_path / "t1.mcap.new").replace(tmp_path / "t1.mcap")
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 1
     rows = table(tmp_path / "places.csv")
     assert {row["fits"] for row in rows} == {"0"}
-    assert "do not fit" in capsys.readouterr().out
+    assert "inconsistent directions" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_directions_that_do_not_fit_one_another_are_told(tmp_path: Path, capsys)
         ({"height": 1.0}, "buoy", "stations.t0.height"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, capsys, change: dict, target: str, named: str) -> None:
+def test_bad_input_is_named(tmp_path: Path, capsys, change: dict, target: str, named: str) -> None:
     stations = described(tmp_path, 0, 0)
     values = yaml.safe_load(stations.read_text())
     values["stations"]["t0"] |= change
@@ -133,8 +133,8 @@ def test_one_theodolite_gives_no_place(tmp_path: Path, capsys) -> None:
     assert "two theodolites or more" in capsys.readouterr().err
 
 
-def test_where_no_distance_is_told_the_reason_is(tmp_path: Path, capsys) -> None:
-    """The theodolites' own places are known to a kilometre: the distance of a buoy two kilometres off is not."""
+def test_unknown_distance_is_reported(tmp_path: Path, capsys) -> None:
+    """The theodolites' own positions are known to a kilometre: the distance of a buoy at two kilometres is unknown."""
     path = described(tmp_path, 0, 0)
     values = yaml.safe_load(path.read_text())
     for station in values["stations"].values():

@@ -1,6 +1,6 @@
-"""A place by several theodolites: errors as the covariance says, sets that do not fit, lines that meet nowhere.
+"""Position from several theodolites: errors against the covariance, inconsistent sets, lines without intersection.
 
-Places and directions are made by pyerfa's own routines and by formulas of this file.
+Positions and directions are computed by pyerfa's own routines and by formulas of this file.
 """
 
 import functools
@@ -20,7 +20,7 @@ SIGMA, DRAWS = 3.0 * ARCSEC, 1000
 
 
 def drawn(seed: int, noise: float = 1.0, spread_m: float = 50.0, distance_m: float = 2000.0):
-    """Three theodolites in a row, a target at random around them, and the place of the target from the origin."""
+    """Return three theodolites in a row, a random target around them, and its position from the origin."""
     rng = np.random.default_rng(seed)
     azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(rng.uniform(-0.5, 60.0))
     line = np.array([np.cos(elevation) * np.cos(azimuth), np.sin(elevation), np.cos(elevation) * np.sin(azimuth)])
@@ -67,7 +67,7 @@ def errors() -> tuple[np.ndarray, np.ndarray, float]:
     return np.array(nees), np.array(chi_square), refused
 
 
-def test_three_theodolites_50_m_apart_know_a_target_at_2_km_as_their_covariance_says() -> None:
+def test_three_theodolites_match_their_covariance_at_2_km() -> None:
     nees, chi_square, refused = errors()
     low, high = mean_nees_band(DRAWS, 3)
     assert low < nees.mean() < high
@@ -76,7 +76,7 @@ def test_three_theodolites_50_m_apart_know_a_target_at_2_km_as_their_covariance_
     assert refused <= 6  # one in a thousand: more has a probability of 1e-4 (Poisson of mean 1)
 
 
-def test_a_direction_that_is_wrong_makes_the_set_refused() -> None:
+def test_wrong_direction_rejects_the_set() -> None:
     directions, _ = drawn(3)
     wrong = directions[1].direction_n + 60.0 * ARCSEC * np.array([0.0, 1.0, 0.0])
     place = found([directions[0], replace(directions[1], direction_n=wrong / np.linalg.norm(wrong)), directions[2]])
@@ -86,7 +86,7 @@ def test_a_direction_that_is_wrong_makes_the_set_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", ["one", "parallel", "behind", "nan"])
-def test_what_gives_no_place_is_told(kind: str) -> None:
+def test_missing_position_is_reported(kind: str) -> None:
     directions, _ = drawn(4, noise=0.0)
     given = {
         "one": directions[:1],
@@ -116,7 +116,7 @@ def test_the_change_by_the_place_is_that_of_finite_differences(distance_m: float
 
 
 def abreast(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[list[StationDirection], np.ndarray]:
-    """What two theodolites tell that stand 50 m apart, abreast of the target; places and air are known."""
+    """Return the position from two theodolites 50 m apart, abreast of the target; positions and air are known."""
     target_n, directions = np.array([25.0, 0.05 * distance_m, distance_m]), []
     for number in range(2):
         at = replace(station(f"t{number}", foot_n(number)), sigma_m=0.0)
@@ -127,7 +127,7 @@ def abreast(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[
     return directions, target_n
 
 
-def test_two_theodolites_50_m_apart_know_a_target_at_50_km_as_their_covariance_says() -> None:
+def test_two_theodolites_match_their_covariance_at_50_km() -> None:
     rng, nees = np.random.default_rng(20), []
     for _ in range(DRAWS):
         directions, target_n = abreast(50_000.0, SIGMA, rng)
@@ -138,7 +138,7 @@ def test_two_theodolites_50_m_apart_know_a_target_at_50_km_as_their_covariance_s
 
 
 @pytest.mark.parametrize(("distance_m", "sigma"), [(50_000.0, 100.0 * ARCSEC), (2000.0, 0.02)])
-def test_a_place_whose_distance_is_not_told_is_none(distance_m: float, sigma: float) -> None:
+def test_position_with_unknown_distance_is_rejected(distance_m: float, sigma: float) -> None:
     """The distance is known to sqrt(2) sigma times itself over 50 m: to 0.69 and 1.1 of itself."""
     rng, texts = np.random.default_rng(21), []
     for _ in range(200):

@@ -1,6 +1,6 @@
-"""The node ``triangulation`` by its adapter: places of a buoy as its directions come, and what is not believed.
+"""Node ``triangulation`` by its adapter: positions of a buoy as its directions come, and rejected directions.
 
-The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
+The true positions and directions are computed by pyerfa's own routines (ship_testing.theodolite_stations).
 """
 
 from typing import Any
@@ -32,13 +32,13 @@ def adapter_of(count: int = 3, **changes: Any) -> TriangulationAdapter:
 
 
 def seen(number: int, time_ns: int, turn_n: Any = (0.0, 0.0, 0.0), **changes: Any) -> Any:
-    """What a theodolite tells of the buoy, turned by an error."""
+    """Return a theodolite's direction of the buoy, rotated by an error."""
     turned_n = exp_rotation(np.asarray(turn_n, dtype=float)) @ buoy_seen(number, (time_ns - START_NS) * 1e-9)
     return direction_message(time_ns, turned_n, SIGMA, **changes)
 
 
 def give(adapter: TriangulationAdapter, number: int, message: Any, came_ns: int | None = None) -> list[Any]:
-    """Hand over a message of a theodolite; all that is published."""
+    """Pass a message of a theodolite to the adapter; return all that is published."""
     came_ns = ns_from_stamp(message.header.stamp) + LATENCY_NS if came_ns is None else came_ns
     return adapter.handle(f"t{number}/theodolite/target_direction", message, came_ns)
 
@@ -56,7 +56,7 @@ def error_m(message: Any) -> np.ndarray:
     return ENU_FROM_HORIZON.T @ [message.position.x, message.position.y, message.position.z] - buoy_n(since_s)
 
 
-def test_places_are_as_good_as_their_covariance_says() -> None:
+def test_positions_match_their_covariance() -> None:
     adapter, rng, squares = adapter_of(), np.random.default_rng(3), []
     for index in range(120):
         time_ns = START_NS + index * PERIOD_NS
@@ -66,7 +66,7 @@ def test_places_are_as_good_as_their_covariance_says() -> None:
             for message in places(give(adapter, number, seen(number, time_ns, SIGMA * rng.standard_normal(3))))
         ]
         if index == 0:
-            continue  # nobody is known to tell of the buoy yet
+            continue  # no theodolite has reported the buoy yet
         (message,) = found
         if message.status == Status.INVALID:
             continue  # one set of a thousand does not fit
@@ -97,7 +97,7 @@ def test_one_place_a_stamp_of_the_first_whatever_the_order_of_arrival() -> None:
         assert np.linalg.norm(error_m(message)) < 0.05
 
 
-def test_of_two_messages_that_overtake_one_another_the_older_is_late_where_nobody_else_is_awaited() -> None:
+def test_overtaken_message_is_late_without_other_theodolites() -> None:
     adapter, published = adapter_of(2), []
     for number in range(2):
         give(adapter, number, seen(number, START_NS))
@@ -107,7 +107,7 @@ def test_of_two_messages_that_overtake_one_another_the_older_is_late_where_nobod
     assert reasons(published) == [("station.t0", Reason.LATE)]
 
 
-def test_a_theodolite_that_tells_of_the_target_is_waited_for_and_no_longer_than_the_lag() -> None:
+def test_reporting_theodolite_is_awaited_up_to_the_lag() -> None:
     adapter = adapter_of(3, lag_s=0.5)
     for index in range(3):
         for number in range(3):
@@ -129,7 +129,7 @@ def test_a_theodolite_that_tells_of_the_target_is_waited_for_and_no_longer_than_
     assert reasons(give(adapter, 2, seen(2, time_ns), later_ns + LATENCY_NS)) == [("station.t2", Reason.LATE)]
 
 
-def test_one_theodolite_alone_claims_nothing_and_says_why() -> None:
+def test_single_theodolite_is_invalid_with_the_reason() -> None:
     adapter = adapter_of(2)
     published = give(adapter, 0, seen(0, START_NS))
     (place,) = places(published)
@@ -162,7 +162,7 @@ def test_a_place_is_worth_no_more_than_the_directions_that_it_rests_on(status: S
     assert places(published)[-1].status == status
 
 
-def test_an_invalid_direction_is_left_out_and_nobody_waits_for_it() -> None:
+def test_invalid_direction_is_ignored_and_not_awaited() -> None:
     adapter, published = adapter_of(3), []
     for index in range(2):
         for number in range(3):
@@ -173,7 +173,7 @@ def test_an_invalid_direction_is_left_out_and_nobody_waits_for_it() -> None:
     assert (("station.t2", Reason.GAP)) in reasons(published)
 
 
-def test_a_theodolite_that_contradicts_itself_is_in_doubt() -> None:
+def test_contradictory_theodolite_is_degraded() -> None:
     adapter, published = adapter_of(2), []
     for index in range(3):
         time_ns = START_NS + index * PERIOD_NS
@@ -214,7 +214,7 @@ def test_a_place_by_directions_of_two_publishers_is_degraded_while_both_send() -
         ({"header": make_header(FACTORY, 0, "horizon")}, Reason.BAD_STAMP),
     ],
 )
-def test_what_cannot_be_used_is_refused_with_the_reason(changes: dict, reason: Reason) -> None:
+def test_unusable_messages_are_rejected_with_the_reason(changes: dict, reason: Reason) -> None:
     adapter = adapter_of(2)
     published = give(adapter, 0, seen(0, START_NS, **changes), START_NS + LATENCY_NS)
     assert reasons(published) == [("station.t0", reason)]
@@ -250,7 +250,7 @@ def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first
     adapter, found = adapter_of(2), []
     arrivals = [(index, number) for index in range(11) for number in (0, 1)]
     if invalid_comes_first:
-        # All that the second tells is there before the first tells of the same moments.
+        # All reports of the second precede those of the first for the same times.
         arrivals = sorted(arrivals, key=lambda arrival: (arrival[0] > 2, arrival[0] > 2 and arrival[1] == 0, arrival))
     for index, number in arrivals:
         worth = Status.INVALID if number == 1 and 3 <= index < 10 else Status.VALID
@@ -344,7 +344,7 @@ def test_sources_off_gate_and_reset_by_live_means() -> None:
     assert adapter.core._targets == {}
 
 
-def test_the_diagnostics_tell_of_the_last_place() -> None:
+def test_diagnostics_report_the_last_position() -> None:
     adapter = adapter_of(2)
     (status,) = adapter.own_statuses(START_NS)
     assert status.message == "none yet"
@@ -363,7 +363,7 @@ def test_the_diagnostics_tell_of_the_last_place() -> None:
 @pytest.mark.parametrize(
     ("topics", "named"),
     [
-        (["a/target_direction", "a/target_direction"], "is that of 't0' already"),
+        (["a/target_direction", "a/target_direction"], "is already used by 't0'"),
         (["/west/theodolite/target_direction", ""], "expected a relative name"),
         (["west target", ""], "expected a relative name"),
     ],
@@ -378,4 +378,4 @@ def test_topics_that_cannot_be_are_named(topics: list[str], named: str) -> None:
 
 def test_fewer_than_two_theodolites_are_warned_of() -> None:
     assert adapter_of(2).start_warnings == ()
-    assert adapter_of(1).start_warnings == ("stations has 1: a place takes two theodolites or more",)
+    assert adapter_of(1).start_warnings == ("stations has 1: a position needs two theodolites or more",)

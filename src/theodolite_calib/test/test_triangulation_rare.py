@@ -1,6 +1,6 @@
-"""Directions that come more rarely than ``lag_s``: the node gives the places that the command gives, and no others.
+"""Directions with intervals longer than ``lag_s``: the node gives the positions of the command, and no others.
 
-The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
+The true positions and directions are computed by pyerfa's own routines (ship_testing.theodolite_stations).
 """
 
 from dataclasses import replace
@@ -35,7 +35,7 @@ def config_of(stations: int, **changes: Any) -> TriangulationConfig:
 
 
 def arrivals(number: int, since_s: Any) -> list[Arrival]:
-    """Directions of one theodolite to the buoy at some times after the start."""
+    """Return directions of one theodolite to the buoy at some times after the start."""
     found = []
     for at_s in since_s:
         time_ns = START_NS + round(at_s * SECOND_NS)
@@ -56,7 +56,7 @@ def run_of(config: TriangulationConfig, *of_stations: list[Arrival]) -> AdapterR
 
 
 def places(run: AdapterRun) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Stamp → place (North, Up, East), m, and its covariance, m², of those that are claimed."""
+    """Return stamp → position (North, Up, East), m, and its covariance, m², of those that are not INVALID."""
     found = {}
     for message in run.messages(POSITION_TOPIC):
         if message.status != Status.INVALID:
@@ -66,7 +66,7 @@ def places(run: AdapterRun) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 
 def waited_s(run: AdapterRun) -> dict[int, float]:
-    """Stamp → time from the stamp to the answer, s."""
+    """Return stamp → time from the stamp to the answer, s."""
     return {
         stamp_of(message): (published_ns - stamp_of(message)) / SECOND_NS
         for published_ns, topic, message in run.published
@@ -91,7 +91,7 @@ def places_of_the_command(config: TriangulationConfig, *of_stations: list[Arriva
 @pytest.mark.parametrize(
     ("phase_s", "max_gap_s", "missing"),
     [
-        (0.0, 1.0, 1),  # alike: the first direction is answered before the other theodolite is known to report
+        (0.0, 1.0, 1),  # same stamps: the first direction is answered before the other theodolite is known to report
         (2.5, 8.0, 0),
         (4.9, 8.0, 0),
     ],
@@ -121,7 +121,7 @@ def test_places_at_a_common_rate_do_not_wait_for_a_theodolite_whose_next_report_
 
 
 @pytest.mark.parametrize("interval_s", [0.1, 5.0])
-def test_a_theodolite_that_stays_silent_is_waited_for_until_its_next_report_is_overdue(interval_s: float) -> None:
+def test_theodolite_without_data_is_awaited_until_overdue(interval_s: float) -> None:
     config = config_of(3, max_gap_s=8.0)
     of_two = [arrivals(number, every(interval_s)[:100]) for number in (0, 1)]
     run = run_of(config, *of_two, arrivals(2, every(interval_s)[:10]))
@@ -151,7 +151,7 @@ def test_a_clock_that_lags_behind_holds_no_place_for_ever() -> None:
 
 
 @pytest.mark.parametrize("interval_s", [0.1, 5.0])
-def test_repeated_messages_of_a_silent_theodolite_leave_no_trace(interval_s: float) -> None:
+def test_repeated_messages_have_no_effect(interval_s: float) -> None:
     config, since_s = config_of(3, max_gap_s=8.0), every(interval_s)[:20]
     of_two, silent = [arrivals(number, since_s) for number in (0, 1)], arrivals(2, since_s[:10])
     last = silent[-1]
@@ -179,5 +179,5 @@ def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
 
 
 def results(run: AdapterRun) -> list[tuple[int, Any]]:
-    """Time and bytes of each place."""
+    """Return time and bytes of each position."""
     return [(ns, exactly(message)) for ns, topic, message in run.published if topic == POSITION_TOPIC]

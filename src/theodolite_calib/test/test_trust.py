@@ -1,4 +1,4 @@
-"""Silence is no agreement: what agreed before it must agree anew."""
+"""Reinstatement timers restart after a gap without measurements."""
 
 from dataclasses import replace
 
@@ -19,7 +19,9 @@ AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
 def agreeing(heard_ns: dict[str, int]) -> Trust:
-    """The first drone, the encoders and the lights agree since 10 s; each light was seen last at its moment."""
+    """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
+    beacon.
+    """
     trust = no_doubt(ROWS)
     seen_ns = trust.means.heard_ns.copy()
     for name, time_ns in heard_ns.items():
@@ -43,18 +45,18 @@ def since_ns(trust: Trust) -> list[int | None]:
         (11, (SECOND,), [AGREED_NS, None, None]),
     ],
 )
-def test_what_agreed_before_all_lights_were_gone_must_agree_anew(silent_s, names, expected) -> None:
+def test_reinstatement_timers_restart_after_a_gap_of_all_beacons(silent_s, names, expected) -> None:
     trust = agreeing({FIRST: LAST_NS, SECOND: LAST_NS})
     assert since_ns(REFEREE.heard_again(trust, names, LAST_NS + silent_s * SECOND_NS)) == expected
 
 
-def test_one_light_that_was_gone_leaves_what_the_other_one_tells() -> None:
+def test_gap_of_one_beacon_restarts_its_timer_only() -> None:
     trust = agreeing({FIRST: LAST_NS - 20 * SECOND_NS, SECOND: LAST_NS})
     later_ns = LAST_NS + SECOND_NS
     assert since_ns(REFEREE.heard_again(trust, (FIRST, SECOND), later_ns)) == [None, AGREED_NS, AGREED_NS]
 
 
-def test_an_encoder_that_agrees_returns_a_minute_after_the_lights_are_back() -> None:
+def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
     trust, back_ns = agreeing({FIRST: LAST_NS, SECOND: LAST_NS}), LAST_NS + 100 * SECOND_NS
     returned = []
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):

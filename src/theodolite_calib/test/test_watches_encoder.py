@@ -1,4 +1,4 @@
-"""Encoders at rest, in doubt, stuck, in degrees, read wrong once, slipped: told by their own motion and the lights."""
+"""Check of the encoders: at rest, stopped, stuck, in degrees, single wrong readings, slips; by motion and beacons."""
 
 from collections.abc import Callable
 from typing import Any
@@ -44,7 +44,7 @@ def lights(watch: EncoderWatch, number: int, azimuth: float) -> None:
 
 
 def stopped(rate: float = 0.02) -> tuple[EncoderWatch, int]:
-    """Ten readings in motion, rad/s, and one like the last."""
+    """Return ten readings in motion, rad/s, and one equal to the last."""
     watch = EncoderWatch(ARCSEC, FREE)
     for number in range(10):
         assert check(watch, reading(number, 1.0 + rate * number * 0.01)) is None
@@ -53,7 +53,7 @@ def stopped(rate: float = 0.02) -> tuple[EncoderWatch, int]:
     return watch, 10
 
 
-def test_readings_that_stop_dead_are_in_doubt_until_lights_confirm_them() -> None:
+def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
     watch, number = stopped()
     assert watch.doubt
     watch.confirm((number - 3) * PERIOD_NS)  # of before they stood still
@@ -62,22 +62,22 @@ def test_readings_that_stop_dead_are_in_doubt_until_lights_confirm_them() -> Non
     assert not watch.doubt
 
 
-def test_a_jump_of_the_encoders_is_confirmed_by_lights_of_two_moments() -> None:
-    """The first lights find whatever the estimate was opened for, also an axis that stands still while it turns."""
+def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
+    """The first beacons fit any inflated estimate, also an axis that stands still while it rotates."""
     watch = EncoderWatch(ARCSEC, max_acceleration=1.0)
     for number in range(10):
         check(watch, reading(number, 1.0 + 2e-4 * number))
     jumped = next(n for n in range(10, 40) if check(watch, reading(n, 1.3 + 2e-4 * n)) is None)
     assert watch.doubt
     watch.confirm((jumped - 20) * PERIOD_NS)  # of before the jump
-    for _ in range(2):  # the same lights twice are one moment
+    for _ in range(2):  # the same beacons twice are one time
         watch.confirm((jumped + 1) * PERIOD_NS)
         assert watch.doubt
     watch.confirm((jumped + 2) * PERIOD_NS)
     assert not watch.doubt
 
 
-def test_readings_that_come_to_rest_slowly_are_not_in_doubt() -> None:
+def test_slowly_stopping_readings_are_confirmed() -> None:
     watch, _ = stopped(rate=4.0 * ARCSEC / 0.01)  # less than five sigmas a reading
     assert not watch.doubt
 
@@ -97,11 +97,11 @@ def test_a_mount_at_rest_is_never_stuck() -> None:
             lights(watch, later, 1.0 + 0.02 * 0.09)
 
 
-def test_what_lights_said_before_it_stood_still_is_no_witness() -> None:
+def test_beacons_before_the_stop_are_no_reference() -> None:
     watch = EncoderWatch(ARCSEC, FREE)
     for number in range(10):
         check(watch, reading(number, 1.0 + 0.01 * number))
-    # The light of 5 is heard of only now; meanwhile the mount has come to rest.
+    # The beacon of 5 is received only now; meanwhile the mount has come to rest.
     lights(watch, 5, 1.05)
     for number in range(10, 60):
         assert check(watch, reading(number, 1.09)) is None
@@ -109,7 +109,7 @@ def test_what_lights_said_before_it_stood_still_is_no_witness() -> None:
             lights(watch, number, 1.09)
 
 
-def test_mend_03_stuck_when_the_lights_turn_and_back_with_the_first_other_reading() -> None:
+def test_stuck_detection_and_recovery() -> None:
     watch, number = stopped()
     refusals = []
     for later in range(number + 1, number + 60):
@@ -132,7 +132,7 @@ def test_angles_are_taken_modulo_a_turn() -> None:
     assert check(EncoderWatch(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
 
 
-def test_degrees_are_refused_until_radians_have_come_for_a_while() -> None:
+def test_degrees_are_rejected_until_radians_persist() -> None:
     watch = EncoderWatch(ARCSEC, FREE)
     assert check(watch, reading(0, 6.2, 0.5)) is None
     assert check(watch, reading(1, 355.0, 28.6)).reason is Reason.UNITS
@@ -170,16 +170,16 @@ def never_wrong(run: Run) -> bool:
 
 
 @pytest.mark.parametrize("off_deg", [1.0, 18.0, -170.0])
-def test_mend_10_one_wrong_reading_is_refused_and_changes_nothing(off_deg: float) -> None:
+def test_one_wrong_reading_is_rejected_without_effect(off_deg: float) -> None:
     index = index_at(session(), ENCODER, 3.0)
     run = drive(new_adapter(), replaced(session(), index, read_off(off_deg, 0.5)))
     assert run.reasons(ENCODER) == {"gate": 1}
-    assert "which the mount can reach" in run.innovations(Reason.GATE)[0].reason_text
+    assert "the mount can reach" in run.innovations(Reason.GATE)[0].reason_text
     assert run.results() == drive(new_adapter(), without(session(), index)).results()
 
 
 @pytest.mark.parametrize("off_deg", [0.3, 0.5])
-def test_mend_10_a_slip_for_good_opens_the_zero_points_until_lights_agree(off_deg: float) -> None:
+def test_permanent_slip_inflates_the_zero_points_until_beacons_agree(off_deg: float) -> None:
     run = drive(new_adapter(), changed_where(session(10.0), encoder_from(3.0), read_off(off_deg, -0.3)))
     assert run.reasons(ENCODER) == {"gate": 5}
     after = [m for m in run.pointings if seconds(m) >= 3.0 and m.status != Status.INVALID]
@@ -192,7 +192,7 @@ def test_mend_10_a_slip_for_good_opens_the_zero_points_until_lights_agree(off_de
     assert run.reasons(BEACONS).keys() <= {"gap"}
 
 
-def test_mend_10_a_slip_without_lights_stays_degraded() -> None:
+def test_slip_without_beacons_stays_degraded() -> None:
     dark = [a for a in session(10.0) if a.topic != BEACONS or seconds(a.message) < 3.0]
     run = drive(new_adapter(), changed_where(dark, encoder_from(4.0), read_off(2.0)))
     after = [m for m in run.pointings if seconds(m) >= 4.0]
@@ -200,7 +200,7 @@ def test_mend_10_a_slip_without_lights_stays_degraded() -> None:
     assert max(error_in_sigmas(m) for m in after) < 3.0
 
 
-def test_mend_10_after_a_stuck_encoder_no_reading_is_trusted_until_lights_agree() -> None:
+def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
     held = session()[index_at(session(), ENCODER, 2.0)].message
 
     def freeze(message: Any) -> None:
@@ -215,8 +215,8 @@ def test_mend_10_after_a_stuck_encoder_no_reading_is_trusted_until_lights_agree(
     assert run.pointings[-1].status == Status.VALID
 
 
-def test_mend_07_live_changes_reach_what_watches_the_encoders() -> None:
-    """One reading is off by 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
+def test_live_changes_reach_the_encoder_check() -> None:
+    """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
     spoilt = replaced(session(), index_at(session(), ENCODER, 4.0), read_off(0.1))
     half = index_at(spoilt, ENCODER, 3.0)
     for changes, refused in (
@@ -229,11 +229,11 @@ def test_mend_07_live_changes_reach_what_watches_the_encoders() -> None:
         assert drive(adapter, spoilt[half:]).reasons(ENCODER).get("gate", 0) == refused
 
 
-def test_mend_10_a_slip_of_degrees_is_never_valid() -> None:
-    """What lights say of zero points so far off is not linear, and they do not fit any more: a reset is needed."""
+def test_slip_of_degrees_is_never_valid() -> None:
+    """Beacons are not linear in zero points of this size and are rejected: a reset is needed."""
     run = drive(new_adapter(), changed_where(session(10.0), encoder_from(3.0), read_off(5.0)))
     assert {m.status for m in run.pointings if seconds(m) >= 3.0} == {Status.DEGRADED}
 
 
-def test_without_slips_no_reading_is_refused() -> None:
+def test_no_reading_is_rejected_without_slips() -> None:
     assert clean_run().reasons(ENCODER) == {}

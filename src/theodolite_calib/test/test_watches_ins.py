@@ -1,4 +1,4 @@
-"""With the INS alone as the ship's attitude: samples that are well formed and wrong, alone and together with others."""
+"""The INS alone as the ship's attitude: well-formed wrong samples, alone and with other faults."""
 
 from collections.abc import Callable
 from typing import Any
@@ -50,7 +50,7 @@ def rates(factor: float) -> Change:
 
 
 def turned(*degrees_n: float) -> Change:
-    """The attitude turned about North, Up, East."""
+    """Return a change that rotates the attitude about North, Up, East."""
 
     def change(message: Any) -> None:
         q = message.orientation
@@ -72,7 +72,7 @@ def never_wrong(run: Run) -> bool:
 
 @pytest.mark.parametrize("factor", [TRUE, ZERO])
 @pytest.mark.parametrize("wrong", [negated_w, turned(0.0, 1.0, 0.0)])
-def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(wrong: Change, factor: float) -> None:
+def test_one_wrong_sample_is_rejected_without_effect(wrong: Change, factor: float) -> None:
     arrivals = changed_where(ins_alone(), of_topic(INS), rates(factor))
     index = index_at(arrivals, INS, 3.017)
     run = drive(adapter(), replaced(arrivals, index, wrong))
@@ -81,8 +81,8 @@ def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(wrong: Change, 
     assert run.results() == drive(adapter(), without(arrivals, index)).results()
 
 
-def test_mend_10_a_wrong_sample_that_comes_late_is_refused_too() -> None:
-    """It is off by a degree, which only the rates of its neighbour contradict."""
+def test_late_wrong_sample_is_rejected() -> None:
+    """It has an error of a degree, which only the rates of its neighbour contradict."""
     arrivals = ins_alone()
     index = index_at(arrivals, INS, 3.017)
     spoilt = replaced(arrivals, index, turned(1.0, 0.0, 0.0))
@@ -94,7 +94,7 @@ def test_mend_10_a_wrong_sample_that_comes_late_is_refused_too() -> None:
 
 @pytest.mark.parametrize("degrees_n", [(0.3, 0.0, 0.0), (0.0, 0.5, 0.3)])
 @pytest.mark.parametrize("offset_s", [0.0, 0.02])
-def test_mend_10_a_jump_for_good_opens_the_covariance_until_lights_agree(
+def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
     degrees_n: tuple[float, ...], offset_s: float
 ) -> None:
     def earlier(message: Any) -> None:
@@ -116,7 +116,7 @@ def test_mend_10_a_jump_for_good_opens_the_covariance_until_lights_agree(
     assert run.reasons(BEACONS).keys() <= {"gap"}
 
 
-def test_mend_10_without_lights_a_jump_stays_degraded() -> None:
+def test_jump_without_beacons_stays_degraded() -> None:
     dark = [a for a in ins_alone(10.0) if a.topic != BEACONS or seconds(a.message) < 3.0]
     run = drive(adapter(), changed_where(dark, of_topic(INS, 4.0), turned(0.0, 2.0, 0.0)))
     after = [m for m in run.pointings if seconds(m) >= 4.1]
@@ -125,8 +125,8 @@ def test_mend_10_without_lights_a_jump_stays_degraded() -> None:
     assert run.adapter.core.state.time_ns is not None
 
 
-def test_mend_10_lights_of_before_a_jump_do_not_confirm_it() -> None:
-    """Those of 2.6 s come late by 0.9 s, when the jump of 3 s is believed already."""
+def test_beacons_before_a_jump_do_not_confirm_it() -> None:
+    """Those of 2.6 s come late by 0.9 s, after the jump of 3 s has been accepted."""
     arrivals = [
         Arrival(a.topic, a.message, a.receive_ns + 900_000_000 * of_topic(BEACONS, 2.6)(a))
         for a in ins_alone(5.0)
@@ -138,7 +138,7 @@ def test_mend_10_lights_of_before_a_jump_do_not_confirm_it() -> None:
     assert max(error_in_sigmas(m) for m in after) < 3.0
 
 
-def test_mend_10_a_slip_of_the_encoders_and_a_jump_of_the_ins_at_once() -> None:
+def test_simultaneous_encoder_slip_and_ins_jump() -> None:
     def slipped(message: Any) -> None:
         message.azimuth = (message.azimuth + np.deg2rad(0.4)) % (2.0 * np.pi)
 
@@ -149,7 +149,7 @@ def test_mend_10_a_slip_of_the_encoders_and_a_jump_of_the_ins_at_once() -> None:
     assert run.pointings[-1].status == Status.VALID
 
 
-def test_mend_10_how_many_are_refused_is_a_parameter_also_live() -> None:
+def test_number_of_rejections_is_a_live_parameter() -> None:
     jumped = changed_where(ins_alone(), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0))
     assert drive(adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
     half = index_at(jumped, ENCODER, 2.0)
@@ -159,7 +159,7 @@ def test_mend_10_how_many_are_refused_is_a_parameter_also_live() -> None:
 
 
 @pytest.mark.parametrize(("sigma_arcsec", "refused"), [(1.0, 1), (100.0, 0)])
-def test_mend_07_a_live_change_of_the_noise_reaches_the_guard(sigma_arcsec: float, refused: int) -> None:
+def test_live_noise_change_reaches_the_check(sigma_arcsec: float, refused: int) -> None:
     arrivals = ins_alone()
     spoilt = replaced(arrivals, index_at(arrivals, INS, 4.017), turned(0.0, 0.1, 0.0))
     half = index_at(spoilt, ENCODER, 2.0)
@@ -169,7 +169,7 @@ def test_mend_07_a_live_change_of_the_noise_reaches_the_guard(sigma_arcsec: floa
 
 
 @pytest.mark.parametrize("factor", [ZERO, -1.0, 2.0])
-def test_mend_06_rates_that_are_none_change_no_bit_of_a_pointing(factor: float) -> None:
+def test_invalid_rates_change_no_pointing(factor: float) -> None:
     true = drive(adapter(), ins_alone())
     run = drive(adapter(), changed_where(ins_alone(), of_topic(INS), rates(factor)))
     assert run.reasons(INS) == {}
@@ -177,7 +177,7 @@ def test_mend_06_rates_that_are_none_change_no_bit_of_a_pointing(factor: float) 
     assert never_wrong(run)
 
 
-def test_mend_06_rates_in_degrees_are_told_and_the_ins_is_not_used() -> None:
+def test_rates_in_degrees_are_reported_and_the_ins_rejected() -> None:
     run = drive(adapter(), changed_where(ins_alone(10.0), of_topic(INS), rates(DEGREES)))
     assert run.reasons(INS).keys() == {"units"}
     assert "degrees for radians?" in run.innovations(Reason.UNITS)[0].reason_text
@@ -187,7 +187,7 @@ def test_mend_06_rates_in_degrees_are_told_and_the_ins_is_not_used() -> None:
     assert never_wrong(run)
 
 
-def test_mend_03_a_frozen_ins_is_told_by_its_own_rates() -> None:
+def test_stuck_ins_is_detected_by_its_own_rates() -> None:
     arrivals = ins_alone(8.0)
     held = arrivals[index_at(arrivals, INS, 3.017)].message.orientation
 

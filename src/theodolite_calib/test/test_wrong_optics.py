@@ -44,7 +44,7 @@ OWN_SIGMA = 2e-4
 
 @cache
 def through(camera_id: str) -> OpticalAxisConfig:
-    """The configuration with the stars in the calibration telescope, or in a camera of its own."""
+    """Return the configuration with the stars in the calibration telescope, or in a camera of its own."""
     own = {f"telescopes__{camera_id}__camera__{name}": value for name, value in CAMERA.items()}
     angles_deg = dict.fromkeys(MOUNTED_DEG, 0.0) if camera_id == TELESCOPE else MOUNTED_DEG
     own |= {f"telescopes__{camera_id}__{name}": value for name, value in angles_deg.items()}
@@ -60,7 +60,7 @@ def watch() -> SkyWatch:
 
 
 def lens(seed: int, ratio: float) -> TrueOptics:
-    """Optics whose focal length is longer than configured by a ratio; principal point and k1 are drawn."""
+    """Return optics with a longer focal length than configured by a ratio; random principal point and k1."""
     drawn = draw_optics(np.random.default_rng(2000 + seed), Detector(**CAMERA, width_px=2201, height_px=2201), "camera")
     return replace(drawn, camera=replace(drawn.camera, focal_length_m=LENGTH_M * (1.0 + ratio)))
 
@@ -94,7 +94,7 @@ class Voyage:
 
 
 def voyage(seed: int, camera_id: str, ratio: float, lights: bool = False, named: bool = True) -> Voyage:
-    """A session through a lens whose focal length is longer than configured by a ratio."""
+    """Return a session through a lens with a longer focal length than configured by a ratio."""
     settings, optics = through(camera_id), lens(seed, ratio)
     shared = camera_id == TELESCOPE
     drawn = session(settings, seed, TIMES_S, ENCODER, focal_length_m=optics.camera.focal_length_m if shared else None)
@@ -168,8 +168,8 @@ def test_a_focal_length_that_stars_contradict_is_not_valid_and_the_value_that_fi
         assert np.mean(found.valid) < 0.2
 
 
-def test_the_focal_length_that_stars_tell_is_that_of_the_lights() -> None:
-    """Three sigma off and seen by stars alone: the calibration has it, to 0.01 %."""
+def test_focal_length_from_stars_matches_the_beacons() -> None:
+    """Three sigma off and observed by stars alone: the calibration has it, to 0.01 %."""
     ratio = 3e-3
     found = voyage(0, TELESCOPE, ratio)
     calibration = calibration_of(found.filter_, through(TELESCOPE), found.state)
@@ -180,7 +180,7 @@ def test_the_focal_length_that_stars_tell_is_that_of_the_lights() -> None:
 
 
 def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
-    """Measured minus predicted, by a camera whose focal length is another one."""
+    """Measured minus predicted, by a camera with another focal length."""
     settings, step_m = through(TELESCOPE), 1e-7
     filter_, drawn = CalibrationFilter(settings), session(through(TELESCOPE), 3, TIMES_S[:1], ENCODER[:1])
     rng, (sighting,) = np.random.default_rng(3), drawn.sightings

@@ -1,7 +1,7 @@
-"""Theodolite pointing: axis errors calibrated by lights on drones, and the main axis in the horizon at each reading.
+"""Theodolite pointing: axis errors calibrated by beacons on drones, and the main axis in the horizon at each reading.
 
-Rooms, each of which imports only those after it: ``axis_fit`` fits axis errors to a table of sightings; ``ros`` turns
-messages into samples and results into messages; ``smoothing`` tells pointings once more with hindsight;
-``optical_axis`` is the core of the node; ``target`` makes directions and places of targets; ``filter`` estimates;
-``measured`` keeps what was measured; ``config`` holds the parameters; ``lights`` and ``chain`` are pure geometry.
+Each of these rooms imports only those after it. ``axis_fit`` fits axis errors to a table of sightings. ``ros`` converts
+messages to samples and results to messages. ``smoothing`` improves pointings by later sightings. ``optical_axis`` is
+the core of the node. ``target`` gives directions and positions of targets. ``filter`` estimates. ``measured`` holds the
+samples. ``config`` holds the parameters. ``lights`` and ``chain`` are pure geometry.
 """

@@ -28,21 +28,21 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 
 _LONGEST_M = 200.0
-"""No ship has a longer lever: a larger number is in millimetres, or another mistake."""
+"""Largest lever of any ship, m: a larger number is in millimetres, or another mistake."""
 
 _SHORTEST_FOCAL_LENGTH_M = 0.001
 
 _SAME = 1e-9
-"""Two texts of one number differ by no more, of its size."""
+"""Relative difference up to which two texts of one number are equal."""
 
 
 def _axis_error(doc: str) -> Any:
-    """The value of an axis error that is known beforehand; zero points beyond a degree are for ``fit_axes``."""
+    """Return the field of an axis error with a known value; zero points beyond a degree need ``fit_axes``."""
     return parameter(0.0, doc=doc, unit="arcsec", minimum=-3600.0, maximum=3600.0)
 
 
 def _axis_sigma(default: float = 30.0) -> Any:
-    return parameter(default, doc="its uncertainty; 0 holds it", unit="arcsec", minimum=0.0, maximum=3600.0)
+    return parameter(default, doc="its uncertainty; 0 fixes it", unit="arcsec", minimum=0.0, maximum=3600.0)
 
 
 def _telescope_angle(doc: str) -> Any:
@@ -70,13 +70,13 @@ class LeverConfig:
 
     @property
     def vector_m(self) -> FloatArray:
-        """The vector, shape (3,)."""
+        """Vector, shape (3,)."""
         return np.array([self.forward_m, self.up_m, self.right_m])
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShipConfig:
-    """Where the ship's attitude comes from, and how its error behaves."""
+    """Source of the ship's attitude, and its error model."""
 
     source: str = parameter(
         "ship/attitude",
@@ -88,7 +88,7 @@ class ShipConfig:
         1800.0, doc="correlation time of the error of ship/attitude", unit="s", minimum=1.0, maximum=1e7
     )
     white_sigma_arcsec: float = arcsec(
-        1.0, doc="part of the error of ship/attitude that is new with each sample, each axis", live=True
+        1.0, doc="white error of ship/attitude from sample to sample, each axis", live=True
     )
     max_gap_s: float = parameter(
         0.5, doc="samples of ship/attitude further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
@@ -97,18 +97,18 @@ class ShipConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class InsSourceConfig(StarInsConfig, InsErrorConfig):
-    """The INS, where the ship's attitude is that of it alone."""
+    """INS as the only source of the ship's attitude."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderConfig:
-    """The encoders of the two axes."""
+    """Encoders of the two axes."""
 
     frame_id: str = parameter("", doc="frame_id that theodolite/encoder must carry; empty accepts any")
-    sigma_arcsec: float = arcsec(1.0, doc="noise of each reading where the message gives none", live=True)
+    sigma_arcsec: float = arcsec(1.0, doc="noise of each reading if the message states none", live=True)
     max_acceleration_deg_per_s2: float = parameter(
         100.0,
-        doc="no axis is accelerated more: a reading that needs more is wrong (fast tracking mounts reach 60)",
+        doc="maximum acceleration of an axis: a reading that needs more is rejected (fast tracking mounts reach 60)",
         unit="deg/s^2",
         minimum=0.1,
         maximum=1e6,
@@ -121,7 +121,7 @@ class EncoderConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class AxesConfig:
-    """What is known of the axis errors before the first sighting."""
+    """Prior of the axis errors."""
 
     g_arcsec: float = _axis_error("zero point of the azimuth encoder; the axis points at A - g")
     g_sigma_arcsec: float = _axis_sigma()
@@ -140,18 +140,18 @@ class AxesConfig:
 
     @property
     def values(self) -> FloatArray:
-        """What is known, in the order of :data:`theodolite_calib.chain.axes.NAMES`, rad, shape (7,)."""
+        """Prior values, in the order of :data:`theodolite_calib.chain.axes.NAMES`, rad, shape (7,)."""
         return ARCSEC * np.array([getattr(self, f"{name}_arcsec") for name in NAMES])
 
     @property
     def sigma(self) -> FloatArray:
-        """Its uncertainty, rad, shape (7,)."""
+        """Their uncertainties, rad, shape (7,)."""
         return ARCSEC * np.array([getattr(self, f"{name}_sigma_arcsec") for name in NAMES])
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeformationConfig:
-    """How the hull turns between INS and theodolite, about bow, up and starboard."""
+    """Deformation of the hull between INS and theodolite, about bow, up and starboard."""
 
     sigma_arcsec: float = arcsec(20.0, doc="each axis")
     time_s: float = parameter(600.0, doc="correlation time", unit="s", minimum=1.0, maximum=1e7)
@@ -159,13 +159,13 @@ class DeformationConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TelescopeConfig:
-    """The calibration telescope, its detector, and how parallel it is to the main axis."""
+    """Calibration telescope, its detector, and its parallelism to the main axis."""
 
     telescope_id: str = parameter(doc="telescope_id of its images")
     frame_id: str = parameter("", doc="frame_id that theodolite/beacons must carry; empty accepts any")
     focal_length_m: float = parameter(doc="focal length, in metres", unit="m", minimum=0.001, maximum=10.0)
     focal_length_sigma_m: float = parameter(
-        0.0001, doc="its uncertainty; 0 holds it", unit="m", minimum=0.0, maximum=0.1
+        0.0001, doc="its uncertainty; 0 fixes it", unit="m", minimum=0.0, maximum=0.1
     )
     principal_x_m: float = parameter(
         0.0, doc="detector point of the telescope's axis, along right", unit="m", minimum=-0.1, maximum=0.1
@@ -175,7 +175,7 @@ class TelescopeConfig:
     )
     sigma_m: float = parameter(
         1e-6,
-        doc="error of x and of z of a light's image where the message gives none",
+        doc="error of x and of z of a light's image if the message states none",
         unit="m",
         minimum=1e-9,
         maximum=0.001,
@@ -183,7 +183,7 @@ class TelescopeConfig:
     )
     psf_sigma_m: float = parameter(
         5.2e-6,
-        doc="spread of the image of a light at rest, each axis; a streak long against it is known worse along it",
+        doc="spread of the image of a light at rest, each axis; the error along a longer streak is larger",
         unit="m",
         minimum=1e-7,
         maximum=0.001,
@@ -216,10 +216,11 @@ class TelescopeConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class StarCameraConfig:
-    """A camera fixed to the theodolite that sees stars, and how the main axis stands in it.
+    """Star camera fixed to the theodolite, and the orientation of the main axis in it.
 
-    The main frame is that of the camera turned by R(azimuth, elevation, roll), as ``telescope.azimuth_arcsec`` and so
-    on are meant. The calibration telescope may be one: its id is ``telescope.telescope_id`` then.
+    The main frame is that of the camera rotated by R(azimuth, elevation, roll), in the sense of
+    ``telescope.azimuth_arcsec`` and the following parameters. The calibration telescope may be one: its id is then
+    ``telescope.telescope_id``.
     """
 
     frame_id: str = parameter("", doc="frame_id that theodolite/<id>/stars must carry; empty accepts any")
@@ -246,12 +247,12 @@ class StarCameraConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MainDetectorConfig:
-    """The detector in the main tube, on which targets are seen; none where it has no focal length."""
+    """Detector in the main tube, on which targets are observed; none if it has no focal length."""
 
     frame_id: str = parameter("", doc="frame_id that theodolite/target must carry; empty accepts any")
     focal_length_m: float = parameter(
         0.0,
-        doc="focal length of the main tube, in metres; 0: there is no main detector, its images are refused",
+        doc="focal length of the main tube, in metres; 0: no main detector, its images are rejected",
         unit="m",
         minimum=0.0,
         maximum=100.0,
@@ -268,7 +269,7 @@ class MainDetectorConfig:
     )
     sigma_m: float = parameter(
         1e-6,
-        doc="error of x and of z of a target's image where the message gives none",
+        doc="error of x and of z of a target's image if the message states none",
         unit="m",
         minimum=1e-9,
         maximum=0.001,
@@ -280,7 +281,7 @@ class MainDetectorConfig:
         if 0.0 < self.focal_length_m < _SHORTEST_FOCAL_LENGTH_M:
             raise ParameterError(
                 f"parameter 'main_detector.focal_length_m' = {self.focal_length_m:g}: expected metres, "
-                f"{_SHORTEST_FOCAL_LENGTH_M:g} at least, or 0 where there is no main detector",
+                f"{_SHORTEST_FOCAL_LENGTH_M:g} at least, or 0 without a main detector",
                 "main_detector.focal_length_m",
                 value=self.focal_length_m,
             )
@@ -293,39 +294,39 @@ class MainDetectorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class AirConfig:
-    """The coefficient k of terrestrial refraction on the way to the lights, and to a target with a range."""
+    """Coefficient k of terrestrial refraction on the path to the beacons, and to a target with a range."""
 
     coefficient: float = parameter(0.13, doc="k near the sea", minimum=-5.0, maximum=5.0)
-    sigma: float = parameter(0.06, doc="error of k, the same for all lights", minimum=0.0, maximum=5.0)
-    light_sigma: float = parameter(0.02, doc="further error of k at each light", minimum=0.0, maximum=5.0)
+    sigma: float = parameter(0.06, doc="error of k, common to all lights", minimum=0.0, maximum=5.0)
+    light_sigma: float = parameter(0.02, doc="further error of k on the path to each light", minimum=0.0, maximum=5.0)
     time_s: float = parameter(3600.0, doc="correlation time of both", unit="s", minimum=0.0, maximum=1e7)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShipAntennaConfig:
-    """The antenna aboard from which all baselines begin: its error is in all of them."""
+    """Antenna aboard from which all baselines start: its error is common to them."""
 
-    sigma_m: float = parameter(0.01, doc="slow error, each axis", unit="m", minimum=0.0, maximum=10.0)
+    sigma_m: float = parameter(0.01, doc="correlated error, each axis", unit="m", minimum=0.0, maximum=10.0)
     time_s: float = parameter(300.0, doc="its correlation time", unit="s", minimum=0.0, maximum=1e7)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RtkConfig:
-    """The baseline from the ship's antenna to the drone's."""
+    """Baseline from the ship's antenna to the drone's."""
 
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/baseline must carry; empty accepts any")
     base_id: str = parameter("", doc="base_id that it must carry; empty accepts any")
     rover_id: str = parameter("", doc="rover_id that it must carry; empty accepts any")
     sigma_m: float = parameter(
         0.02,
-        doc="noise of each solution, each axis, where the message gives none",
+        doc="noise of each solution, each axis, if the message states none",
         unit="m",
         minimum=1e-4,
         maximum=100.0,
         live=True,
     )
     bias_sigma_m: float = parameter(
-        0.01, doc="slow error of its own, each axis, beside what the message says", unit="m", minimum=0.0, maximum=100.0
+        0.01, doc="correlated error, each axis, in addition to the stated one", unit="m", minimum=0.0, maximum=100.0
     )
     bias_time_s: float = parameter(300.0, doc="its correlation time", unit="s", minimum=0.0, maximum=1e7)
     max_gap_s: float = parameter(
@@ -335,15 +336,15 @@ class RtkConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class DroneImuConfig:
-    """What the drone says of its own attitude; used only where its light has a lever."""
+    """Attitude of the drone; used only if its light has a lever."""
 
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/imu must carry; empty accepts any")
     accept_unset_covariance: bool = accept_unset_covariance()
     convention: str = parameter(
         "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )
-    tilt_sigma_deg: float = _sigma_deg(0.3, "slow error in tilt, each axis")
-    heading_sigma_deg: float = _sigma_deg(1.0, "slow error in heading")
+    tilt_sigma_deg: float = _sigma_deg(0.3, "correlated error in tilt, each axis")
+    heading_sigma_deg: float = _sigma_deg(1.0, "correlated error in heading")
     time_s: float = parameter(300.0, doc="their correlation time", unit="s", minimum=0.0, maximum=1e7)
     max_gap_s: float = parameter(
         0.5, doc="samples further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
@@ -361,9 +362,9 @@ class BeaconConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class EscortConfig:
-    """Where the drones may fly, seen from the theodolite, for the advice where they should."""
+    """Advice for the drones: the limits of their positions, relative to the theodolite."""
 
-    enabled: bool = parameter(False, doc="tell on theodolite/escort where the drones should fly")
+    enabled: bool = parameter(False, doc="publish advised positions of the drones on theodolite/escort")
     period_s: float = parameter(10.0, doc="period of the advice, in slow topics", unit="s", minimum=1.0, maximum=3600.0)
     range_min_m: float = parameter(
         500.0, doc="least distance of a drone from the theodolite", unit="m", minimum=1.0, maximum=50_000.0
@@ -380,14 +381,14 @@ class EscortConfig:
         3.5, doc="greatest angle of a light from the axis of the telescope", unit="deg", minimum=0.001, maximum=60.0
     )
     exposures: int = parameter(
-        1, doc="white errors are averaged over so many exposures at a place", minimum=1, maximum=1_000_000
+        1, doc="number of exposures at a position over which white errors are averaged", minimum=1, maximum=1_000_000
     )
 
     def __post_init__(self) -> None:
-        """Limits that leave no place are refused.
+        """Refuse limits that leave no position.
 
         Raises:
-            ParameterError: names the limit that nothing can meet beside another.
+            ParameterError: names the limit that cannot be met together with another.
         """
         for name, unit in (("range", "m"), ("elevation", "deg")):
             least, greatest = getattr(self, f"{name}_min_{unit}"), getattr(self, f"{name}_max_{unit}")
@@ -399,12 +400,12 @@ class EscortConfig:
                     value=least,
                 )
         near, far, field = self.range_min_m, self.range_max_m, np.deg2rad(self.field_deg)
-        # Both far off, or one of them near: across the whole field.
+        # Both far, or one of them near: across the whole field.
         alike_m, unlike_m = 2.0 * far * np.sin(field), abs(far - near * np.exp(2j * field))
         widest_m = float(max(alike_m, unlike_m))
         if not self.separation_min_m <= widest_m:
             raise ParameterError(
-                f"parameter 'escort.separation_min_m' = {self.separation_min_m:g} m: no two places in the field and "
+                f"parameter 'escort.separation_min_m' = {self.separation_min_m:g} m: no two positions in the field and "
                 f"range of escort.field_deg, escort.range_min_m and escort.range_max_m are more than {widest_m:.1f} m "
                 "apart",
                 "escort.separation_min_m",
@@ -428,21 +429,21 @@ class OpticalAxisConfig:
     air: AirConfig = section(AirConfig)
     ship_antenna: ShipAntennaConfig = section(ShipAntennaConfig)
     beacons: dict[str, BeaconConfig] = mapping_of("drones with a light, by beacon_id")
-    telescopes: dict[str, StarCameraConfig] = mapping_of("cameras on the theodolite that see stars, by sensor_id")
+    telescopes: dict[str, StarCameraConfig] = mapping_of("star cameras on the theodolite, by sensor_id")
     sky: SkyConfig = section(SkyConfig)
     escort: EscortConfig = section(EscortConfig)
     gate: GateConfig = section(GateConfig)
     integrity: IntegrityConfig = section(IntegrityConfig)
     recovery: RecoveryConfig = section(RecoveryConfig)
     least_fix: str = parameter(
-        "fixed", doc="baselines with less than this are not used", choices=("fixed", "float"), live=True
+        "fixed", doc="minimum fix of a baseline; others are rejected", choices=("fixed", "float"), live=True
     )
     lag_s: float = parameter(
         2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0
     )
     lights_recent_s: float = parameter(
         3.0,
-        doc="lights and stars used within this time make the mode",
+        doc="maximum age of lights and stars that determine the mode",
         unit="s",
         minimum=0.1,
         maximum=3600.0,
@@ -455,10 +456,10 @@ class OpticalAxisConfig:
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget, calibration, error and health topics", unit="s", minimum=0.1, maximum=60.0
     )
-    calibration_file: str = parameter("", doc="file of the saved calibration, read at the start where it exists")
+    calibration_file: str = parameter("", doc="file of the saved calibration, read at the start if it exists")
     alignment_autosave_s: float = autosave_period()
     calibration_max_age_d: float = parameter(
-        30.0, doc="a calibration older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
+        30.0, doc="age above which a saved calibration is a wider prior", unit="d", minimum=0.0, maximum=36500.0
     )
 
     def __post_init__(self) -> None:
@@ -479,14 +480,14 @@ class OpticalAxisConfig:
             )
 
     def star_camera(self, id_: str) -> GivenCameraConfig:
-        """The camera of ``telescopes.<id>``; the lens of the calibration telescope is as uncertain as for lights."""
+        """Return the camera of ``telescopes.<id>``; the calibration telescope has one focal length sigma for all."""
         camera, sigma_m = self.telescopes[id_].camera, self.telescope.focal_length_sigma_m
         if id_ != self.telescope.telescope_id or not sigma_m:
             return camera
         return replace(camera, focal_length_sigma_m=sigma_m)
 
     def _refuse_another_telescope(self, id_: str) -> None:
-        """The calibration telescope has one focal length and one parallelism, by lights and by stars."""
+        """Refuse a calibration telescope with different focal length or parallelism for beacons and for stars."""
         telescope, seen = self.telescope, self.telescopes[id_]
         twice = [("camera.focal_length_m", seen.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)]
         own_m = seen.camera.focal_length_sigma_m
@@ -503,8 +504,8 @@ class OpticalAxisConfig:
         for name, value, other, expected in twice:
             if not abs(value - expected) <= _SAME * max(abs(expected), 1.0):
                 raise ParameterError(
-                    f"parameter 'telescopes.{id_}.{name}' = {value:g}: '{id_}' is the calibration telescope, of which "
-                    f"telescope.{other} says {expected:g}",
+                    f"parameter 'telescopes.{id_}.{name}' = {value:g}: '{id_}' is the calibration telescope: expected "
+                    f"telescope.{other} = {expected:g}",
                     f"telescopes.{id_}.{name}",
                     value=value,
                 )

@@ -1,5 +1,5 @@
-"""The fit of axis errors to sightings of known directions, and the executable that does it.
+"""Fit of axis errors to sightings of known directions, and its executable.
 
-The room knows tables of sightings, the robust fit of the exact chain of axes, what speaks against a fit, and how to
-show it. It may import every other room of the package; no other room imports it.
+The room holds tables of sightings, the robust fit of the exact axis geometry, the diagnostics of a fit, and its figures
+and tables. It may import every other room of the package; no other room imports it.
 """

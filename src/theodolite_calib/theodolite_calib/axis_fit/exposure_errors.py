@@ -1,4 +1,4 @@
-"""What the slow errors of the optical axis' model do to the direction that an exposure of lights gives."""
+"""Effect of the correlated errors of the optical axis' model on the direction from an exposure of beacons."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from theodolite_calib.lights.line_of_sight import covariance_by_source
 from theodolite_calib.lights.telescope_attitude import linearised, total
 from theodolite_calib.measured.sighting import Sighting
 
-# The axis errors are what the fit looks for: they are no error of a sighting.
+# The axis errors are the unknowns of the fit: they are no error of a sighting.
 _SOUGHT = "axes"
 _SHIP = "ship.attitude"
 
@@ -19,14 +19,14 @@ _SHIP = "ship.attitude"
 def slow_effects(
     model: StateModel, prediction: Prediction, sighting: Sighting, rotation_nt: FloatArray, direction_d: FloatArray
 ) -> dict[tuple[str, float], FloatArray]:
-    """What one sigma of each slow error moves a sighting by.
+    """Return the effect of one sigma of each correlated error on a sighting.
 
     Args:
-        model: which errors there are.
-        prediction: the exposure as configured, with the Jacobian by all errors.
+        model: the errors.
+        prediction: exposure as configured, with the Jacobian by all errors.
         sighting: the exposure.
-        rotation_nt: attitude of the telescope (horizon from telescope) that the lights gave, shape (3, 3).
-        direction_d: where the main axis looked by it, unit vector, shape (3,).
+        rotation_nt: attitude of the telescope (horizon from telescope) from the beacons, shape (3, 3).
+        direction_d: direction of the main axis by it, unit vector, shape (3,).
 
     Returns:
         Name and correlation time (s) → angles to the right and up, shape (2,), rad.
@@ -36,7 +36,7 @@ def slow_effects(
         sighting.image, prediction.camera, prediction.lines.direction_n, line_covariance, rotation_nt, None
     )
     gain = np.linalg.solve(equations.weighted_jacobian @ equations.jacobian, equations.weighted_jacobian)
-    # The lights give the telescope's attitude whatever the chain says; errors of the chain are in the comparison.
+    # The beacons give the telescope's attitude without the axis geometry, whose errors enter by the comparison.
     through_lights = gain @ (prediction.jacobian - prediction.by_attitude_n @ prediction.turn_n)
     turn_d = sighting.ship.rotation_nd.T @ (prediction.turn_n + through_lights)
     by_error = right_and_up(direction_d) @ direction_change(direction_d, turn_d)

@@ -1,4 +1,4 @@
-"""The figures of a fit. Only the command imports this module: loading matplotlib takes longer than the fit."""
+"""Figures of a fit. Only the command imports this module, because matplotlib takes longer to load than the fit."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,18 +20,18 @@ _GOOD, _OUTLIER = "#0b3c6f", "#c1440e"
 _HALO = (withStroke(linewidth=3.0, foreground="white"),)
 _SIDES = ("to the right", "up")
 _ROOM = 1.12
-"""Axes reach so much farther than the farthest point."""
+"""Ratio of the axis limit to the farthest point."""
 _STEEP = 20.0
-"""Values that differ by more than this ratio get a scale each: zero points may be degrees, the rest is arcseconds."""
+"""Ratio of values above which each gets its own scale: zero points may be degrees, the rest is arcseconds."""
 _ARROW = 0.05
 """Length of an arrow of one scale, in radii of the sky."""
 _CORRELATION_COLOURS = "RdBu_r"
 _DARK_CELL = 0.6
-"""Cells of a larger correlation are dark and carry light numbers."""
+"""Correlation above which a cell is dark and has light numbers."""
 
 
 def draw_figures(fit: AxisFit, sightings: Sightings, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into a folder that exists; returns the files by the figures' names."""
+    """Draw every figure as PNG into an existing folder; return the files by the figures' names."""
     return write_figures(_figures(fit, sightings), folder)
 
 
@@ -43,7 +43,7 @@ def _figures(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[str, Figure]]
 
 
 def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
-    """How far the sightings lie beside the model, without and with it, to the same scale if that shows both."""
+    """Return the figure of residuals without and with the model, on one scale if that shows both."""
     figure, panels = plt.subplots(1, 2, figsize=(11, 6.6), layout="compressed")
     limits = [_ROOM * float(np.max(np.abs(part))) / ARCSEC for part in (fit.before, fit.residuals)]
     if limits[0] < _STEEP * limits[1]:
@@ -69,7 +69,7 @@ def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
 
 
 def _over_angles(fit: AxisFit, sightings: Sightings) -> Figure:
-    """What the model leaves, over both angles: a bend or a wave is a term that is missing."""
+    """Return the figure of the residuals over both angles: a bend or a wave is a missing term."""
     azimuth_deg, elevation_deg = np.rad2deg(azimuth_and_elevation(sightings.direction_d))
     residuals = fit.residuals / ARCSEC
     limit = _ROOM * max(float(np.max(np.abs(residuals[~fit.outliers]), initial=0.0)), 3.5 * fit.scale / ARCSEC)
@@ -88,12 +88,12 @@ def _over_angles(fit: AxisFit, sightings: Sightings) -> Figure:
         axes.set_xlabel(words)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    figure.suptitle("What the fitted model leaves")
+    figure.suptitle("Residuals of the fitted model")
     return figure
 
 
 def _sky(fit: AxisFit, sightings: Sightings) -> Figure:
-    """Where the sightings lie, with what the model leaves as arrows; the zenith in the middle."""
+    """Return the figure of the sightings on the sky with residuals as arrows; the zenith in the middle."""
     figure, axes = plt.subplots(figsize=(7.2, 7.2), layout="constrained")
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
     lowest_deg = min(0.0, 15.0 * np.floor(np.rad2deg(elevation.min()) / 15.0))
@@ -121,13 +121,13 @@ def _sky(fit: AxisFit, sightings: Sightings) -> Figure:
     axes.text(-1.1 + 3.4 * _ARROW, -1.12, f"{3.0 * fit.scale / ARCSEC:.0f}″ (3σ)", va="center")
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
     axes.axis("off")
-    axes.set_title("Sightings on the sky, and what the fitted model leaves")
+    axes.set_title("Sightings on the sky, and residuals of the fitted model")
     axes.legend(loc="lower right")
     return figure
 
 
 def _terms(fit: AxisFit) -> Figure:
-    """The fitted terms with their sigmas, and how they hang together."""
+    """Return the figure of the fitted terms with their sigmas and correlations."""
     count = len(fit.fitted)
     figure, (bars, matrix) = plt.subplots(1, 2, figsize=(12, 1.8 + 0.6 * count), layout="constrained")
     rows = np.arange(count)
@@ -165,7 +165,7 @@ def _draw_points(axes: Axes, x: FloatArray, y: FloatArray, outliers: NDArray[np.
 
 
 def _draw_beyond(axes: Axes, x: FloatArray, y: FloatArray, limit: float) -> None:
-    """The true value beside points that were drawn at the edge."""
+    """Write the true value of points that were drawn at the edge."""
     for number in np.flatnonzero(np.abs(y) > limit):
         axes.annotate(
             f"{y[number]:+.0f}″".replace("-", "−"), (x[number], np.clip(y[number], -limit, limit)),
@@ -182,7 +182,7 @@ def _name_outliers(axes: Axes, places: FloatArray, outliers: NDArray[np.bool_], 
 
 
 def _draw_sky(axes: Axes, lowest_deg: float) -> None:
-    """Circles of elevation and rays of azimuth, which runs clockwise from the top."""
+    """Draw circles of elevation and rays of azimuth, clockwise from the top."""
     circle = np.linspace(0.0, 2.0 * np.pi, 181)
     for elevation_deg in np.arange(lowest_deg, 90.0, 15.0):
         radius = (90.0 - elevation_deg) / (90.0 - lowest_deg)

@@ -22,7 +22,7 @@ from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPr
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 _MOST_SCATTER = np.deg2rad(1.0)
-"""Sightings that scatter more than this about their own fit, rad, are in other units or no sightings at all."""
+"""Scatter of the sightings about their own fit above which they are in other units, or no sightings, rad."""
 
 CALIBRATION = "calibration.yaml"
 WRITTEN = (
@@ -47,10 +47,10 @@ def _parser() -> CommandParser:
         description="Axis errors [arcsec, 1 sigma] of a theodolite from sightings of known directions.",
         epilog=f"columns of the table, all in degrees:\n{columns}\n  {LABEL_COLUMN:26}number or name, optional\n"
         f"  {TIME_COLUMN:26}moment, UTC as POSIX time [s], optional\n"
-        "errors that sightings share, as columns, optional:\n"
-        "  slow_right_arcsec:NAME:T, slow_up_arcsec:NAME:T   what one sigma of the error NAME moves a sighting by;\n"
-        f"{'':28}T is its correlation time [s], inf where it lasts; axis_sightings writes them\n"
-        f"  {', '.join(GROUP_COLUMNS):26}  the base was turned by one error of this sigma, each axis, for a group\n"
+        "errors common to several sightings, as columns, optional:\n"
+        "  slow_right_arcsec:NAME:T, slow_up_arcsec:NAME:T   effect of one sigma of the error NAME on a sighting;\n"
+        f"{'':28}T is its correlation time [s], inf if it is constant; axis_sightings writes them\n"
+        f"  {', '.join(GROUP_COLUMNS):26}  rotation error of the base of this sigma, each axis, for a group\n"
         "A YAML file holds the same names in a list under 'sightings'.\n\n"
         f"terms:\n{terms}\n\n"
         "written: axes.yaml, axes.csv, correlation.csv, residuals.csv, figures as PNG, and calibration.yaml, which\n"
@@ -66,7 +66,7 @@ def _parser() -> CommandParser:
         action="append",
         default=[],
         metavar="TERM[=ARCSEC]",
-        help="do not fit a term, hold it at a value [arcsec, default 0]; may be repeated",
+        help="fix a term at a value [arcsec, default 0]; may be repeated",
     )
     parser.add_argument(
         "--serial", default="", help="serial number of the theodolite, as optical_axis is configured (default: none)"
@@ -77,7 +77,7 @@ def _parser() -> CommandParser:
 
 
 def _fixed(text: str) -> tuple[str, float]:
-    """Name and value (rad) of a term that is held."""
+    """Return name and value (rad) of a fixed term."""
     name, _, value = text.partition("=")
     if name not in NAMES:
         raise argparse.ArgumentTypeError(f"'{name}' is no term: expected one of {', '.join(NAMES)}")
@@ -103,7 +103,7 @@ def _run(options: argparse.Namespace) -> int:
     doubted = doubts(sightings, fixed)
     write_tables(result, sightings, doubted, options.out)
     saved = _calibration(result, sightings, doubted, options)
-    # Loading the figures' library takes longer than the fit: bad input is told before.
+    # Imported late: loading the figures' library takes longer than the fit.
     from theodolite_calib.axis_fit.figures import draw_figures
 
     draw_figures(result, sightings, options.out)
@@ -112,34 +112,34 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _calibration(result: AxisFit, sightings: Sightings, doubted: list[str], options: argparse.Namespace) -> str:
-    """Write the calibration that optical_axis starts from, where the fit gives one; returns what is to be said."""
+    """Write the calibration that optical_axis starts from, if the fit gives one; return the text about it."""
     path = options.out / CALIBRATION
     if doubted or not result.sigmas_known:
-        # A calibration of an earlier table must not pass for one of this table.
+        # A calibration of an earlier table must not be taken for one of this table.
         path.unlink(missing_ok=True)
-        why = "the table is doubtful" if doubted else "no sigma is known"
-        return f"not written: calibration.yaml, for {why}"
+        why = "of the warnings about the table" if doubted else "no sigma is known"
+        return f"not written: calibration.yaml, because {why}"
     CALIBRATION_FILE.save(path, _fitted_calibration(result, sightings.time_s, options.serial))
-    dated = "" if sightings.time_s is not None else f", but old: without {TIME_COLUMN} nothing says its age"
+    dated = "" if sightings.time_s is not None else f", treated as old: without {TIME_COLUMN} its age is unknown"
     return f"calibration.yaml: for the parameter calibration_file of optical_axis, serial '{options.serial}'{dated}"
 
 
 def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFit:
-    """The fit.
+    """Return the fit.
 
     Raises:
-        BadInput: there is nothing to fit, there are too few sightings, or they fit nothing.
+        BadInput: there is nothing to fit, there are too few sightings, or they are inconsistent.
     """
     terms = len(NAMES) - len(fixed)
     if terms == 0:
-        raise BadInput("every term is fixed: nothing is left to fit")
+        raise BadInput("every term is fixed: no term to fit")
     if len(sightings.labels) < terms:
         raise BadInput(f"{len(sightings.labels)} sightings for {terms} terms: expected at least {terms}", file=path)
     fading = any(not math.isinf(error.time_s) for error in sightings.slow_errors)
     if fading and len(sightings.labels) > MOST_SIGHTINGS:
         raise BadInput(
-            f"{len(sightings.labels)} sightings with errors that fade in time: expected at most "
-            f"{MOST_SIGHTINGS}; take every so many",
+            f"{len(sightings.labels)} sightings with errors correlated in time: expected at most "
+            f"{MOST_SIGHTINGS}; use a subset",
             file=path,
         )
     result = fit(sightings, fixed)
@@ -153,14 +153,14 @@ def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFi
 
 
 def _fitted_calibration(fit: AxisFit, time_s: FloatArray | None, serial: str) -> CalibrationPrior:
-    """The calibration from which ``optical_axis`` starts, by a fit whose sigmas are known.
+    """Return the calibration from which ``optical_axis`` starts, from a fit with known sigmas.
 
-    Terms that were held, the focal length and the parallelism have no variance in it: they stay as configured.
+    Fixed terms, the focal length and the parallelism have no variance in it: they stay as configured.
 
     Args:
-        fit: the fit of the sightings.
-        time_s: moments of the sightings, UTC as POSIX time, shape (n,); None where nobody knows them. The calibration
-            then carries the year 1970 and counts as old.
+        fit: fit of the sightings.
+        time_s: times of the sightings, UTC as POSIX time, shape (n,); None if unknown. The calibration then has the
+            year 1970 and counts as old.
         serial: serial number of the theodolite.
     """
     values, covariance = np.zeros(len(SAVED_NAMES)), np.zeros((len(SAVED_NAMES), len(SAVED_NAMES)))

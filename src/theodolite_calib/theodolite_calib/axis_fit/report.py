@@ -1,4 +1,4 @@
-"""What a fit found: in plain words for the terminal, as YAML for programs, as CSV for people's own evaluations."""
+"""Results of a fit: as text for the terminal, as YAML for programs, as CSV for further evaluation."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,16 +25,16 @@ MEANINGS = {
 }
 
 _WIDE_GAP = np.pi / 2.0
-"""Across a wider gap in azimuth the tilt of the vertical axis is told by half of the sky alone, rad."""
+"""Gap in azimuth above which the tilt of the vertical axis is determined by half of the sky alone, rad."""
 
 
 def summary(fit: AxisFit, sightings: Sightings, doubted: list[str]) -> str:
-    """The result in plain words: lines for the terminal, the last without a line break."""
+    """Return the result as text for the terminal, the last line without a line break."""
     lines = [
         *_coverage(sightings),
         _first_row(sightings),
-        *(f"given again, counted once: observation {repeated}" for repeated in sightings.repeated),
-        *(f"doubtful: {text}" for text in doubted),
+        *(f"repeated, counted once: observation {repeated}" for repeated in sightings.repeated),
+        *(f"warning: {text}" for text in doubted),
         "",
         *_terms(fit),
         "",
@@ -61,8 +61,8 @@ def _first_row(sightings: Sightings) -> str:
     azimuth_deg, elevation_deg = (np.rad2deg(angle[0]) for angle in azimuth_and_elevation(sightings.direction_d))
     return (
         f"read: at {np.rad2deg(sightings.azimuth[0]):.5f}, {np.rad2deg(sightings.elevation[0]):.5f} deg by encoder, "
-        f"observation {sightings.labels[0]} truly looked at {azimuth_deg:.5f}, {elevation_deg:.5f} deg. Were both "
-        "offsets of the other sign, all errors would be so too, and no sighting could tell"
+        f"observation {sightings.labels[0]} has the true direction {azimuth_deg:.5f}, {elevation_deg:.5f} deg. If both "
+        "offsets have the wrong sign, all errors have it too, and no sighting can show it"
     )
 
 
@@ -76,23 +76,23 @@ def _terms(fit: AxisFit) -> Iterator[str]:
         yield f"{name:8}  {round(float(value), 2) + 0.0:9.2f} {sigma}   {MEANINGS[name]}"
     if not fit.sigmas_known:
         yield (
-            f"no sigma: the residuals of neighbouring sightings hang together (correlation {fit.neighbours:.2f}), so "
-            "they share errors, and the table does not state them: columns slow_right_arcsec:NAME:T, "
+            f"no sigma: the residuals of neighbouring sightings are correlated ({fit.neighbours:.2f}), so "
+            "they have common errors that the table does not state: columns slow_right_arcsec:NAME:T, "
             "slow_up_arcsec:NAME:T, or group, group_sigma_arcsec"
         )
     elif not np.any(fit.shared):
-        yield "sigma: the sightings count as independent; the table states no error that they share"
+        yield "sigma: the sightings count as independent; the table states no common error"
 
 
 def _residuals(fit: AxisFit) -> Iterator[str]:
     yield f"{'residuals':26}{'RMS':>8} {'median':>8}   [arcsec, angle on the sky]"
     for words, residuals in (
         ("without a model", fit.before),
-        ("of it errors shared", fit.shared),
+        ("of it common errors", fit.shared),
         ("with the fitted terms", fit.residuals),
         ("each left out of its fit", fit.left_out),
     ):
-        if words == "of it errors shared" and not np.any(residuals):
+        if words == "of it common errors" and not np.any(residuals):
             continue
         yield f"{words:26}{rms(residuals) / ARCSEC:8.2f} {float(np.median(sizes(residuals))) / ARCSEC:8.2f}"
     if not np.all(fit.outliers):
@@ -117,18 +117,18 @@ def _told_apart(fit: AxisFit) -> Iterator[str]:
     for combination in poorly_told_apart(fit):
         runs = together(combination.names, np.array(combination.run))
         yield (
-            f"poorly told apart: {', '.join(combination.names)}: {runs} arcsec together (1 sigma) change these "
+            f"poorly separated: {', '.join(combination.names)}: {runs} arcsec together (1 sigma) change these "
             f"sightings by only {combination.effect / ARCSEC:.2g} arcsec"
         )
     found = unobservable(fit)
     if found is not None:
         several = f"{found.count} combinations" if found.count > 1 else "one combination"
         what = f"{several} of {', '.join(found.names)}" if len(found.names) > 1 else found.names[0]
-        yield f"not observable: {what}; left near 0. Fix terms, or sight where they differ"
+        yield f"not observable: {what}; kept near 0. Fix terms, or add sightings where their effects differ"
 
 
 def together(names: tuple[str, ...], run: FloatArray) -> str:
-    """Errors that run together with their sizes: ``c +14.9, I -12.2``."""
+    """Return a text of errors with their joint changes: ``c +14.9, I -12.2``."""
     return ", ".join(f"{name} {value / ARCSEC:+.3g}" for name, value in zip(names, run, strict=True))
 
 
@@ -139,12 +139,12 @@ _RESIDUALS = ("before", "after", "left_out")
 
 
 def write_tables(fit: AxisFit, sightings: Sightings, doubted: list[str], folder: Path) -> list[Path]:
-    """Write every table into a folder that exists; returns the files.
+    """Write every table into an existing folder; return the files.
 
     Args:
-        fit: what was found.
-        sightings: the sightings of the fit.
-        doubted: what speaks against the table as it was read.
+        fit: the fit.
+        sightings: sightings of the fit.
+        doubted: warnings about the table as it was read.
         folder: the folder.
     """
     names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]

@@ -1,17 +1,16 @@
-"""Axis errors of sightings by a robust fit of the exact chain.
+"""Robust fit of the axis errors of sightings, with the exact axis geometry.
 
 Huber's loss of the angle on the sky, r = |residual|, against the scale s (sigma of one component):
 
     rho(r) = r² / 2  for r <= k s,   k s (r - k s / 2)  beyond,   k = 1.345
 
-so that a sighting within 1.3 s counts in full and one far out with the weight k s / r. The loss is convex: with errors
-as small as these there is one minimum, whatever the start. s is the median of r over 1.177, which it is for a normal
-error in two components. Minimised by iteratively reweighted Gauss-Newton steps.
+A sighting within 1.3 s has full weight, and one far out the weight k s / r. The loss is convex: with errors as small as
+these there is one minimum, whatever the start. s is the median of r over 1.177, as for a normal error in two
+components. The loss is minimised by iteratively reweighted Gauss-Newton steps.
 
-Errors that several sightings share (:mod:`theodolite_calib.axis_fit.sightings`) are unknowns beside the axis errors,
-each known to its sigma beforehand; what is left of a sighting is its own error. Where a table states no shared errors,
-the sightings count as independent. The residuals of neighbours tell whether they are: where these are correlated, the
-fit gives no covariance.
+Errors common to several sightings (:mod:`theodolite_calib.axis_fit.sightings`) are further unknowns, each with its
+sigma as prior; the rest of a residual is the sighting's own error. If a table states no common errors, the sightings
+count as independent. If the residuals of neighbours are correlated, they are not, and the fit gives no covariance.
 
 Huber, "Robust Statistics" (1981), ch. 7.
 """
@@ -27,51 +26,50 @@ from theodolite_calib.axis_fit.sightings import Sightings
 from theodolite_calib.chain.axes import NAMES, AxisErrors, main_axis_rotation
 
 HUBER_K = 1.345
-"""Where the loss turns from quadratic to linear, in scales."""
+"""Residual at which the loss changes from quadratic to linear, in scales."""
 
 OUTLIER_AT = 3.5
-"""A sighting is an outlier when it is off by more scales than this: of clean ones two in a thousand are."""
+"""Residual above which a sighting is an outlier, in scales: two in a thousand of clean ones are."""
 
 PRIOR_SIGMAS = np.array([np.pi, np.pi, *[3600.0 * ARCSEC] * 5])
-"""What is known of each error before any sighting, rad: zero points may be anywhere, the others are about a degree.
+"""Prior standard deviation of each error, rad: zero points may have any value, the others are about a degree.
 
-An error that the sightings do not see thereby stays at zero, with a sigma that says so. What they see is not changed.
-"""
+An unobservable error therefore stays at zero, with this sigma. Observable errors are not affected."""
 
 HANG_TOGETHER = 0.3
-"""With this correlation between the residuals of neighbouring sightings, a sigma by independent sightings would be a
-third too small: from here on no sigma is given."""
+"""Correlation between the residuals of neighbouring sightings from which on no sigma is given: a sigma for independent
+sightings would be a third too small."""
 
 _CHANCE_SIGMAS = 3.0
-"""A correlation of so many of its own sigmas may be chance, though the residuals are independent."""
+"""Correlation that may be chance with independent residuals, in its own standard deviations."""
 _MEDIAN_OF_TWO = np.sqrt(2.0 * np.log(2.0))
 """Median length of a vector of two normal components of sigma 1."""
 _LEAST_SCALE = 1e-4 * ARCSEC
-"""No encoder reads finer than this: sightings without any error still have a scale."""
+"""Minimum scale, rad, below the resolution of any encoder, for sightings without any error."""
 _ROUNDING = 1e-12
 _MOST_STEPS = 200
 _STEPS_WITH_NEW_SCALE = 50
-"""After so many steps the scale is held: the problem that remains is convex and must converge."""
+"""Number of steps after which the scale is fixed: the remaining problem is convex and converges."""
 _CONVERGED_SIGMAS = 1e-6
 
 
 @dataclass(frozen=True)
 class AxisFit:
-    """What the sightings say.
+    """Result of a fit.
 
     Attributes:
-        errors: axis errors, rad, also those that were held.
+        errors: axis errors, rad, fixed ones included.
         fitted: names of the fitted errors, in the order of the covariance.
-        covariance: covariance of the fitted errors, rad², shape (k, k). It knows nothing of errors that the sightings
-            share and the table does not state.
+        covariance: covariance of the fitted errors, rad², shape (k, k), without common errors that the table does not
+            state.
         neighbours: correlation between the residuals of neighbouring sightings.
-        sigmas_known: False where that correlation says that the sightings share errors that the table does not state.
-        scale: robust sigma of one component of a sighting, rad: of its own error, not of those that sightings share.
+        sigmas_known: False if that correlation shows common errors that the table does not state.
+        scale: robust sigma of one component of a sighting's own error, rad, without common errors.
         before: residuals without any model, to the right and up, rad, shape (n, 2).
-        shared: what the errors that sightings share are found to move them by, rad, shape (n, 2).
-        residuals: residuals with the fitted model and without the shared errors, rad, shape (n, 2).
-        left_out: residual of each sighting with the model that the others alone give, rad, shape (n, 2).
-        weights: the weight with which each sighting counted, at most 1, shape (n,).
+        shared: estimated effect of the common errors, rad, shape (n, 2).
+        residuals: residuals with the fitted model and without the common errors, rad, shape (n, 2).
+        left_out: residual of each sighting against the fit of the others, rad, shape (n, 2).
+        weights: weight of each sighting, at most 1, shape (n,).
         design: change of direction per fitted error, shape (n, 2, k).
     """
 
@@ -100,12 +98,12 @@ class AxisFit:
 
     @property
     def outliers(self) -> NDArray[np.bool_]:
-        """Which sightings are off by more than :data:`OUTLIER_AT` scales, shape (n,)."""
+        """True for each sighting with a residual of more than :data:`OUTLIER_AT` scales, shape (n,)."""
         return ~(sizes(self.residuals) <= OUTLIER_AT * self.scale)
 
 
 def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
-    """Fit all axis errors but the fixed ones.
+    """Fit all axis errors except the fixed ones.
 
     Args:
         sightings: the sightings, at least as many as there are errors to fit.
@@ -129,7 +127,7 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
         change = root @ (root.T @ gradient)
         vector[free] += change[:terms]
         shared = shared + change[terms:]
-        # A shared error that the residuals show takes a degree of freedom from them, as an axis error does.
+        # An observable common error takes a degree of freedom from the residuals, as an axis error does.
         taken = terms + float(np.sum(1.0 - np.sum(root[terms:] ** 2, axis=1)))
         # The size of the step in sigmas of the result.
         if np.sqrt(gradient @ change) < _CONVERGED_SIGMAS:
@@ -138,18 +136,18 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
 
 
 def sizes(residuals: FloatArray) -> FloatArray:
-    """Angles on the sky of residuals, shape (n,)."""
+    """Return the angles on the sky of residuals, shape (n,)."""
     angles: FloatArray = np.linalg.norm(residuals, axis=-1)
     return angles
 
 
 def rms(residuals: FloatArray) -> float:
-    """Root mean square of the angles on the sky."""
+    """Return the root mean square of the angles on the sky."""
     return float(np.sqrt(np.mean(sizes(residuals) ** 2)))
 
 
 def _start(sightings: Sightings) -> FloatArray:
-    """Where the fit starts: a zero point of the azimuth, which may be anywhere, that fits on the average; else zero."""
+    """Return the initial errors: a mean zero point of the azimuth, which may have any value; else zero."""
     axis_d = main_axis_rotation(AxisErrors(), sightings.azimuth, sightings.elevation)[..., 0]
     seen, true = (d[..., 0] + 1j * d[..., 2] for d in (axis_d, sightings.direction_d))
     return np.array([np.angle(np.sum(seen * np.conj(true))), *[0.0] * (len(NAMES) - 1)])
@@ -157,12 +155,12 @@ def _start(sightings: Sightings) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Problem:
-    """The unknowns: axis errors that are not held, and errors that sightings share, in units of their sigma.
+    """Unknowns: axis errors that are not fixed, and common errors of sightings in units of their sigma.
 
     Attributes:
-        sightings: what is fitted.
-        free: which axis errors are fitted, shape (7,).
-        slow: what the shared errors move the sightings by, shape (n, 2, q).
+        sightings: the sightings.
+        free: True for each fitted axis error, shape (7,).
+        slow: effect of the common errors on the sightings, shape (n, 2, q).
     """
 
     sightings: Sightings
@@ -171,11 +169,11 @@ class _Problem:
 
     @property
     def information(self) -> FloatArray:
-        """What is known of the unknowns beforehand, shape (k + q, k + q)."""
+        """Prior information of the unknowns, shape (k + q, k + q)."""
         return np.diag(np.concatenate([PRIOR_SIGMAS[self.free] ** -2.0, np.ones(self.slow.shape[-1])]))
 
     def linearized(self, vector: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (n, 2), and the model's change by all unknowns, shape (n, 2, k + q)."""
+        """Return residuals (n, 2), and the model's derivative by all unknowns, shape (n, 2, k + q)."""
         residuals, change = self.sightings.linearized(AxisErrors.from_vector(vector))
         return residuals - self.slow @ shared, np.concatenate([change[..., self.free], self.slow], axis=-1)
 
@@ -192,7 +190,7 @@ def _weights(residuals: FloatArray, scale: float) -> FloatArray:
 
 
 def _normal(design: FloatArray, stiffness: FloatArray) -> FloatArray:
-    """Sum of Jᵀ D J, shape (k, k), for a stiffness D per sighting, shape (n, 2, 2)."""
+    """Return the sum of Jᵀ D J, shape (k, k), for a stiffness D per sighting, shape (n, 2, 2)."""
     terms = design.shape[-1]
     normal: FloatArray = design.reshape(-1, terms).T @ (stiffness @ design).reshape(-1, terms)
     return normal
@@ -226,7 +224,7 @@ def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: fl
 
 
 def _neighbours(sightings: Sightings, residuals: FloatArray) -> float:
-    """Correlation between the residuals of neighbours in time, or in the table where that says no time."""
+    """Return the correlation between the residuals of neighbours in time, or in the table without times."""
     if sightings.time_s is not None:
         residuals = residuals[np.argsort(sightings.time_s, kind="stable")]
     squares = float(np.sum(residuals**2))
@@ -236,7 +234,7 @@ def _neighbours(sightings: Sightings, residuals: FloatArray) -> float:
 def _covariance(
     residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray, taken: float
 ) -> FloatArray:
-    """Covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
+    """Return the covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
 
     Beyond k s the loss does not resist a change along the residual; it resists a change across the residual with the
     weight of the sighting. On the average over both it resists with half the weight.
@@ -251,23 +249,23 @@ def _covariance(
 
 
 def _root_of_inverse(seen: FloatArray, information: FloatArray) -> FloatArray:
-    """Root W of (seen + information)⁻¹ = W Wᵀ; what was known beforehand is diagonal."""
+    """Return a root W of (seen + information)⁻¹ = W Wᵀ; the prior information is diagonal."""
     known = 1.0 / np.sqrt(np.diagonal(information))
     values, vectors = np.linalg.eigh(known[:, None] * seen * known + np.eye(len(known)))
-    # In units of what was known beforehand every eigenvalue is 1 or more; rounding may say otherwise.
+    # In units of the prior every eigenvalue is at least 1, except for rounding.
     root: FloatArray = known[:, None] * vectors / np.sqrt(np.maximum(values, 1.0))
     return root
 
 
 def _left_out(residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray) -> FloatArray:
-    """Residual of each sighting when the others alone are fitted, by one Newton step of the loss without it."""
+    """Return the residual of each sighting against the fit of the others, by one Newton step of the loss without it."""
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
     flat = np.where(weights < 1.0, weights, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
     stiffness = weights[:, None, None] * np.eye(2) - flat
     of_one = design @ _root_of_inverse(_normal(design, stiffness), information)
-    # A sighting makes its own residual smaller: without it the residual is stretched.
+    # A sighting reduces its own residual: without it the residual is larger.
     own_pull = of_one @ np.swapaxes(of_one, -1, -2)
     kept = np.eye(2) - stiffness @ own_pull
-    # A residual that one sighting alone determines is zero but for rounding, which must not be stretched.
+    # A residual determined by one sighting alone is zero except for rounding, which must not be enlarged.
     stretched = own_pull @ np.linalg.inv(kept + _ROUNDING * np.eye(2))
     return residuals + (stretched @ (weights[:, None] * residuals)[..., None])[..., 0]

@@ -1,11 +1,11 @@
-"""Sightings from a file: a CSV table, or YAML with the same names under ``sightings``.
+"""Reader of sightings: a CSV table, or YAML with the same names under ``sightings``.
 
-Further columns state the errors that several sightings share. ``slow_right_arcsec:NAME:T`` and
-``slow_up_arcsec:NAME:T`` say what one sigma of the error NAME moves each sighting by; T is its correlation time in
-seconds, ``inf`` where it lasts. ``group`` and ``group_sigma_arcsec`` say that all sightings of a group were taken while
-the base was turned about each of its axes by one error of this size.
+Further columns state the errors common to several sightings. ``slow_right_arcsec:NAME:T`` and ``slow_up_arcsec:NAME:T``
+are the effect of one sigma of the error NAME on each sighting; T is its correlation time in seconds, ``inf`` if it is
+constant. ``group`` and ``group_sigma_arcsec`` state that all sightings of a group were taken with the base rotated
+about each of its axes by one error of this size.
 
-:func:`read_sightings` chooses the reader by the name of the file; every reader gives the same struct.
+:func:`read_sightings` selects the reader by the name of the file; every reader returns the same struct.
 """
 
 import csv
@@ -28,13 +28,13 @@ COLUMNS = {
     "azimuth_offset_deg": "true azimuth minus encoder, not multiplied by cos E",
     "elevation_offset_deg": "true elevation minus encoder",
 }
-"""Columns that must be there, with their meaning."""
+"""Required columns, with their meaning."""
 
 LABEL_COLUMN = "observation"
 """Column with the user's own numbers, optional; without it the rows are numbered from 1."""
 
 TIME_COLUMN = "time_s"
-"""Moment of the sighting, UTC as POSIX time, optional; errors that fade need it."""
+"""Time of the sighting, UTC as POSIX time, optional; errors correlated in time need it."""
 
 GROUP_COLUMNS = ("group", "group_sigma_arcsec")
 
@@ -44,24 +44,24 @@ _YAML_KEY = "sightings"
 
 
 class _Place(NamedTuple):
-    """Where values stand: the file, the line where it is known, and the name of the entry in the file."""
+    """Place of values: the file, the line if it is known, and the name of the entry in the file."""
 
     file: Path
     line: int | None = None
     entry: str = ""
 
     def error(self, reason: str, value: Any = None) -> BadInput:
-        """The error of values that stand here."""
+        """Return the error for values at this place."""
         reason = f"{self.entry}: {reason}" if self.entry else reason
         return BadInput(reason, file=self.file, line=self.line, value=value)
 
 
 _Row = tuple[_Place, Mapping[str, Any]]
-"""Where a row stands, and its values by column."""
+"""Place of a row, and its values by column."""
 
 
 def read_sightings(path: Path) -> Sightings:
-    """The sightings of a file.
+    """Return the sightings of a file.
 
     Raises:
         BadInput: names the file, the row, the column and what was expected.
@@ -88,17 +88,17 @@ def read_sightings(path: Path) -> Sightings:
     time_s = _column(table, TIME_COLUMN, "seconds") if TIME_COLUMN in table[0][1] else None
     slow = (*_slow_errors(path, table), *_group_errors(table, direction_d))
     if time_s is None and not all(np.isinf(error.time_s) for error in slow):
-        raise BadInput(f"columns missing: {TIME_COLUMN}: the table states slow errors that fade in time", file=path)
+        raise BadInput(f"columns missing: {TIME_COLUMN}: required for errors correlated in time", file=path)
     return Sightings(labels, azimuth, elevation, direction_d, time_s, slow, repeated)
 
 
 def slow_column(side: int, name: str, time_s: float) -> str:
-    """Name of the column of a slow error to the right (0) or up (1)."""
+    """Return the name of the column of a correlated error to the right (0) or up (1)."""
     return f"{_SIDES[side]}:{name}:{time_s:g}"
 
 
 def _without_repeats(rows: list[_Row]) -> tuple[list[tuple[int, _Row]], tuple[str, ...]]:
-    """The rows with their numbers, each sighting once, and the labels of the rows that give a sighting again."""
+    """Return the rows with their numbers, each sighting once, and the labels of the rows that repeat a sighting."""
     kept: dict[tuple[str, ...], tuple[int, _Row]] = {}
     repeated = []
     for number, (place, values) in enumerate(rows, start=1):
@@ -117,7 +117,7 @@ def _column(table: list[_Row], column: str, unit: str) -> np.ndarray:
 
 
 def _slow_errors(path: Path, table: list[_Row]) -> Iterator[SharedError]:
-    """The errors that pairs of columns ``slow_right_arcsec:NAME:T``, ``slow_up_arcsec:NAME:T`` state."""
+    """Yield the errors of pairs of columns ``slow_right_arcsec:NAME:T``, ``slow_up_arcsec:NAME:T``."""
     names = [column for column in table[0][1] if str(column).startswith(tuple(f"{side}:" for side in _SIDES))]
     for key in dict.fromkeys(column.split(":", 1)[1] for column in names):
         name, _, time = key.rpartition(":")
@@ -137,7 +137,7 @@ def _slow_errors(path: Path, table: list[_Row]) -> Iterator[SharedError]:
 
 
 def _group_errors(table: list[_Row], direction_d: np.ndarray) -> Iterator[SharedError]:
-    """The errors that the columns of groups state: for each group a turn of the base about each of its axes."""
+    """Yield the errors of the group columns: for each group a rotation of the base about each of its axes."""
     group, sigma = GROUP_COLUMNS
     if group not in table[0][1]:
         return
@@ -201,7 +201,7 @@ def _number(place: _Place, values: Mapping[str, Any], column: str, unit: str) ->
 
 
 def _refuse_radians(path: Path, numbers: np.ndarray) -> None:
-    """Refuse angles that all look like radians: in degrees they would be sightings of one spot near the horizon."""
+    """Refuse angles that all look like radians: in degrees they would be sightings of one point near the horizon."""
     azimuths, elevations = np.abs(numbers[:, 0]), np.abs(numbers[:, 1])
     if np.max(azimuths) <= 2.0 * np.pi and np.max(elevations) <= np.pi:
         raise BadInput(

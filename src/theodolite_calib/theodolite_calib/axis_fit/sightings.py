@@ -1,12 +1,12 @@
-"""Sightings of known directions: how far an axis model misses them, what errors they share, what sky they cover.
+"""Sightings of known directions: residuals of an axis model, common errors, and coverage of the sky.
 
-An error that several sightings share is a Gauss-Markov process of the moment, or a constant where its correlation time
-is infinite. Each of its values moves a sighting by the stated effect, so that two sightings are correlated by
+A common error is a Gauss-Markov process in time, or a constant if its correlation time is infinite. Each of its values
+moves a sighting by the stated effect, so that two sightings have the covariance
 
     sum over the errors of  effect_i effect_jᵀ exp(-|t_i - t_j| / T)
 
-:meth:`Sightings.slow_map` is a root of that covariance: the fit then has these errors as further unknowns, each known
-to 1 beforehand.
+:meth:`Sightings.correlated_map` is a root of that covariance: the fit then has these errors as further unknowns, each
+with a prior variance of 1.
 """
 
 from dataclasses import dataclass
@@ -18,20 +18,21 @@ from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, wrap_pi
 from theodolite_calib.chain.axes import AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
 
 MOST_SIGHTINGS = 1000
-"""Of a table with errors that fade in time: the covariance of all its sightings is decomposed as a whole."""
+"""Maximum number of sightings with errors correlated in time, whose joint covariance is decomposed as a whole."""
 
 _LEAST_EFFECT = 0.1 * ARCSEC
-"""What moves the sightings by less than this in all, rad RMS, is left out of the map: it looks like their own error."""
+"""Minimum effect on the sightings, rad RMS, for a column of the map; smaller ones cannot be separated from their own
+error."""
 
 
 @dataclass(frozen=True)
 class SharedError:
-    """One error that lasts over several sightings.
+    """Error common to several sightings.
 
     Attributes:
         name: name of the error.
         time_s: correlation time, s; infinite for a constant.
-        effect: what one sigma of it moves each sighting by, to the right and up, shape (n, 2), rad.
+        effect: effect of one sigma on each sighting, to the right and up, shape (n, 2), rad.
     """
 
     name: str
@@ -40,11 +41,11 @@ class SharedError:
 
 
 def slow_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, count: int) -> FloatArray:
-    """What independent errors of variance 1 move the sightings by, shape (count, 2, q), rad.
+    """Return the effects of independent errors of variance 1 on the sightings, shape (count, 2, q), rad.
 
     Args:
-        errors: the errors that the sightings share.
-        time_s: moments of the sightings, s, shape (count,); needed only where an error fades.
+        errors: common errors of the sightings.
+        time_s: times of the sightings, s, shape (count,); needed only for errors correlated in time.
         count: number of sightings.
     """
     columns = [error.effect.reshape(2 * count, 1) for error in errors if np.isinf(error.time_s)]
@@ -56,21 +57,21 @@ def slow_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, count: 
 
 
 def _covariance(fading: list[SharedError], time_s: FloatArray) -> FloatArray:
-    """Covariance of the sightings by the fading errors, right and up in turn, shape (2 n, 2 n), rad²."""
+    """Return the covariance of the sightings by errors correlated in time, right and up in turn, (2 n, 2 n), rad²."""
     apart_s = np.abs(np.subtract.outer(time_s, time_s))
     covariance = np.zeros((2 * len(time_s), 2 * len(time_s)))
     for correlation_s, errors in groupby(fading, key=lambda error: error.time_s):
         effects = np.stack([error.effect.ravel() for error in errors], axis=-1)
-        # A correlation time of zero is white: each moment has its own error.
+        # A correlation time of zero is white: each time has its own error.
         kept = np.exp(-apart_s / correlation_s) if correlation_s > 0.0 else (apart_s == 0.0).astype(float)
         covariance += (effects @ effects.T) * np.repeat(np.repeat(kept, 2, axis=0), 2, axis=1)
     return covariance
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """A root of the covariance, without the columns that are too small to see, shape (2 n, q)."""
+    """Return a root of the covariance, without negligible columns, shape (2 n, q)."""
     values, vectors = np.linalg.eigh(covariance)
-    # Eigenvalues rise: the least ones, which together move the sightings too little to count, are left out.
+    # Eigenvalues rise: the least ones, with a negligible joint effect on the sightings, are omitted.
     seen = np.cumsum(np.maximum(values, 0.0)) > _LEAST_EFFECT**2 * len(values)
     root: FloatArray = vectors[:, seen] * np.sqrt(values[seen])
     return root
@@ -78,16 +79,16 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Sightings:
-    """What the encoders said while the optical axis looked in known directions.
+    """Encoder readings for known directions of the optical axis.
 
     Attributes:
         labels: name of each sighting, as its user numbers them.
         azimuth: reading of the azimuth encoder, rad, shape (n,).
-        elevation: reading of the elevation encoder, beyond the zenith where the telescope is plunged, rad, shape (n,).
-        direction_d: where the optical axis truly looked, unit vectors in the base's frame, shape (n, 3).
-        time_s: moment of each, s, UTC as POSIX time or from any other start, shape (n,); None where nothing says it.
-        slow_errors: errors of the directions that several sightings share.
-        repeated: labels of rows that gave a sighting again; every sighting counts once.
+        elevation: reading of the elevation encoder, beyond the zenith if the telescope is plunged, rad, shape (n,).
+        direction_d: true direction of the optical axis, unit vectors in the base's frame, shape (n, 3).
+        time_s: time of each, s, UTC as POSIX time or from any other start, shape (n,); None if unknown.
+        slow_errors: errors of the directions common to several sightings.
+        repeated: labels of rows that repeat a sighting; every sighting counts once.
     """
 
     labels: tuple[str, ...]
@@ -99,23 +100,23 @@ class Sightings:
     repeated: tuple[str, ...] = ()
 
     def slow_map(self) -> FloatArray:
-        """What independent errors of variance 1 move the sightings by, shape (n, 2, q), rad."""
+        """Return the effects of independent errors of variance 1 on the sightings, shape (n, 2, q), rad."""
         return slow_map(self.slow_errors, self.time_s, len(self.labels))
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """True azimuth and elevation minus the encoders', on the face that they were taken on, shape (n,) each, rad."""
+        """Return true azimuth and elevation minus the encoders', on the face of the reading, shape (n,) each, rad."""
         plain, over = (encoder_angles(AxisErrors(), self.direction_d, plunged=plunged) for plunged in (False, True))
         is_over = np.cos(self.elevation) < 0.0
         azimuth, elevation = (np.where(is_over, *pair) for pair in zip(over, plain, strict=True))
         return wrap_pi(azimuth - self.azimuth), wrap_pi(elevation - self.elevation)
 
     def residuals(self, errors: AxisErrors) -> FloatArray:
-        """True direction minus the model's, as angles to the right and up on the sky, shape (n, 2), rad."""
+        """Return true direction minus the model's, as angles to the right and up on the sky, shape (n, 2), rad."""
         model_d = main_axis_rotation(errors, self.azimuth, self.elevation)[..., 0]
         return _on_the_sky(self.direction_d, model_d)
 
     def linearized(self, errors: AxisErrors) -> tuple[FloatArray, FloatArray]:
-        """Residuals (n, 2), and the model's change to the right and up per axis error, shape (n, 2, 7)."""
+        """Return residuals (n, 2), and the model's derivative to the right and up per axis error, shape (n, 2, 7)."""
         axis = main_axis(errors, self.azimuth, self.elevation)
         model_d = axis.rotation_dm[..., 0]
         change = right_and_up(self.direction_d) @ direction_change(model_d, axis.by_error)
@@ -123,12 +124,12 @@ class Sightings:
 
 
 def directions(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Unit vectors (bow, up, starboard) of azimuth and elevation, shape (..., 3)."""
+    """Return unit vectors (bow, up, starboard) of azimuth and elevation, shape (..., 3)."""
     return main_axis_rotation(AxisErrors(), azimuth, elevation)[..., 0]
 
 
 def _on_the_sky(true_d: FloatArray, model_d: FloatArray) -> FloatArray:
-    """Angle from the model's to the true direction, resolved to the right and up."""
+    """Return the angle from the model's to the true direction, resolved to the right and up."""
     sines = -(right_and_up(true_d) @ model_d[..., None])[..., 0]
     sine = np.linalg.norm(sines, axis=-1)
     angle = angle_between(true_d, model_d)
@@ -136,7 +137,7 @@ def _on_the_sky(true_d: FloatArray, model_d: FloatArray) -> FloatArray:
 
 
 def right_and_up(direction_d: FloatArray) -> FloatArray:
-    """Unit vectors to the right (horizontal) and up, across a direction, shape (..., 2, 3)."""
+    """Return unit vectors to the right (horizontal) and up, across a direction, shape (..., 2, 3)."""
     azimuth = np.arctan2(direction_d[..., 2], direction_d[..., 0])
     zero = np.zeros_like(azimuth)
     right = np.stack([-np.sin(azimuth), zero, np.cos(azimuth)], axis=-1)
@@ -145,13 +146,13 @@ def right_and_up(direction_d: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Where the sightings lie.
+    """Coverage of the sky by the sightings.
 
     Attributes:
         count: number of sightings.
-        plunged: number of those with the telescope tipped over the zenith.
+        plunged: number of those with the telescope beyond the zenith.
         elevations: least and greatest true elevation, rad.
-        azimuth_gap: the widest range of azimuth without a sighting, (from, to) clockwise, rad.
+        azimuth_gap: widest range of azimuth without a sighting, (from, to) clockwise, rad.
     """
 
     count: int
@@ -161,13 +162,13 @@ class Coverage:
 
     @property
     def azimuth_gap_width(self) -> float:
-        """Width of the gap, in (0, 2 pi], rad: the whole round where all sightings have one azimuth."""
+        """Width of the gap, in (0, 2 pi], rad: the full circle if all sightings have one azimuth."""
         width = (self.azimuth_gap[1] - self.azimuth_gap[0]) % (2.0 * np.pi)
         return width if width > 0.0 else 2.0 * np.pi
 
 
 def coverage(sightings: Sightings) -> Coverage:
-    """Where the sightings lie; there must be at least one."""
+    """Return the coverage of the sky by the sightings, at least one."""
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
     ordered = np.sort(azimuth)
     following = np.roll(ordered, -1)
@@ -181,6 +182,6 @@ def coverage(sightings: Sightings) -> Coverage:
 
 
 def azimuth_and_elevation(direction_d: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Azimuth in [0, 2 pi) and elevation of unit vectors, shape (n,), rad."""
+    """Return azimuth in [0, 2 pi) and elevation of unit vectors, shape (n,), rad."""
     azimuth = np.arctan2(direction_d[..., 2], direction_d[..., 0]) % (2.0 * np.pi)
     return azimuth, np.arctan2(direction_d[..., 1], np.hypot(direction_d[..., 0], direction_d[..., 2]))

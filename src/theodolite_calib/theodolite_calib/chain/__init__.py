@@ -1,5 +1,5 @@
-"""The axes of the theodolite: from the ship's attitude and the encoders to the main axis and the telescope, and back.
+"""Axis geometry of the theodolite: main axis and telescope from the ship's attitude and the encoders, and the inverse.
 
-The room holds exact geometry without any configuration, so that the simulation can build on it too. It imports
+The room holds exact geometry without any configuration, so that the simulation can use it too. It imports
 ``ship_geometry`` alone.
 """

@@ -1,12 +1,12 @@
-"""The axes of a theodolite: encoder angles to the main axis in the deck and in the horizon, exact, and back.
+"""Axis geometry of a theodolite: encoder angles to the main axis in the deck and in the horizon, exact, and inverse.
 
 In the deck it is the exact form of [W18] (1)(2). Main frame m is (optical axis, up, right), deck d is (bow, up,
 starboard):
 
     rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
 
-T turns about the horizontal rotation vector (βy, 0, -βx) with βx = βm cos Am, βy = βm sin Am: regular at βm = 0.
-In the horizon, with a the ship's error and e the deformation:
+T rotates about the horizontal rotation vector (βy, 0, -βx) with βx = βm cos Am, βy = βm sin Am: regular at βm = 0. In
+the horizon, with a the ship's error and e the deformation:
 
     rotation_nm = exp(a) R_ship · exp(e) · rotation_dm
 
@@ -36,9 +36,9 @@ class AxisErrors:
     Attributes:
         g: zero point of the azimuth encoder; the axis points at A - g.
         h: zero point of the elevation encoder; the axis points at E - h.
-        c: collimation: the optical axis looks so far to the left of the normal to the horizontal axis.
+        c: collimation: angle of the optical axis to the left of the normal to the horizontal axis.
         I: tilt of the horizontal axis against the normal to the vertical axis, its right end up.
-        beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers what is pointed at over the bow.
+        beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers the axis when pointing over the bow.
         beta_y: tilt of the vertical axis towards starboard, βm sin Am.
         flexure: bending of the tube; it raises the axis by flexure · cos E.
     """
@@ -53,17 +53,17 @@ class AxisErrors:
 
     @classmethod
     def from_vector(cls, vector: FloatArray) -> "AxisErrors":
-        """Errors of a vector in the order of :data:`NAMES`, shape (..., 7)."""
+        """Return the errors of a vector in the order of :data:`NAMES`, shape (..., 7)."""
         vector = np.asarray(vector, dtype=float)
         return cls(*(vector.tolist() if vector.ndim == 1 else np.moveaxis(vector, -1, 0)))
 
     def vector(self) -> FloatArray:
-        """The errors in the order of :data:`NAMES`, shape (..., 7)."""
+        """Return the errors in the order of :data:`NAMES`, shape (..., 7)."""
         return np.stack(np.broadcast_arrays(*astuple(self)), axis=-1)
 
     @cached_property
     def rotation_of_tilt(self) -> FloatArray:
-        """T, the turn of the vertical axis, shape (..., 3, 3)."""
+        """Rotation T of the vertical axis, shape (..., 3, 3)."""
         return exp_rotation(_tilt_vector(self))
 
     @cached_property
@@ -81,7 +81,7 @@ _AZIMUTH, _ELEVATION = range(2)
 
 @dataclass(frozen=True)
 class MainAxis:
-    """The main frame in the deck, and how errors turn it to first order: rotation vector in the deck, rad per rad.
+    """Main frame in the deck, and its first-order derivatives: rotation vector in the deck, rad per rad.
 
     Attributes:
         rotation_dm: shape (..., 3, 3); its first column is the optical axis.
@@ -95,7 +95,7 @@ class MainAxis:
 
 
 def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
-    """Main frame with its Jacobians. An encoder error counts like a change of the encoder's angle."""
+    """Return the main frame with its Jacobians. An encoder error acts like a change of the encoder's angle."""
     rotation_dx = errors.rotation_of_tilt @ _about_vertical_and_horizontal(errors, azimuth)
     rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
     cosine, sine = _cos_sin(elevation)
@@ -117,20 +117,20 @@ def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
 
 
 def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> FloatArray:
-    """Rotation "deck from main frame", shape (..., 3, 3), without the Jacobians."""
+    """Return "deck from main frame", shape (..., 3, 3), without the Jacobians."""
     rotation_dx = errors.rotation_of_tilt @ _about_vertical_and_horizontal(errors, azimuth)
     return rotation_dx @ _about_elevation_and_collimation(errors, elevation)
 
 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
-    """Change of a direction (..., 3) that turns with a frame, shape (..., 3, n), from the frame's rotation vectors."""
+    """Return the derivative of a direction (..., 3) that rotates with a frame, shape (..., 3, n)."""
     return -skew(direction) @ by_rotation
 
 
 SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), slice(13, 14)
-"""The errors of the chain in one vector: rotation vector a of the ship's error in n, rad; rotation vector e of the
-deformation in d, rad; the errors of the axes in the order of :data:`NAMES`; and the ship's time: the sample of her
-attitude is valid so much later than it was taken to be, s."""
+"""Slices of the errors of the axis geometry in one vector: rotation vector a of the ship's error in n, rad; rotation
+vector e of the deformation in d, rad; the axis errors in the order of :data:`NAMES`; and the ship's time offset, by
+which the sample of her attitude is valid later than assumed, s."""
 
 CHAIN_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
 """States of a filter that turn the main axis, each with its columns and in their order."""
@@ -138,14 +138,14 @@ CHAIN_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES,
 
 @dataclass(frozen=True)
 class AxisChain:
-    """The main axis at one moment.
+    """Axis geometry at one time.
 
     Attributes:
         rotation_nd: horizon from deck, corrected, shape (3, 3).
         rotation_dm: deck from main frame, deformation included, shape (3, 3).
         rotation_nm: horizon from main frame, shape (3, 3).
-        by_error: rotation vector of the main frame in n per error, shape (3, 14); the columns are
-            :data:`SHIP`, :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
+        by_error: rotation vector of the main frame in n per error, shape (3, 14); the columns are :data:`SHIP`,
+            :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
         by_encoder: the same per encoder angle (azimuth, elevation), shape (3, 2).
     """
 
@@ -159,14 +159,14 @@ class AxisChain:
 def axis_chain(
     errors: FloatArray, rotation_nd: FloatArray, rate_d: FloatArray, azimuth: float, elevation: float
 ) -> AxisChain:
-    """The main axis by a measured attitude of the ship and the encoders.
+    """Return the axis geometry from a measured attitude of the ship and the encoders.
 
     Args:
-        errors: as now known, shape (14,).
-        rotation_nd: measured attitude of the deck at the moment, shape (3, 3).
+        errors: estimated errors, shape (14,).
+        rotation_nd: measured attitude of the deck at that time, shape (3, 3).
         rate_d: its angular velocity, rad/s, shape (3,).
-        azimuth: of the encoder, rad.
-        elevation: of the encoder, rad.
+        azimuth: encoder azimuth, rad.
+        elevation: encoder elevation, rad.
     """
     found = compiled_mounts.chains(errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]]))
     return AxisChain(*(of_all[0] for of_all in found))
@@ -175,10 +175,10 @@ def axis_chain(
 def encoder_angles(
     errors: AxisErrors, direction_d: FloatArray, *, plunged: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Encoder angles at which the optical axis looks along a direction.
+    """Return the encoder angles at which the optical axis has a given direction.
 
-    Two pairs do: the ordinary one, and the plunged one with the telescope tipped over the zenith and the azimuth about
-    half a turn away. The axes do not reach directions closer to the vertical axis than about c + I: no pair does there.
+    Two pairs exist: the ordinary one, and the plunged one with the telescope beyond the zenith and the azimuth about
+    half a turn away. Directions closer to the vertical axis than about c + I cannot be reached: no pair exists there.
 
     Args:
         errors: axis errors.
@@ -207,7 +207,7 @@ def encoder_angles(
 
 
 def _elevation_before_flexure(errors: AxisErrors, raised: FloatArray) -> FloatArray:
-    """Encoder elevation E with E - h + f cos E = ``raised``, by Newton's method."""
+    """Return the encoder elevation E with E - h + f cos E = ``raised``, by Newton's method."""
     elevation = raised + errors.h
     for _ in range(_FLEXURE_STEPS):
         excess = elevation - errors.h + errors.flexure * np.cos(elevation) - raised
@@ -225,14 +225,14 @@ def _tilt_vector(errors: AxisErrors) -> FloatArray:
 
 
 def _about_vertical_and_horizontal(errors: AxisErrors, azimuth: Angle) -> FloatArray:
-    """Ry(A - g) · Rx(I), multiplied out."""
+    """Return Ry(A - g) · Rx(I), multiplied out."""
     ca, sa = _cos_sin(azimuth - errors.g)
     ci, si = _cos_sin(errors.I)
     return _matrix([ca, sa * si, -sa * ci, 0.0, ci, si, sa, -ca * si, ca * ci])
 
 
 def _about_elevation_and_collimation(errors: AxisErrors, elevation: Angle) -> FloatArray:
-    """Rz(-(E - h + f cos E)) · Ry(-c), multiplied out."""
+    """Return Rz(-(E - h + f cos E)) · Ry(-c), multiplied out."""
     cosine, _ = _cos_sin(elevation)
     ce, se = _cos_sin(elevation - errors.h + errors.flexure * cosine)
     cc, sc = _cos_sin(errors.c)
@@ -240,14 +240,14 @@ def _about_elevation_and_collimation(errors: AxisErrors, elevation: Angle) -> Fl
 
 
 def _cos_sin(angle: Angle) -> tuple[Angle, Angle]:
-    """Cosine and sine. A live node has single angles: these take several times longer through arrays."""
+    """Return cosine and sine; single angles of a live node avoid the several times slower arrays."""
     if isinstance(angle, float):
         return math.cos(angle), math.sin(angle)
     return np.cos(angle), np.sin(angle)
 
 
 def _matrix(elements: list[Angle]) -> FloatArray:
-    """Matrix of nine elements, row by row, shape (..., 3, 3)."""
+    """Return the matrix of nine elements, row by row, shape (..., 3, 3)."""
     if all(isinstance(element, float) for element in elements):
         return np.array(elements).reshape(3, 3)
     stacked = np.stack(np.broadcast_arrays(*elements), axis=-1)
@@ -255,5 +255,5 @@ def _matrix(elements: list[Angle]) -> FloatArray:
 
 
 def _column(factor: Angle) -> FloatArray:
-    """A factor for each rotation, shape (...), as a factor for each vector, shape (..., 1)."""
+    """Return a factor for each rotation, shape (...), as a factor for each vector, shape (..., 1)."""
     return np.asarray(factor)[..., None]

@@ -1,4 +1,4 @@
-"""The calibration telescope and the main axis that it is fixed to: the attitude of the one by that of the other.
+"""Parallelism of calibration telescope and main axis: attitude of the telescope from that of the main axis.
 
     rotation_nm = rotation_nt · R(ΔA, ΔE, Δω)
 
@@ -11,7 +11,7 @@ from ship_geometry.rotations import FloatArray
 
 
 def telescope_from_main(parallelism: FloatArray, rotation_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The telescope's attitude by that of the main axis.
+    """Return the telescope's attitude from that of the main axis.
 
     Args:
         parallelism: azimuth, elevation and rotation of the main axis in the telescope, rad, shape (3,).

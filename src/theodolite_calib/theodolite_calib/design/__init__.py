@@ -1,5 +1,5 @@
-"""The study before the voyage: how well lights on drones will tell where the theodolite points, and what that rests on.
+"""Study before the voyage: accuracy of the pointing from beacons on drones, and its contributions.
 
-The accuracies are those of ``escort``: the calibration filter's own model. The room imports ``escort``, ``filter``,
-``config`` and below, and what writes files.
+The accuracies are those of ``escort``, from the calibration filter's own model. The room imports ``escort``,
+``filter``, ``config`` and below, and the modules that write files.
 """

@@ -1,6 +1,6 @@
-"""What a design study is asked: a theodolite with its drones, where it points, and where the lights are.
+"""Configuration of a design study: a theodolite with its drones, its pointing, and the positions of the beacons.
 
-The keys under ``optical_axis`` are those of the node ``optical_axis``: a design found good here is copied there.
+The keys under ``optical_axis`` are those of the node ``optical_axis``, so that a good design can be copied there.
 """
 
 import re
@@ -37,13 +37,13 @@ W18: dict[str, Any] = {
         "b": {"right_deg": -2.0, "up_deg": -3.0, "distance_m": 2000.0},
     },
 }
-"""[W18]'s simulation: 100 mm ± 0.1 mm, a tenth of 6.5 µm, 2.7 cm an axis, 2″ of refraction at each light at 2 km, and
-nothing known but by the lights. The study where no file is named."""
+"""Simulation of [W18]: 100 mm ± 0.1 mm, a tenth of 6.5 µm, 2.7 cm per axis, 2″ of refraction at each beacon at 2 km,
+and no other information. It is the study if no file is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightPlace:
-    """Where a light is, seen along the telescope's axis, as in the flight of a scenario."""
+    """Position of a beacon relative to the telescope's axis, as in the flight of a scenario."""
 
     right_deg: float = parameter(doc="to the right of the axis", unit="deg", minimum=-60.0, maximum=60.0)
     up_deg: float = parameter(doc="above the axis", unit="deg", minimum=-60.0, maximum=60.0)
@@ -52,16 +52,16 @@ class LightPlace:
 
 @dataclass(frozen=True, kw_only=True)
 class DesignStudyConfig:
-    """A design study."""
+    """Design study."""
 
     azimuth_deg: float = parameter(
-        90.0, doc="where the theodolite points, from the bow", unit="deg", minimum=-360.0, maximum=360.0
+        90.0, doc="azimuth of the pointing, from the bow", unit="deg", minimum=-360.0, maximum=360.0
     )
     elevation_deg: float = parameter(
-        30.0, doc="where it points, over the horizon of a level ship", unit="deg", minimum=-10.0, maximum=89.0
+        30.0, doc="elevation of the pointing, over the horizon of a level ship", unit="deg", minimum=-10.0, maximum=89.0
     )
     ship_heading_sigma_arcsec: float = arcsec(
-        2.0, doc="error of ship/attitude about Up; not where ins/imu is the source"
+        2.0, doc="error of ship/attitude about Up; unused with ins/imu as the source"
     )
     ship_tilt_sigma_arcsec: float = arcsec(1.5, doc="the same about North and about East")
     pixel_pitch_m: float = parameter(
@@ -71,28 +71,28 @@ class DesignStudyConfig:
         0.1, doc="error of a light's image, each axis", unit="px", minimum=1e-3, maximum=10.0
     )
     required_arcsec: float = parameter(
-        0.0, doc="error of the pointing on the sky that the lights as given must not exceed; 0 asks for none",
+        0.0, doc="required error of the pointing on the sky with the given lights; 0: none",
         unit="arcsec", minimum=0.0, maximum=36_000.0,
     )  # fmt: skip
-    lights: dict[str, LightPlace] = mapping_of("where the lights are, by the names of optical_axis.beacons")
+    lights: dict[str, LightPlace] = mapping_of("positions of the lights, by the names of optical_axis.beacons")
     optical_axis: OpticalAxisConfig = section(OpticalAxisConfig)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the N lights."""
+        """Names of the N beacons."""
         return tuple(self.lights)
 
     def beside(self) -> FloatArray:
-        """Tangents of the lights' angles to the right of the axis and above it, shape (N, 2)."""
+        """Return the tangents of the beacons' angles to the right of the axis and above it, shape (N, 2)."""
         return np.tan(np.deg2rad([[light.right_deg, light.up_deg] for light in self.lights.values()]))
 
     def distances_m(self) -> FloatArray:
-        """From the theodolite, shape (N,)."""
+        """Return the distances from the theodolite, shape (N,)."""
         return np.array([light.distance_m for light in self.lights.values()])
 
 
 def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
-    """A checked study.
+    """Return a checked study.
 
     Raises:
         ParameterError: names the parameter and what is allowed.
@@ -103,7 +103,7 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
         raise _in_study(error) from error
     lights, beacons = set(config.lights), set(config.optical_axis.beacons)
     if not beacons:
-        raise ParameterError("parameter 'optical_axis.beacons': expected a drone or more", "optical_axis.beacons")
+        raise ParameterError("parameter 'optical_axis.beacons': expected at least one drone", "optical_axis.beacons")
     for name in sorted(beacons):
         if not _NAME.fullmatch(name):
             reason = "the name of a drone is letters, digits and _, a letter first"
@@ -122,7 +122,7 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
     telescope = values.get("optical_axis", {}).get("telescope", {})
     if "sigma_m" in telescope:
         raise ParameterError(
-            "parameter 'optical_axis.telescope.sigma_m': it is pixel_pitch_m times centroid_sigma_px: take it out",
+            "parameter 'optical_axis.telescope.sigma_m': remove it; it is pixel_pitch_m times centroid_sigma_px",
             "optical_axis.telescope.sigma_m",
         )
     image_sigma_m = config.pixel_pitch_m * config.centroid_sigma_px
@@ -138,7 +138,7 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
 
 
 def _in_study(error: ParameterError) -> ParameterError:
-    """The error with the place of its parameters in the study: the node's own checks name them as in the node."""
+    """Return the error with its parameters named as in the study; the node's own checks name them as in the node."""
     own = {field.name for field in fields(DesignStudyConfig)}
     if any(name.split(".")[0] in own for name in error.parameters):
         return error
@@ -147,5 +147,5 @@ def _in_study(error: ParameterError) -> ParameterError:
 
 
 def with_image_sigma(config: OpticalAxisConfig, sigma_m: float) -> OpticalAxisConfig:
-    """The node's configuration with another error of the lights' images."""
+    """Return the node's configuration with another error of the beacons' images."""
     return replace(config, telescope=replace(config.telescope, sigma_m=sigma_m))

@@ -1,4 +1,4 @@
-"""``design_study``: how well lights on drones will tell where the theodolite points, as one page and tables."""
+"""``design_study``: accuracy of the pointing from beacons on drones, as one page and tables."""
 
 import argparse
 import sys
@@ -29,18 +29,18 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="design_study",
         example="./ros2run theodolite_calib design_study design.yaml --out study",
-        description="Study before the voyage how well the lights of drones will tell where the theodolite points: "
-        "error [arcsec, 1 sigma, on the sky] by source, the best places for the drones within limits, and the error "
+        description="Accuracy of the theodolite's pointing from the lights of drones, before the voyage: "
+        "error [arcsec, 1 sigma, on the sky] by source, best positions of the drones within limits, and the error "
         "over distance [m] and separation [deg] of the lights, focal length [m], pixel [m], and the errors of lever, "
         "RTK and N' [m]. Writes design_study.html (one file with everything), PNG and CSV.",
-        epilog="DESIGN.yaml, every key with a default but those shown with dots:\n"
-        "  azimuth_deg: 90.0, elevation_deg: 30.0          where it points, from the bow, over the horizon\n"
+        epilog="DESIGN.yaml; keys shown with dots have no default:\n"
+        "  azimuth_deg: 90.0, elevation_deg: 30.0          of the pointing, from the bow, over the horizon\n"
         "  ship_heading_sigma_arcsec: 2.0, ship_tilt_sigma_arcsec: 1.5    error of ship/attitude\n"
         "  pixel_pitch_m: 6.5e-6, centroid_sigma_px: 0.1   of the telescope's detector, of a light's image\n"
-        "  required_arcsec: 0.0                            what the lights as given must reach; 0: nothing\n"
-        "  lights: {a: {right_deg: ..., up_deg: ..., distance_m: ...}}    seen along the telescope's axis\n"
+        "  required_arcsec: 0.0                            required error with the given lights; 0: none\n"
+        "  lights: {a: {right_deg: ..., up_deg: ..., distance_m: ...}}    relative to the telescope's axis\n"
         "  optical_axis: {...}     parameters of the node optical_axis, beacons and the limits escort.* among them\n"
-        "\nexit code: 0 written; 1 written, but the lights as given do not reach required_arcsec; 2 bad input or "
+        "\nexit code: 0 written; 1 written, but the given lights exceed required_arcsec; 2 bad input or "
         "usage; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -60,7 +60,7 @@ def _run(options: argparse.Namespace) -> int:
     computed = _study(options)
     options.out.mkdir(parents=True, exist_ok=True)
     write_tables(computed, options.out)
-    # Loading the figures' library takes longer than reading the file: bad input is told before.
+    # Imported late: loading the figures' library takes longer than the report of bad input.
     from theodolite_calib.design.figures import draw_figures
     from theodolite_calib.design.page import page_text
 
@@ -72,7 +72,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _study(options: argparse.Namespace) -> DesignStudy:
-    """The study of the file named, or of [W18]'s values.
+    """Return the study of the given file, or of [W18]'s values.
 
     Raises:
         BadInput: names the file, the line, the parameter and what was expected; or what cannot be written.
@@ -87,13 +87,13 @@ def _study(options: argparse.Namespace) -> DesignStudy:
 
 
 def written() -> list[str]:
-    """Names of all files written."""
+    """Return the names of all files written."""
     return [PAGE, *TABLES, *(f"{figure}.png" for figure in FIGURES)]
 
 
 def _summary(computed: DesignStudy, page: Path) -> str:
     lines = [f"{'':28}{'azimuth cos E':>14}{'elevation':>12}{'on the sky':>12}   [arcsec, 1 sigma]"]
-    for words, sigmas in (("lights as given", computed.given_arcsec), ("at the best places", computed.advised_arcsec)):
+    for words, sigmas in (("given lights", computed.given_arcsec), ("best positions", computed.advised_arcsec)):
         azimuth, elevation, on_sky = sigmas
         lines.append(f"{words:28}{azimuth:14.2f}{elevation:12.2f}{on_sky:12.2f}")
     lines.append(f"{'encoders and ship alone':28}{'':26}{computed.unaided_arcsec:12.2f}")
@@ -101,7 +101,7 @@ def _summary(computed: DesignStudy, page: Path) -> str:
     if reached:
         lines.append(f"limits reached: {'; '.join(reached)}")
     if not computed.meets_requirement:
-        lines.append(f"required: {computed.config.required_arcsec:g} arcsec on the sky, which the lights do not reach")
+        lines.append(f"required {computed.config.required_arcsec:g} arcsec on the sky: not met")
     return "\n".join([*lines, f"page: {page}"]) + "\n"
 
 
@@ -109,7 +109,7 @@ _SIGMAS = ("azimuth_cos_elevation_arcsec", "elevation_arcsec", "on_sky_arcsec")
 
 
 def write_tables(study: DesignStudy, folder: Path) -> list[Path]:
-    """Write every table into a folder that exists; returns the files."""
+    """Write every table into an existing folder; return the files."""
     place = ("right_deg", "up_deg", "distance_m", "east_m", "north_m", "up_m")
     tables = {
         "places.csv": (("places", "beacon", *place, "limits_reached"), _places(study)),

@@ -1,4 +1,4 @@
-"""The figures of a design study. Only the command imports this module: matplotlib loads long."""
+"""Figures of a design study. Only the command imports this module, because matplotlib takes long to load."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,13 +15,13 @@ from theodolite_calib.design.study import DesignStudy, Sweep
 _GIVEN, _BEST = "#0b3c6f", "#c1440e"
 _COLUMNS = 2
 _FINE, _COARSE, _WIDE = (1.0, 2.0, 5.0), (1.0, 3.0), 100.0
-"""Labels of a decade; where an axis reaches so far that the former would meet one another, the latter."""
+"""Labels of a decade, fine and coarse; coarse ones are used if an axis spans more than the ratio."""
 _HIGHEST = 8.0
-"""The axis of errors ends at so many times the error as given: beyond it the design is another one."""
+"""Upper end of the error axis in multiples of the given design's error."""
 
 
 def draw_figures(study: DesignStudy, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into a folder that exists; returns the files by the figures' names."""
+    """Draw every figure as PNG into an existing folder; return the files by the figures' names."""
     return write_figures(_figures(study), folder)
 
 
@@ -31,13 +31,13 @@ def _figures(study: DesignStudy) -> Iterator[tuple[str, Figure]]:
 
 
 def _field_figure(study: DesignStudy) -> Figure:
-    """The field of the telescope with the lights."""
+    """Return the figure of the beacons in the telescope's field."""
     figure, axes = plt.subplots(figsize=(6.2, 6.8), layout="constrained")
     radius = study.config.optical_axis.escort.field_deg
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     axes.plot(radius * np.cos(turn), radius * np.sin(turn), color="0.5", lw=1, label="field")
     axes.plot(0.0, 0.0, "+", color="0.3", ms=12)
-    kinds = (("as given", _GIVEN, "o", "bottom"), ("best places", _BEST, "^", "top"))
+    kinds = (("as given", _GIVEN, "o", "bottom"), ("best positions", _BEST, "^", "top"))
     for (words, colour, mark, side), places_deg, distances_m in zip(
         kinds, study.places_deg, study.distances_m, strict=True
     ):
@@ -70,9 +70,9 @@ def _sweeps_figure(study: DesignStudy) -> Figure:
 
 def _draw_sweep(axes: Axes, sweep: Sweep, study: DesignStudy) -> None:
     given_arcsec, required_arcsec = study.given_arcsec[2], study.config.required_arcsec
-    axes.loglog(sweep.values, sweep.sigma_arcsec, color=_GIVEN, lw=2, label="lights as given")
+    axes.loglog(sweep.values, sweep.sigma_arcsec, color=_GIVEN, lw=2, label="given lights")
     asked = np.isfinite(sweep.best_arcsec)
-    axes.loglog(sweep.values[asked], sweep.best_arcsec[asked], "^", color=_BEST, label="at the best places")
+    axes.loglog(sweep.values[asked], sweep.best_arcsec[asked], "^", color=_BEST, label="best positions")
     if sweep.given > 0.0:
         axes.plot(sweep.given, given_arcsec, "o", color=_GIVEN, ms=8, label="this design")
     if required_arcsec > 0.0:

@@ -1,4 +1,4 @@
-"""The design study as one self-contained HTML page: plain words, tables, embedded figures."""
+"""Design study as one self-contained HTML page: text, tables, embedded figures."""
 
 from collections.abc import Mapping
 from html import escape
@@ -13,16 +13,16 @@ from ship_node.documents.html_page import STYLE, arcsec_texts, image, table
 from theodolite_calib.design.study import DesignStudy
 
 _WORTH_MOVING = 0.05
-"""Where other places gain less than this share of the error, what else the flight needs decides."""
+"""Relative gain below which other positions are reported as a small improvement."""
 _COMPONENTS = ("azimuth · cos E [″]", "elevation [″]", "on the sky [″]")
 
 
 def page_text(study: DesignStudy, figures: Mapping[str, Path], title: str) -> str:
-    """The page.
+    """Return the page.
 
     Args:
-        study: the study that the page shows.
-        figures: the PNG files by name; the page embeds them.
+        study: the study to show.
+        figures: PNG files by name, which the page embeds.
         title: title of the study, for the heading.
     """
     template = Template(resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
@@ -50,26 +50,26 @@ def _result(study: DesignStudy) -> str:
         word = "is met" if study.meets_requirement else "is <b>not</b> met"
         verdict = f" The {required_arcsec:g}″ required {word}."
     return (
-        f"The lights as given tell the pointing to <b>{on_sky:.2f}″</b> on the sky ({azimuth:.2f}″ in azimuth · cos E, "
-        f"{elevation:.2f}″ in elevation); encoders and ship alone give {study.unaided_arcsec:.3g}″. The largest share "
-        f"is {_words(largest.source)} with {largest.given_arcsec[2]:.2f}″.{verdict}"
+        f"The given lights give the pointing to <b>{on_sky:.2f}″</b> on the sky ({azimuth:.2f}″ in azimuth · cos E, "
+        f"{elevation:.2f}″ in elevation); encoders and ship alone give {study.unaided_arcsec:.3g}″. The largest error "
+        f"source is {_words(largest.source)} with {largest.given_arcsec[2]:.2f}″.{verdict}"
     )
 
 
 def _advice(study: DesignStudy) -> str:
     reached = "; ".join(study.advice.limits_reached)
     if not np.isfinite(study.advice.sigma_advised):
-        return f"<p>Within the limits there is no place for the drones: {escape(reached)} leaves none.</p>"
+        return f"<p>No position of the drones is within the limits: {escape(reached)} leaves none.</p>"
     given, best = study.given_arcsec[2], study.advised_arcsec[2]
     gain = 1.0 - best / given
     if gain < 0.0:
-        words = "The lights as given are better: they are beyond the limits of escort."
+        words = "The given lights are better: they are beyond the limits of escort."
     elif gain < _WORTH_MOVING:
-        words = f"The gain of {100.0 * gain:.1f} % is small: what else the flight needs may decide."
+        words = f"The improvement of {100.0 * gain:.1f} % is small: other needs of the flight may decide."
     else:
-        words = f"Flying there takes {100.0 * gain:.0f} % off the error."
+        words = f"They reduce the error by {100.0 * gain:.0f} %."
     limits = f" Limits reached: {escape(reached)}." if reached else ""
-    return f"<p>The best places within the limits give <b>{best:.2f}″</b>. {words}{limits}</p>"
+    return f"<p>The best positions within the limits give <b>{best:.2f}″</b>. {words}{limits}</p>"
 
 
 def _places_table(study: DesignStudy) -> str:

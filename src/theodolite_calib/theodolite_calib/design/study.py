@@ -1,7 +1,7 @@
-"""All numbers of a design study in one place; tables, figures and page show them.
+"""Numbers of a design study, for its tables, figures and page.
 
-Each sweep changes one quantity and leaves the rest: of the lights as given, and of the lights at the best places within
-the limits of ``escort``, which move with it.
+Each sweep changes one quantity and keeps the others: for the given beacons, and for the beacons at the best positions
+within the limits of ``escort``, which move with it.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -20,25 +20,25 @@ from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 COUNT = 25
-"""Values of a sweep."""
+"""Number of values of a sweep."""
 BEST_EVERY = 4
-"""At every so many of them the best places are looked for, too: that takes longer."""
+"""Step of the values for which the best positions are computed, which takes longer."""
 _FACTORS = np.geomspace(0.2, 5.0, COUNT)
 _SURVEY_M = np.geomspace(1e-3, 0.2, COUNT)
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """The error of the pointing while one quantity of the design changes.
+    """Error of the pointing as a function of one quantity of the design.
 
     Attributes:
-        name: of the quantity.
-        label: of its axis in a figure.
-        unit: of its values.
+        name: name of the quantity.
+        label: label of its axis in a figure.
+        unit: unit of its values.
         values: shape (n,).
-        given: the value of the study.
-        sigma_arcsec: of the pointing on the sky by the lights as given, shape (n,); NaN where they cannot be so.
-        best_arcsec: by the lights at the best places within the limits, shape (n,); NaN where that was not asked.
+        given: value of the study.
+        sigma_arcsec: error of the pointing on the sky with the given beacons, shape (n,); NaN if they are impossible.
+        best_arcsec: error with the beacons at the best positions within the limits, shape (n,); NaN if not computed.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class SourceSigma:
-    """What a source of error does to the pointing, arcsec: azimuth times cos E, elevation, on the sky, shape (3,)."""
+    """Error of the pointing by one source, arcsec: azimuth times cos E, elevation, on the sky, shape (3,)."""
 
     source: str
     given_arcsec: FloatArray
@@ -61,19 +61,20 @@ class SourceSigma:
 
 @dataclass(frozen=True)
 class DesignStudy:
-    """A design and everything said about it.
+    """Design and its results.
 
     Attributes:
-        config: what was asked.
-        given_n: places of the lights as given, from the ship's antenna (N, U, E), m, shape (N, 3).
-        given_arcsec: error of the pointing by azimuth times cos E, by elevation and on the sky, shape (3,).
-        unaided_arcsec: on the sky, by encoders and ship alone.
-        advice: the best places within the limits, and the accuracy there.
-        advised_arcsec: as ``given_arcsec``; NaN where no place is within the limits.
-        budget: both by source; the root sum of squares of a column is the error.
-        sweeps: over the quantities of the design.
-        places_deg: the lights to the right of the axis and above it, as given and as advised, shape (2, N, 2).
-        distances_m: of these from the theodolite, shape (2, N).
+        config: configuration of the study.
+        given_n: positions of the given beacons, from the ship's antenna (N, U, E), m, shape (N, 3).
+        given_arcsec: error of the pointing in azimuth times cos E, in elevation and on the sky, shape (3,).
+        unaided_arcsec: error on the sky by encoders and ship alone.
+        advice: best positions within the limits, and the accuracy there.
+        advised_arcsec: as ``given_arcsec``; NaN if no position is within the limits.
+        budget: both errors by source; the root sum of squares of a column is the error.
+        sweeps: sweeps over the quantities of the design.
+        places_deg: angles of the beacons to the right of the axis and above it, as given and as advised, shape (2, N,
+            2).
+        distances_m: their distances from the theodolite, shape (2, N).
     """
 
     config: DesignStudyConfig
@@ -89,13 +90,13 @@ class DesignStudy:
 
     @property
     def meets_requirement(self) -> bool:
-        """Whether the lights as given are good enough; also where nothing is required."""
+        """True if the given beacons meet the requirement, or nothing is required."""
         required_arcsec = self.config.required_arcsec
         return required_arcsec == 0.0 or bool(self.given_arcsec[2] <= required_arcsec)
 
 
 def study(config: DesignStudyConfig) -> DesignStudy:
-    """All numbers of a study."""
+    """Return all numbers of a study."""
     design = _Design(config, config.optical_axis)
     given_n = design.lights_n(config.beside(), config.distances_m())
     advice = design.advice()
@@ -131,7 +132,7 @@ def _total(columns: Iterable[FloatArray]) -> FloatArray:
 
 
 class _Design:
-    """A theodolite of a study that points where the study says, on a level ship that heads North.
+    """Theodolite of a study with the study's pointing, on a level ship that heads North.
 
     Args:
         config: the study.
@@ -151,14 +152,14 @@ class _Design:
         self.accuracy = LightsAccuracy(node, CalibrationFilter(node), ship, encoder)
 
     def lights_n(self, beside: FloatArray, distances_m: FloatArray) -> FloatArray:
-        """Places of lights (N, U, E), m, shape (N, 3), by the tangents of their angles from the axis, shape (N, 2)."""
+        """Return beacon positions (N, U, E), m, shape (N, 3), from tangents of their angles from the axis, (N, 2)."""
         path_t = np.column_stack([np.ones(len(beside)), beside[:, 1], beside[:, 0]])
         path_t *= (distances_m / np.linalg.norm(path_t, axis=1))[:, None]
         places_n: FloatArray = self.accuracy.centre_n + path_t @ self.accuracy.rotation_nt.T
         return places_n
 
     def seen(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Angles of places to the right of the axis and above it, deg, shape (N, 2), and their distances, m, (N,)."""
+        """Return the angles of positions right of the axis and above it, deg, (N, 2), and their distances, m, (N,)."""
         path_t = (places_n - self.accuracy.centre_n) @ self.accuracy.rotation_nt
         beside_deg: FloatArray = np.rad2deg(np.arctan2(path_t[:, [2, 1]], path_t[:, :1]))
         return beside_deg, np.linalg.norm(path_t, axis=1)
@@ -167,10 +168,10 @@ class _Design:
         return advise(self._node.escort, self.accuracy, self._config.names, {})
 
     def sigmas_arcsec(self, covariance_n: FloatArray) -> FloatArray:
-        """Of the pointing by azimuth times cos E, by elevation, and on the sky, shape (3,)."""
+        """Return the error of the pointing in azimuth times cos E, in elevation, and on the sky, shape (3,)."""
         rotation_nm = self.accuracy.rotation_nm
         variances = np.diagonal(rotation_nm.T @ covariance_n @ rotation_nm)[1:]
-        # What a source that does nothing leaves of rounding may be below zero.
+        # Rounding may leave a negative variance for a source without effect.
         variances = np.maximum(variances, 0.0)
         sigmas: FloatArray = np.sqrt(np.append(variances, variances.sum())) / ARCSEC
         return sigmas
@@ -272,14 +273,14 @@ def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
 
 
 def _at_range(escort: EscortConfig, range_m: float) -> EscortConfig:
-    """Limits that allow one range alone; drones as far apart as they can be where the limit asks for more."""
+    """Return limits that allow one range alone; a separation that is not possible there is reduced."""
     widest_m = 2.0 * range_m * float(np.sin(np.deg2rad(escort.field_deg)))
     separation_m = min(escort.separation_min_m, 0.999 * widest_m)
     return replace(escort, range_min_m=range_m, range_max_m=range_m, separation_min_m=separation_m)
 
 
 def _with_rtk(node: OpticalAxisConfig, factor: float) -> OpticalAxisConfig:
-    """All errors of RTK times a factor."""
+    """Return a configuration with all errors of RTK times a factor."""
     beacons = {
         name: replace(
             beacon,
@@ -292,22 +293,22 @@ def _with_rtk(node: OpticalAxisConfig, factor: float) -> OpticalAxisConfig:
 
 
 def _separation_deg(beside: FloatArray) -> float:
-    """The widest angle between any two lights, by the tangents of their angles from the axis."""
+    """Return the widest angle between any two beacons, from the tangents of their angles from the axis."""
     path_t = np.column_stack([np.ones(len(beside)), beside[:, 1], beside[:, 0]])
     return float(np.rad2deg(np.max(angle_between(path_t[:, None], path_t))))
 
 
 def _factor_in_field(beside: FloatArray, middle: FloatArray, field: float) -> float:
-    """How often lights can be as far from their middle as they are, until the first leaves the field.
+    """Return the factor on the beacons' distances from their middle at which the first leaves the field.
 
     Args:
-        beside: tangents of the lights' angles from the axis, shape (N, 2), within the field.
+        beside: tangents of the beacons' angles from the axis, shape (N, 2), within the field.
         middle: their mean, shape (2,).
         field: tangent of the radius of the field.
     """
     away = beside - middle
     squared, across = np.sum(away**2, axis=1), away @ middle
-    # |middle + k away| = field, of which the greater root is asked; a light at the middle never leaves it.
+    # |middle + k away| = field, greater root; a beacon at the middle never leaves the field.
     moving = squared > 0.0
     squared, across = squared[moving], across[moving]
     roots = (np.sqrt(across**2 + squared * (field**2 - middle @ middle)) - across) / squared

@@ -1,5 +1,5 @@
-"""Where the drones should fly: places with the best pointing within limits, and the accuracy that they bring.
+"""Advised positions of the drones: best pointing within limits, and the accuracy there.
 
-The room asks the model of the calibration filter what lights at a place are worth, and has no error model of its own.
-It imports ``filter``, ``measured``, ``lights``, ``config`` and below.
+The room uses the model of the calibration filter and has no error model of its own. It imports ``filter``,
+``measured``, ``lights``, ``config`` and below.
 """

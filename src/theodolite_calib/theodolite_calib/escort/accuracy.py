@@ -1,15 +1,15 @@
-"""What lights at given places are worth to the pointing: the calibration filter's own model, before anything is seen.
+"""Accuracy of the pointing with beacons at given positions, from the calibration filter's model before any sighting.
 
-The filter's first update by one sighting is computed, without its residual: covariance P of all states as configured,
-with the ship's attitude as it is stated at the moment, Jacobian H and noise R of the sighting
-(:mod:`theodolite_calib.filter.prediction`). With T the turn of the main axis per state the pointing has
+The filter's first update by one sighting is computed, without its residual. P is the configured covariance of states,
+with the ship's attitude as stated at that time, H and R are Jacobian and noise of the sighting
+(:mod:`theodolite_calib.filter.prediction`). With T the rotation of the main axis per state, the pointing has
 
     C = T (P - P Hᵀ (H P Hᵀ + R/n)⁻¹ H P) Tᵀ + noise of the encoders and of the ship at a reading
 
 where n is the number of exposures over which white errors are averaged (``escort.exposures``).
 
-What the filter has learned from the lights already has no part in it. Errors of lights that have been watched for long
-are known in part, and from there every move looks like a gain: an advice by the present covariance would never settle.
+Previous updates of the filter are not used. Errors of beacons that have been observed for long are partly known, and
+from there every move looks like a gain: advice from the present covariance would never settle.
 """
 
 from collections.abc import Mapping
@@ -31,16 +31,16 @@ _ANYWHERE_M = 1000.0
 
 
 class LightsAccuracy:
-    """Accuracy of the pointing by lights at places, for one pose of ship and theodolite.
+    """Accuracy of the pointing with beacons at given positions, for one pose of ship and theodolite.
 
     Args:
-        config: the node's parameters.
-        filter_: the filter of that configuration.
-        ship: the ship's attitude.
-        encoder: the encoders.
-        mean: what is known of the errors; none where it is not given. Shape (n,).
-        baseline_noise_n: covariance of what is new in each baseline, m², shape (3, 3), by the drone's name; where a
-            drone is missing, the configured noise.
+        config: parameters of the node.
+        filter_: filter of that configuration.
+        ship: ship's attitude.
+        encoder: encoders.
+        mean: estimated errors, shape (n,); zero if not given.
+        baseline_noise_n: covariance of the white error of each baseline, m², shape (3, 3), by the drone's name; the
+            configured noise for missing drones.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (3, 3).
@@ -66,7 +66,7 @@ class LightsAccuracy:
         self._parts, self._covariance = start.parts, start.covariance
         self._parallelism = filter_.model.slices["parallelism"]
         self.centre_n: FloatArray = ship.rotation_nd @ config.lever.vector_m
-        # The pose of telescope and main axis does not depend on where a light is.
+        # The pose of telescope and main axis does not depend on the position of a beacon.
         anywhere_n = self.centre_n + np.array([[_ANYWHERE_M, 0.0, 0.0]])
         posed = self._predict(tuple(config.beacons)[:1], anywhere_n)
         self.rotation_nt = posed.rotation_nt
@@ -76,11 +76,11 @@ class LightsAccuracy:
         self._without_lights_n = main @ self._covariance @ main.T + by_noise_n
 
     def sigma(self, names: tuple[str, ...], places_n: FloatArray) -> float:
-        """Standard deviation of the pointing on the sky, both components together, rad; NaN where a light is behind.
+        """Return the standard deviation of the pointing on the sky, both components, rad; NaN for a beacon behind it.
 
         Args:
-            names: of N lights; none where the encoders and the ship alone point.
-            places_n: of the drones' antennas from the ship's antenna (N, U, E), m, shape (N, 3).
+            names: names of N beacons; none for encoders and ship alone.
+            places_n: drones' antennas from the ship's antenna (N, U, E), m, shape (N, 3).
         """
         if not names:
             return self._on_sky(self._without_lights_n)
@@ -96,10 +96,10 @@ class LightsAccuracy:
         return self._on_sky(main @ self._covariance @ main.T - learned + by_noise_n)
 
     def budget(self, names: tuple[str, ...], places_n: FloatArray) -> dict[str, FloatArray]:
-        """The pointing's covariance by source, rotation vector in n, rad², shape (3, 3) each; their sum is the whole.
+        """Return the pointing's covariance by source, rotation vector in n, rad², shape (3, 3) each.
 
         Args:
-            names: of N lights, one at least.
+            names: names of N beacons, at least one.
             places_n: as in :meth:`sigma`.
         """
         model = self._filter.model
@@ -125,9 +125,9 @@ class LightsAccuracy:
         return self._filter.sightings.predict(self._mean, sighting)
 
     def _main_axis(self, prediction: Prediction) -> tuple[FloatArray, FloatArray]:
-        """Turn of the main axis per state, shape (3, n), and its noise at a reading, rad², shape (3, 3)."""
+        """Return the rotation of the main axis per state, shape (3, n), and its noise at a reading, rad², (3, 3)."""
         turn_n = prediction.turn_n.copy()
-        # How the main axis lies in the telescope turns the telescope, not the main axis.
+        # The parallelism rotates the telescope, not the main axis.
         turn_n[:, self._parallelism] = 0.0
         return turn_n, sum(prediction.noise_n.values(), np.zeros((3, 3)))
 

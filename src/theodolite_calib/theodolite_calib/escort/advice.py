@@ -1,8 +1,9 @@
-"""The advice: for each drone the place with the best pointing that the limits allow.
+"""Advice for the drones: the positions with the best pointing within the limits.
 
-The standard deviation of the pointing is smooth over the box of allowed places (:mod:`theodolite_calib.escort.places`).
-From the best of some spread-out beginnings it is followed down with SLSQP; of all places that were looked at the best
-that keeps the drones apart is taken. What lies on the box meets the other limits, so no step can leave them.
+The standard deviation of the pointing is smooth over the box of allowed positions
+(:mod:`theodolite_calib.escort.places`). It is minimised with SLSQP from the best of some distributed starting points.
+The result is the best evaluated position that keeps the drones apart. Positions in the box meet the other limits by
+construction.
 """
 
 from collections.abc import Iterator
@@ -17,9 +18,9 @@ from theodolite_calib.escort.accuracy import LightsAccuracy
 from theodolite_calib.escort.places import AllowedPlaces
 
 _FOLLOWED = 2
-"""So many of the beginnings are followed down."""
+"""Number of starting points that are refined."""
 _ENOUGH = 0.005
-"""Places at hand that lose less than this share against the best are kept: no drone flies for so little."""
+"""Relative loss of the previous positions up to which they are kept: no drone moves for so little."""
 _RANGES = (0.0, 0.35, 0.7, 1.0)
 _ORIENTATIONS = (0.0, 0.25, 0.5, 0.75)
 _TOLERANCE = 1e-4
@@ -28,14 +29,14 @@ _MOST_STEPS = 40
 
 @dataclass(frozen=True)
 class EscortAdvice:
-    """Where the drones should fly; NaN where no place is within the limits.
+    """Advised positions of the drones; NaN if no position is within the limits.
 
     Attributes:
-        names: of the N drones.
-        places_n: of their antennas from the ship's antenna (N, U, E), m, shape (N, 3).
-        sigma_now: of the pointing on the sky by the lights that are in the field now, rad.
-        sigma_advised: by the lights at the places advised, rad.
-        limits_reached: at which the places are; or the limit that leaves none.
+        names: names of the N drones.
+        places_n: their antennas from the ship's antenna (N, U, E), m, shape (N, 3).
+        sigma_now: standard deviation of the pointing on the sky with the beacons now in the field, rad.
+        sigma_advised: the same with the beacons at the advised positions, rad.
+        limits_reached: limits reached by the positions; or the limit that leaves none.
     """
 
     names: tuple[str, ...]
@@ -52,14 +53,14 @@ def advise(
     now_n: dict[str, FloatArray],
     keep_n: FloatArray | None = None,
 ) -> EscortAdvice:
-    """The best places for the drones.
+    """Return the best positions for the drones.
 
     Args:
-        limits: within which they may fly.
-        accuracy: of the pointing by lights at places.
-        names: of the drones, one at least.
-        now_n: where drones are now, from the ship's antenna (N, U, E), m, shape (3,), as far as is known.
-        keep_n: places that stay advised as long as no others are better by half a percent, shape (N, 3).
+        limits: limits of the positions.
+        accuracy: accuracy of the pointing with beacons at given positions.
+        names: names of the drones, at least one.
+        now_n: known present positions of the drones, from the ship's antenna (N, U, E), m, shape (3,).
+        keep_n: previous positions, kept as long as no others are better by half a percent, shape (N, 3).
     """
     allowed = AllowedPlaces.around(limits, accuracy.centre_n, accuracy.rotation_nt)
     seen = {name: place_n for name, place_n in now_n.items() if allowed.in_field(place_n)}
@@ -84,16 +85,16 @@ def _none(names: tuple[str, ...], sigma_now: float, limit: str) -> EscortAdvice:
 
 
 class _Search:
-    """The search for the best places, which remembers the best that it has seen.
+    """Search for the best positions; the best evaluated one is stored.
 
     Args:
-        allowed: places.
-        accuracy: of the pointing by lights at places.
-        names: of the drones.
+        allowed: allowed positions.
+        accuracy: accuracy of the pointing with beacons at given positions.
+        names: names of the drones.
 
     Attributes:
         best: least standard deviation of the pointing so far, rad; infinite before the first.
-        best_box: where that is, shape (N, 3); None before the first.
+        best_box: its box coordinates, shape (N, 3); None before the first.
     """
 
     def __init__(self, allowed: AllowedPlaces, accuracy: LightsAccuracy, names: tuple[str, ...]) -> None:
@@ -102,7 +103,7 @@ class _Search:
         self.best_box: FloatArray | None = None
 
     def run(self, first: FloatArray | None) -> None:
-        """Look for the best places; ``first`` is one beginning, shape (N, 3)."""
+        """Search for the best positions; ``first`` is an additional starting point, shape (N, 3)."""
         begun = [] if first is None else [first]
         begun += list(_beginnings(len(self._names)))
         valued = sorted((self.value(box), number) for number, box in enumerate(begun))
@@ -111,7 +112,7 @@ class _Search:
             self._follow(begun[number], scale)
 
     def value(self, box: FloatArray) -> float:
-        """Standard deviation at places; infinite where the drones are too near to each other."""
+        """Return the standard deviation at box coordinates; infinite if the drones are too close together."""
         places_n = self._allowed.places_n(box)
         if not np.all(self._allowed.apart_m(places_n) >= self._allowed.limits.separation_min_m):
             return float("inf")
@@ -124,7 +125,7 @@ class _Search:
         return sigma
 
     def _follow(self, begun: FloatArray, scale: float) -> None:
-        """Go down from a beginning; a step may bring drones too near to each other, but nothing there is remembered."""
+        """Refine a starting point; steps may bring drones too close together, but such positions are not stored."""
         shape, least_m = begun.shape, self._allowed.limits.separation_min_m
 
         def value(flat: FloatArray) -> float:
@@ -150,7 +151,7 @@ class _Search:
 
 
 def _beginnings(count: int) -> Iterator[FloatArray]:
-    """Boxes of N places: around the field in some orientations, on its upper or lower edge, at some ranges."""
+    """Yield boxes of N positions: around the field in some orientations, on its upper or lower edge, at some ranges."""
     numbers = np.arange(float(count))
     for share in _RANGES:
         ranges = np.full(count, share)
@@ -165,7 +166,7 @@ def _beginnings(count: int) -> Iterator[FloatArray]:
 
 
 def _around(numbers: FloatArray, orientation: float, ranges: FloatArray) -> FloatArray:
-    """Places evenly around the edge of the field."""
+    """Return positions evenly around the edge of the field."""
     angle = np.pi * orientation + 2.0 * np.pi * numbers / len(numbers)
     # On the edge the azimuth is at one end or the other of what is allowed at an elevation.
     side = np.where(np.abs(np.cos(angle)) < 1e-9, 0.5, (np.cos(angle) > 0.0).astype(float))

@@ -1,9 +1,9 @@
-"""All places that the limits allow a drone, as a box of three numbers between 0 and 1.
+"""Positions of a drone within the limits, as a box of three coordinates between 0 and 1.
 
-Seen from the theodolite a place has a range, an elevation e and an azimuth A + α, with A and E those of the telescope's
-axis. It is in a field of the radius f where cos f ≤ sin e sin E + cos e cos E cos α. So the elevations allowed are an
-interval, and at each of them the azimuths are another one: the limits on range, elevation and field are met by
-construction. The separation of drones is left, and is compared.
+Seen from the theodolite a position has a range, an elevation e and an azimuth A + α, with A and E those of the
+telescope's axis. It is in a field of the radius f if cos f ≤ sin e sin E + cos e cos E cos α. The allowed elevations
+are therefore an interval, and at each of them the allowed azimuths are another one: the limits on range, elevation and
+field are met by construction. The separation of the drones remains to be checked.
 """
 
 from dataclasses import dataclass
@@ -15,25 +15,25 @@ from ship_geometry.rotations import FloatArray, angle_between
 from theodolite_calib.config import EscortConfig
 
 _INSIDE = 1e-9
-"""The box keeps this share of each limit free, so that no rounding leads beyond it."""
+"""Margin of the box at each limit, as a ratio, against rounding."""
 _AT_LIMIT = 1e-3
-"""A coordinate of the box so near to its end is at the limit."""
+"""Distance of a box coordinate from its end up to which it is at the limit."""
 _POLE = 1e-12
 _NEAREST_M = 1.0
-"""What is nearer to the theodolite is on board: no light in the field."""
+"""Minimum range of a beacon, m: anything closer is on board."""
 
 
 @dataclass(frozen=True)
 class AllowedPlaces:
-    """The places that the limits allow a drone while the telescope points where it points.
+    """Positions that the limits allow a drone for one direction of the telescope.
 
     Attributes:
         limits: as configured.
         centre_n: from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
-        azimuth: of the telescope's axis in the horizon, rad.
-        elevation: of it, rad.
-        least_elevation: of a drone, by limit and field, rad.
-        greatest_elevation: of a drone, rad; less than the least one where no place is allowed.
+        azimuth: azimuth of the telescope's axis in the horizon, rad.
+        elevation: its elevation, rad.
+        least_elevation: least elevation of a drone, by limit and field, rad.
+        greatest_elevation: greatest elevation of a drone, rad; less than the least one if no position is allowed.
     """
 
     limits: EscortConfig
@@ -45,7 +45,7 @@ class AllowedPlaces:
 
     @classmethod
     def around(cls, limits: EscortConfig, centre_n: FloatArray, rotation_nt: FloatArray) -> "AllowedPlaces":
-        """The places around a telescope's axis.
+        """Return the positions around a telescope's axis.
 
         Args:
             limits: as configured.
@@ -60,14 +60,14 @@ class AllowedPlaces:
 
     @property
     def limit_missed(self) -> str:
-        """The limit of elevation that leaves no place in the field; empty where there are places."""
+        """Elevation limit that leaves no position in the field; empty if there are positions."""
         if self.least_elevation <= self.greatest_elevation:
             return ""
         low = self.elevation < np.deg2rad(self.limits.elevation_min_deg)
         return "elevation_min_deg" if low else "elevation_max_deg"
 
     def places_n(self, box: FloatArray) -> FloatArray:
-        """Places from the ship's antenna (N, U, E), m, shape (..., 3).
+        """Return positions from the ship's antenna (N, U, E), m, shape (..., 3).
 
         Args:
             box: share of elevation, azimuth and range between their limits, each from 0 to 1, shape (..., 3).
@@ -83,7 +83,7 @@ class AllowedPlaces:
         return places_n
 
     def nearest_box(self, places_n: FloatArray) -> FloatArray:
-        """The box coordinates of places, each taken to the limit that it does not meet, shape (N, 3)."""
+        """Return the box coordinates of positions, clipped to the limits, shape (N, 3)."""
         path_n = places_n - self.centre_n
         range_m, elevation = self._seen(places_n)
         range_m = np.clip(range_m, self.limits.range_min_m, self.limits.range_max_m)
@@ -102,20 +102,20 @@ class AllowedPlaces:
         return nearest
 
     def in_field(self, place_n: FloatArray) -> bool:
-        """Whether a light at a place (N, U, E), m, shape (3,), is in the field of the telescope."""
+        """True if a beacon at a position (N, U, E), m, shape (3,), is in the field of the telescope."""
         range_m, _ = self._seen(place_n[None])
         if not range_m[0] >= _NEAREST_M:
             return False
         return bool(self._off_axis(place_n[None])[0] <= np.deg2rad(self.limits.field_deg))
 
     def apart_m(self, places_n: FloatArray) -> FloatArray:
-        """Distance of each two drones, m, shape (N (N - 1) / 2,)."""
+        """Return the distance between each two drones, m, shape (N (N - 1) / 2,)."""
         first, second = np.triu_indices(len(places_n), k=1)
         apart_m: FloatArray = np.linalg.norm(places_n[first] - places_n[second], axis=-1)
         return apart_m
 
     def limits_reached(self, names: tuple[str, ...], places_n: FloatArray) -> list[str]:
-        """Which limits places are at, as ``name: parameter``, and ``name, name: parameter`` for the separation."""
+        """Return the limits that positions reach: ``name: parameter``; for separations ``name, name: parameter``."""
         limits = self.limits
         (range_m, elevation), off = self._seen(places_n), self._off_axis(places_n)
         field = np.deg2rad(limits.field_deg)
@@ -136,19 +136,19 @@ class AllowedPlaces:
         return reached
 
     def _seen(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Range of places, m, and their elevation, rad, shape (N,) each."""
+        """Return the range of positions, m, and their elevation, rad, shape (N,) each."""
         path_n = places_n - self.centre_n
         range_m = np.linalg.norm(path_n, axis=-1)
         elevation = np.arctan2(path_n[:, 1], np.hypot(path_n[:, 0], path_n[:, 2]))
         return range_m, elevation
 
     def _off_axis(self, places_n: FloatArray) -> FloatArray:
-        """Angles of places from the telescope's axis, rad, shape (N,)."""
+        """Return the angles of positions from the telescope's axis, rad, shape (N,)."""
         axis_n = rotation_from_angles(self.azimuth, self.elevation, 0.0)[:, 0]
         return angle_between(places_n - self.centre_n, axis_n)
 
     def _half_width(self, elevation: FloatArray) -> FloatArray:
-        """Greatest azimuth of a place from the axis at an elevation, rad."""
+        """Return the greatest azimuth of a position from the axis at an elevation, rad."""
         field = np.deg2rad(self.limits.field_deg) * (1.0 - _INSIDE)
         # cos f = cos(e - E) - cos e cos E (1 - cos α), solved for α by half angles: exact for small fields too.
         room = np.sin(0.5 * (field - elevation + self.elevation)) * np.sin(0.5 * (field + elevation - self.elevation))
@@ -158,6 +158,6 @@ class AllowedPlaces:
 
 
 def _share(part: FloatArray, whole: FloatArray | float) -> FloatArray:
-    """Part of a whole; nought of nothing."""
+    """Return the ratio of a part to the whole; 0 for a whole of 0."""
     share: FloatArray = part / np.where(np.asarray(whole) == 0.0, np.inf, whole)
     return share

@@ -1,4 +1,4 @@
-"""The calibration filter: its states, what they predict of a sighting, which sightings are used, and what stays open.
+"""Calibration filter: its states, the prediction of a sighting, gate, update, fault detection and observability.
 
-Nothing here knows of time order or of samples that arrive late. The room may import ``measured`` and the rooms below.
+Nothing here handles time order or late samples. The room may import ``measured`` and the rooms below.
 """

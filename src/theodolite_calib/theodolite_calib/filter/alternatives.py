@@ -1,12 +1,12 @@
-"""The estimates that do without one source each, beside the estimate by all of them.
+"""Subfilters of the theodolite: each estimate leaves out one source.
 
-One row for each source but the telescope: to the lights its knock is what a slip of the encoders is, and the estimate
-before it goes on. A row without a drone gives its light no weight. A row without the encoders, or without the
-ship's attitude, lets their error change by an unknown amount before every sighting: what they say of the turn from one
-sighting to the next is used, or there would be no pointing between them. A source that is excluded is left out of every
-row.
+There is one subfilter for each source except the telescope. A mounting shift of the telescope has the same effect on
+beacons as a slip of the encoders, and is handled by the estimate before it. A subfilter without a drone gives no weight
+to its beacon. A subfilter without the encoders, or without the ship's attitude, adds an unknown change of their error
+before every sighting. It still uses the rotation that they measure between sightings, because there would be no
+pointing without it. An excluded source is left out of every subfilter.
 
-The rows have no error budget: their covariance is one matrix, and a sighting changes all of them in one step.
+Subfilters have no error budget: each covariance is one matrix, and one sighting updates all subfilters in one step.
 """
 
 from collections.abc import Set
@@ -31,24 +31,24 @@ ENCODER = "encoder"
 SHIP = "ship_attitude"
 TELESCOPE = "telescope"
 CHAIN = frozenset({ENCODER, SHIP, TELESCOPE})
-"""What leads from the horizon to the telescope."""
+"""Sources that lead from the horizon to the telescope."""
 
 _UNKNOWN = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
-"""Standard deviation of the unknown change of an error from one sighting to the next: of encoders that stood still
-while the axis turned; of a ship's attitude that crept away, for its rates tell a larger step; of a telescope that was
-knocked on the main axis."""
+"""Standard deviation of the unknown change of an error between two sightings, rad: encoders that stood still while the
+axis turned; a ship's attitude that drifted (its rates reveal a larger step); a telescope that shifted on the main
+axis."""
 _ONLY_SOURCE = 0
 
 
 @dataclass(frozen=True)
 class Alternatives:
-    """The estimates without one source each; h rows of n states.
+    """Estimates without one source each; h subfilters of n states.
 
     Attributes:
-        time_ns: moment of all of them; None before the first sighting.
+        time_ns: time of all estimates; None before the first sighting.
         mean: shape (h, n).
-        parts: covariance, as the only part of itself, shape (h, 1, n, n).
-        ship_steady_n: stated covariance that the ship's error follows, rad², shape (3, 3); None where none is stated.
+        parts: covariance, with a single source, shape (h, 1, n, n).
+        ship_steady_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
     """
 
     time_ns: int | None
@@ -59,13 +59,13 @@ class Alternatives:
 
 @dataclass(frozen=True)
 class RowsSeen:
-    """What the rows see of one sighting.
+    """Innovations of one sighting in the subfilters; h subfilters, l beacons.
 
     Attributes:
-        accepted: whether what each row uses of it passes the gate, shape (h,).
-        light_nis: normalised innovation squared of each light, in the estimate by all sources and in every row, shape
-            (h + 1, l).
-        light_turn: its residual whitened, along the axes of the detector and 0, shape (h + 1, l, 3).
+        accepted: True for each subfilter in which the sighting passes the gate, shape (h,).
+        light_nis: normalised innovation squared of each beacon, in the main filter and in every subfilter, shape (h +
+            1, l).
+        light_turn: whitened innovation, along the axes of the detector and 0, shape (h + 1, l, 3).
     """
 
     accepted: NDArray[np.bool_]
@@ -74,15 +74,15 @@ class RowsSeen:
 
 
 class _Pattern(NamedTuple):
-    """Which components of the lights each row sees; h rows, l lights, m = 2 l components.
+    """Components of a sighting that each subfilter uses; h subfilters, l beacons, m = 2 l components.
 
     Attributes:
-        sees: shape (h, m).
-        known: the components of other lights that are taken as known where a light is looked at: in the estimate by all
-            sources and in every row, shape (l, h + 1, m). To a row of which the encoders or the ship are unknown a
-            light alone says nothing, but beside the others it does.
-        learns: all states of every row, shape (h, n).
-        gates: of what each row sees, shape (h,).
+        sees: components that each subfilter uses, shape (h, m).
+        known: components of the other beacons on which the innovation of one beacon is conditioned, in the main filter
+            and in every subfilter, shape (l, h + 1, m). Without encoders or ship a single beacon has no information,
+            but several together have.
+        learns: states that are updated, all of them, shape (h, n).
+        gates: gate for the components that each subfilter uses, shape (h,).
     """
 
     sees: NDArray[np.uint8]
@@ -92,15 +92,15 @@ class _Pattern(NamedTuple):
 
 
 class SourceRows:
-    """Steps of the rows of a configuration.
+    """Set of subfilters of a configuration, with the steps of their states.
 
     Args:
-        config: the node's parameters.
+        config: parameters of the node.
         model: states of the filter.
-        ship_error: how the ship's error evolves.
+        ship_error: process of the ship's error.
 
     Attributes:
-        sources: the source that each row does without: the drones, the encoders, the ship's attitude.
+        sources: source that each subfilter leaves out: the drones, the encoders, the ship's attitude.
         beacons: ids of the drones.
     """
 
@@ -118,22 +118,22 @@ class SourceRows:
         }
 
     def states_of(self, excluded: Set[str]) -> NDArray[np.intp]:
-        """The states of which nothing is known while some sources are excluded."""
+        """Return the indices of the states that are unknown while some sources are excluded."""
         found = [self._states[name] for name in sorted(excluded & self._states.keys())]
         return np.concatenate([np.empty(0, dtype=np.intp), *found])
 
     def start(self, mean: FloatArray, covariance: FloatArray) -> Alternatives:
-        """All rows as the estimate by all sources."""
+        """Return all subfilters, equal to the main filter."""
         return self.restarted(Alternatives(None, mean, covariance), mean, covariance)
 
     def restarted(self, rows: Alternatives, mean: FloatArray, covariance: FloatArray) -> Alternatives:
-        """All rows from one estimate on, shapes (n,), (n, n)."""
+        """Restart all subfilters from one estimate, shapes (n,), (n, n)."""
         count = len(self.sources)
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
         return replace(rows, mean=np.tile(mean, (count, 1)), parts=parts)
 
     def predicted(self, rows: Alternatives, time_ns: int, ship_now_n: FloatArray | None) -> Alternatives:
-        """The rows carried to a later moment; arguments as of ``CalibrationFilter.predicted``."""
+        """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
         dt_s = 0.0 if rows.time_ns is None else max(time_ns - rows.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
         mean, ship, of_no_budget = decay * rows.mean, self._ship_error.columns, len(rows.mean) + 1
@@ -146,13 +146,13 @@ class SourceRows:
         return Alternatives(later_ns, mean, parts, ship_now_n)
 
     def opened(self, rows: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
-        """The rows after a jump of some states by as much as a covariance says."""
+        """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
         parts = rows.parts.copy()
         parts[..., states[:, None], states] += covariance
         return replace(rows, parts=parts)
 
     def unknown(self, rows: Alternatives, excluded: Set[str]) -> Alternatives:
-        """The rows before a sighting: the errors of the sources that they do without may have changed by any amount."""
+        """Add the unknown error changes of excluded sources, and of each subfilter's own source, before a sighting."""
         parts = rows.parts.copy()
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():
@@ -160,14 +160,14 @@ class SourceRows:
         return replace(rows, parts=parts)
 
     def with_unknown(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
-        """The same for covariance parts (n_sources, n, n) of the estimate by all sources that are not excluded."""
+        """Add the unknown error changes of excluded sources to a covariance by source, shape (n_sources, n, n)."""
         parts = parts.copy()
         for name in sorted(excluded & self._states.keys()):
             add_unknown_change(parts, self._states[name], source_index, _UNKNOWN[name])
         return parts
 
     def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_Pattern":
-        """What each row sees of lights with these names; made once for all sightings of them."""
+        """Return the pattern for beacons with these names; computed once for all their sightings."""
         key = names, excluded, probability
         if key not in self._patterns:
             self._patterns[key] = self._new_pattern(names, excluded, probability)
@@ -179,7 +179,7 @@ class SourceRows:
         sees = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
         for light, name in enumerate(names):
             sees[1 + self.sources.index(BEACON + name), 2 * light : 2 * light + 2] = False
-        # Of each light, the components of the others: shape (l, 1, m).
+        # Components of the other beacons, for each beacon: shape (l, 1, m).
         others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
         known = sees & np.array(unknown_rows)[:, None] & others
         degrees = np.count_nonzero(sees[1:], axis=1).tolist()
@@ -199,15 +199,15 @@ class SourceRows:
         excluded: Set[str],
         probability: float,
     ) -> tuple[Alternatives, RowsSeen]:
-        """The rows after a sighting, and what they see of it.
+        """Update the subfilters with a sighting of beacons; return them with their innovations.
 
         Args:
-            rows: predicted to its moment.
-            names: of its lights, none of them of a drone that is excluded.
-            measurement: with two components for each light; its residual is that of the estimate by all sources.
-            first: mean of that estimate, predicted, shape (n,), and the covariance of its residual, shape (m, m).
-            excluded: the sources that every row does without.
-            probability: of the gate.
+            rows: subfilters, propagated to the time of the sighting.
+            names: beacons, none of them of an excluded drone.
+            measurement: two components for each beacon; the residual is that of the main filter.
+            first: propagated mean of the main filter, shape (n,), and covariance of its residual, shape (m, m).
+            excluded: sources that every subfilter leaves out.
+            probability: probability of the gate.
         """
         pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(rows.parts[:, 0])
         residual, gain, nis, light_turn = compiled_rows.rows_seen(
@@ -244,43 +244,43 @@ class SourceRows:
         by_turn: FloatArray,
         probability: float,
     ) -> Alternatives:
-        """The rows after an exposure of stars: each that the stars fit learns of them.
+        """Update with an exposure of stars those subfilters in which it passes the gate.
 
-        No row does without stars: a fault of them is told by themselves, which are many.
+        No subfilter leaves out the stars: an exposure has many stars, which check one another.
 
         Args:
-            rows: predicted to its moment.
-            measurement: the stars; its residual is that of the estimate by all sources.
-            first_mean: of that estimate, predicted, shape (n,).
-            by_turn: derivative of the residual by a turn of the camera, shape (m, 3).
-            probability: of the gate.
+            rows: subfilters, propagated to the time of the exposure.
+            measurement: stars; the residual is that of the main filter.
+            first_mean: propagated mean of the main filter, shape (n,).
+            by_turn: derivative of the residual by a rotation of the camera, shape (m, 3).
+            probability: probability of the gate.
         """
         stack = rows.parts[:, 0]
         compared = compare_rows(rows.mean, stack, measurement, first_mean, by_turn)
         accepted = compared.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
         learns = np.repeat(accepted[:, None], self._model.size, axis=1)
-        # The rows have no budget: all noise is the only part of each.
+        # Subfilters have no budget: all noise is one source.
         of_no_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
         corrections, stack = update_rows(stack, of_no_budget, compared, learns)
         return replace(rows, mean=rows.mean + corrections, parts=stack[:, None])
 
 
 def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
-    """Add to the covariance what states may have changed since the last sighting, in parts of shape (n_sources, n, n).
+    """Add an unknown change of some states since the last sighting to a covariance by source, shape (n_sources, n, n).
 
-    The correlations with the other states stay. Were the states drawn again at every sighting, an error that stays
-    would count as so many independent ones: their mean would seem known to sigma / sqrt(sightings).
+    Correlations with the other states are kept. If the states were drawn independently at every sighting, a constant
+    error would count as many independent errors, and its mean would seem known to sigma / sqrt(sightings).
     """
     parts[source_index, states, states] += sigma_rad**2
 
 
 def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> RowsCompared:
-    """A light beside one estimate; what it turns is told along the axes of the detector.
+    """Return the innovation of one beacon in one estimate; the whitened innovation is along the axes of the detector.
 
     Args:
         residual: shape (2,).
-        covariance: of the residual, shape (2, 2).
-        noise: share of the sighting's own noise in it, shape (2, 2).
+        covariance: covariance of the residual, shape (2, 2).
+        noise: part of it that is the sighting's own noise, shape (2, 2).
     """
     root = _whitening(covariance)
     turn, turn_noise = np.zeros((1, 3)), np.eye(3)
@@ -290,7 +290,7 @@ def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArr
 
 
 def _whitening(covariance: FloatArray) -> FloatArray:
-    """The inverse of the symmetric root of covariances of two components, shape (..., 2, 2)."""
+    """Return the inverse of the symmetric root of covariances of two components, shape (..., 2, 2)."""
     first, second, mixed = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
     area = np.sqrt(first * second - mixed * mixed)
     scale = 1.0 / (area * np.sqrt(first + second + 2.0 * area))

@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""How the points of lights depend on the states of the filter, compiled: it is many small products.
+"""Jacobian of beacon points by the states of the filter, compiled because it consists of many small products.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-It knows no state's name; where it is called, in :mod:`theodolite_calib.filter.prediction`, the states have theirs.
+This is the only source. It is Python with C types for its numbers, compiled by Cython when the package is built. State
+names are known only to the caller, :mod:`theodolite_calib.filter.prediction`.
 """
 
 import cython
@@ -23,20 +23,20 @@ def by_states(
     focal_length: cython.Py_ssize_t,
     places: cython.const[cython.Py_ssize_t][:, ::1],
 ):
-    """The change of the points of N lights by n states.
+    """Return the Jacobian of the points of N beacons by n states.
 
     Args:
-        by_attitude: of the points by a turn of the telescope, rotation vector in n, m/rad, shape (N, 2, 3).
-        by_direction: of the points by the directions of the lights in n, m/rad, shape (N, 2, 3).
-        by_focal_length: m/m, shape (N, 2).
-        lines: of the directions by c errors of the lines of sight, rad per unit, shape (N, 3, c).
-        turn_n: of the telescope by the states, rotation vector in n, shape (3, n).
-        focal_length: which state that is.
-        places: which state moves which light by which error, as light, error and state; -1 stands for all lights, shape
-            (e, 3).
+        by_attitude: points by a rotation of the telescope, rotation vector in n, m/rad, shape (N, 2, 3).
+        by_direction: points by the directions of the beacons in n, m/rad, shape (N, 2, 3).
+        by_focal_length: points by the focal length, m/m, shape (N, 2).
+        lines: directions by c errors of the lines of sight, rad per unit, shape (N, 3, c).
+        turn_n: telescope by the states, rotation vector in n, shape (3, n).
+        focal_length: index of the focal length's state.
+        places: couplings (beacon, error, state): the state moves the beacon by that error; beacon -1 stands for all,
+            shape (e, 3).
 
     Returns:
-        Shape (2 N, n), m per unit; and the change by the errors of the lines of sight, shape (N, 2, c).
+        Jacobian by the states, shape (2 N, n), m per unit; and by the errors of the lines of sight, shape (N, 2, c).
     """
     count: cython.Py_ssize_t = by_attitude.shape[0]
     errors: cython.Py_ssize_t = lines.shape[2]
@@ -75,11 +75,11 @@ def by_states(
 
 
 def by_turns(rows: cython.const[cython.double][:, :], covariances: cython.const[cython.double][:, :, :]):
-    """Covariances of m numbers by those of turns, shape (p, m, m).
+    """Return the covariances of m numbers that follow from covariances of rotations, shape (p, m, m).
 
     Args:
-        rows: of the numbers by a turn, shape (m, 3).
-        covariances: of turns, shape (p, 3, 3).
+        rows: derivative of the numbers by a rotation, shape (m, 3).
+        covariances: covariances of rotations, shape (p, 3, 3).
     """
     m: cython.Py_ssize_t = rows.shape[0]
     check("turns", rows.shape[1] == covariances.shape[1] == covariances.shape[2] == 3)
@@ -102,11 +102,11 @@ def by_turns(rows: cython.const[cython.double][:, :], covariances: cython.const[
 
 
 def of_each(by_error: cython.const[cython.double][:, :, :], covariance: cython.const[cython.double][:, :, :]):
-    """Covariance of the points of N lights by an error that each has by itself, shape (2 N, 2 N).
+    """Return the covariance of the points of N beacons from an error independent for each beacon, shape (2 N, 2 N).
 
     Args:
-        by_error: of the points, of which the first three columns count, shape (N, 2, 3 or more).
-        covariance: of the errors, shape (N, 3, 3).
+        by_error: derivative of the points, of which the first three columns are used, shape (N, 2, 3 or more).
+        covariance: covariance of the errors, shape (N, 3, 3).
     """
     count: cython.Py_ssize_t = covariance.shape[0]
     check("lights", by_error.shape[0] == count and by_error.shape[1] == 2 and by_error.shape[2] >= 3)

@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""What the estimates without one source each see of the lights of a sighting, compiled: it is many small matrices.
+"""Innovations of a sighting of beacons in every subfilter, compiled because it consists of many small matrices.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the rows and the numbers mean is told in :mod:`theodolite_calib.filter.alternatives`, where it is called.
+This is the only source. It is Python with C types for its numbers, compiled by Cython when the package is built. The
+quantities are explained in :mod:`theodolite_calib.filter.subfilters`, which calls it.
 """
 
 import cython
@@ -21,9 +21,9 @@ from cython.cimports.libc.math import sqrt
 def _solved(
     matrix: cython.p_double, size: cython.Py_ssize_t, asked: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.bint:
-    """Replace what is asked (size × columns) by the inverse of a symmetric matrix, which is used up, times it.
+    """Replace the right-hand side (size × columns) by the inverse of a symmetric matrix times it, which is overwritten.
 
-    By Cholesky's factor; False where the matrix is not positive definite, or NaN.
+    Uses the Cholesky factor. Returns False if the matrix is not positive definite, or NaN.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -63,7 +63,7 @@ def _solved(
 def _chosen(
     chosen: cython.const[cython.uchar][:], covariance: cython.p_double, places: cython.p_int, out: cython.p_double
 ) -> cython.int:
-    """How many components are chosen, where they are, and their covariance."""
+    """Return the number of selected components; write their indices and their covariance."""
     size: cython.int = chosen.shape[0]
     count: cython.int = 0
     i: cython.int
@@ -89,10 +89,10 @@ def _light(
     scratch: cython.p_double,
     turn: cython.p_double,
 ) -> cython.bint:
-    """The residual of one light, whitened, where some components of others are known; False as by :func:`_solved`."""
+    """Whiten the residual of one beacon, given the components in ``conditioning``; False as by :func:`_solve`."""
     size: cython.int = known.shape[0]
     count: cython.int = _chosen(known, covariance, places, scratch)
-    # Of the known components: their covariance with the two of the light, and their residual.
+    # For the conditioning components: covariance with the two of the beacon, and residual.
     asked: cython.p_double = scratch + count * count
     left = cython.declare(cython.double[2])
     own = cython.declare(cython.double[4])
@@ -115,7 +115,7 @@ def _light(
             for j in range(2):
                 own[2 * i + j] -= covariance[(2 * light + i) * size + places[k]] * asked[3 * k + j]
             left[i] -= covariance[(2 * light + i) * size + places[k]] * asked[3 * k + 2]
-    # The inverse of the symmetric root of the covariance that is left.
+    # Inverse of the symmetric root of the conditional covariance.
     area = sqrt(own[0] * own[3] - own[1] * own[1])
     scale = 1.0 / (area * sqrt(own[0] + own[3] + 2.0 * area))
     turn[0] = scale * ((own[3] + area) * left[0] - own[1] * left[1])
@@ -134,26 +134,26 @@ def rows_seen(
     sees: cython.const[cython.uchar][:, ::1],
     known: cython.const[cython.uchar][:, :, ::1],
 ):
-    """A sighting of l lights, with two of m components each, beside h rows of n states.
+    """Return the innovations of a sighting of l beacons, with two of m components each, in h subfilters of n states.
 
     Args:
-        distance: of the states of each row from those by all sources, shape (h, n).
-        parts: covariance of each row, symmetric, shape (h, n, n).
-        residual: by all sources, shape (m,).
-        jacobian: of the residual, shape (m, n).
+        distance: states of each subfilter minus those of the main filter, shape (h, n).
+        parts: covariance of each subfilter, symmetric, shape (h, n, n).
+        residual: residual of the main filter, shape (m,).
+        jacobian: jacobian of the residual, shape (m, n).
         noise: covariance of the sighting itself, shape (m, m).
-        first: covariance of the residual by all sources, shape (m, m).
-        sees: which components each row sees, shape (h, m).
-        known: the components that are taken as known where a light is looked at, by all sources and in every row, shape
-            (l, h + 1, m).
+        first: covariance of the main filter's residual, shape (m, m).
+        sees: components that each subfilter uses, shape (h, m).
+        known: components on which the innovation of each beacon is conditioned, in the main filter and in every
+            subfilter, shape (l, h + 1, m).
 
     Returns:
-        The residual of each row, zero where it does not see, shape (h, m); its optimal gain, shape (h, n, m), and
-        normalised innovation squared, shape (h,), by what it sees; and the residual of each light by all sources and in
-        every row, whitened, with a zero behind, shape (h + 1, l, 3).
+        Residual of each subfilter, zero for unused components, shape (h, m); optimal gain, shape (h, n, m), and
+            normalised innovation squared, shape (h,), from the components used; whitened residual of each beacon in the
+            main filter and in every subfilter, with a trailing zero, shape (h + 1, l, 3).
 
     Raises:
-        numpy.linalg.LinAlgError: a covariance is not positive definite.
+        numpy.linalg.LinAlgError: A covariance is not positive definite.
     """
     rows: cython.Py_ssize_t = distance.shape[0]
     n: cython.Py_ssize_t = distance.shape[1]
@@ -170,7 +170,7 @@ def rows_seen(
     nis: cython.double[::1] = of_nis
     turns: cython.double[:, :, ::1] = of_turns
     places: cython.int[::1] = np.empty(max(m, 1), dtype=np.intc)
-    # In a row: the residual, its covariance and that with the states, a matrix that is used up, and what is asked.
+    # Per subfilter: residual, its covariance and that with the states, a scratch matrix, and the right-hand side.
     room: cython.double[::1] = np.empty(m + m * m + m * n + m * m + m * max(n + 1, 3) + 1)
     of_row: cython.p_double = cython.address(room[0])
     covariance: cython.p_double = of_row + m
@@ -216,7 +216,7 @@ def rows_seen(
                 scratch,
                 cython.address(turns[row + 1, light, 0]),
             ):
-                raise np.linalg.LinAlgError("the covariance of lights is not positive definite")
+                raise np.linalg.LinAlgError("beacon covariance is not positive definite")
         if row < 0:
             continue
         count = _chosen(sees[row], covariance, cython.address(places[0]), scratch)

@@ -1,7 +1,7 @@
-"""The calibration filter: how a state is carried in time, compared with a sighting and changed by it.
+"""Calibration filter: propagate a state, compare it with a sighting and update it.
 
-The filter itself remembers nothing. A :class:`CalibrationState` is never changed in place, so that the time-ordered log
-can keep each of them and return to it.
+The filter has no memory of its own. A :class:`CalibrationState` is never changed in place, so the time-ordered log can
+keep every state and return to it.
 """
 
 from collections.abc import Callable
@@ -32,33 +32,32 @@ Jump = EncoderJump | InsJump
 _NO_STAYS: MappingProxyType[str, PixelStay] = MappingProxyType({})
 
 _STEPS = 5
-# What a step of this size (rad) leaves of the equations that is not linear is its square: below rounding.
+# The non-linear remainder of a step of this size (rad) is its square: below rounding.
 _SMALL_STEP = 1e-5
 
 
 @dataclass(frozen=True)
 class CalibrationState:
-    """Everything the filter knows after its last sighting.
+    """State of the filter after its last sighting.
 
     Attributes:
-        time_ns: moment of the state; None before the first sighting.
-        mean: estimated errors, shape (..., n); the leading axis may be one of hypotheses.
-        parts: covariance by source, shape (..., n_sources, n, n).
-        unaided: the covariance by the sightings alone (:mod:`theodolite_calib.filter.observability`).
-        alternatives: the estimates without one source each.
-        trust: which sources are excluded, and what disagrees.
-        separation: distance of each of the alternatives from the estimate by all sources in the pointing of the last
-            sighting used, in its sigmas, shape (h,).
-        ship_steady_n: stated covariance that the ship's error follows, rad²; None where none is stated.
-        refusals: sightings in a row, of lights or of stars, that disagreed with the encoders and the ship.
-        refused_for: reason of the last of them, for people.
-        used_ns: moment of the last sighting of lights used; None before it.
-        light_count: lights used in it.
-        stars_ns: moment of the last exposure of stars used; None before it.
-        stays: by camera, how long its stars have kept their pixels, where that matters; none of before the state was
-            opened.
-        sighting_count: sightings used, of lights and of stars.
-        points_used: lights and stars in all of them.
+        time_ns: time of the state; None before the first sighting.
+        mean: estimated errors, shape (..., n); the leading axis may be one of subfilters.
+        parts: covariance by error source, shape (..., n_sources, n, n).
+        unaided: covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
+        alternatives: estimates without one source each.
+        trust: excluded sources and unresolved faults.
+        separation: solution separation of each subfilter in the pointing of the last accepted sighting, in standard
+            deviations, shape (h,).
+        ship_steady_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
+        refusals: number of consecutive sightings, of beacons or stars, that were rejected against encoders and ship.
+        refused_for: text of the last of these rejections.
+        used_ns: time of the last accepted sighting of beacons; None before the first.
+        light_count: number of beacons in it.
+        stars_ns: time of the last accepted exposure of stars; None before the first.
+        stays: pixel dwell of the stars by camera, if it matters; reset when the covariance is inflated.
+        sighting_count: number of accepted sightings, of beacons and of stars.
+        points_used: number of beacons and stars in them.
         squares: sum of the squares of their residuals on the sky, rad².
     """
 
@@ -88,26 +87,26 @@ class CalibrationState:
 
     @property
     def informed_ns(self) -> int | None:
-        """Moment of the last sighting used, of lights or of stars; None before it."""
+        """Time of the last accepted sighting, of beacons or of stars; None before the first."""
         return max((time_ns for time_ns in (self.used_ns, self.stars_ns) if time_ns is not None), default=None)
 
     @property
     def residual_rms(self) -> float:
-        """Of the residuals of lights and stars on the sky, rad; NaN before the first."""
+        """RMS of the residuals of beacons and stars on the sky, rad; NaN before the first."""
         return float(np.sqrt(self.squares / self.points_used)) if self.points_used else float("nan")
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A sighting linearised at the predicted state.
+    """Sighting linearised at the propagated state.
 
     Attributes:
-        prediction: of the sighting.
-        measurement: residual in metres with its Jacobian and noise.
-        covariance: of the residual, m², shape (2 N, 2 N).
+        prediction: predicted sighting.
+        measurement: residual in metres, with Jacobian and noise.
+        covariance: covariance of the residual, m², shape (2 N, 2 N).
         nis: normalised innovation squared.
-        angles_nis: share of it that no attitude of the telescope explains: of the angles between the lights.
-        gain: of the optimal update, shape (n, 2 N).
+        angles_nis: part of it that no attitude of the telescope explains, from the angles between the beacons.
+        gain: gain of the optimal update, shape (n, 2 N).
     """
 
     prediction: Prediction
@@ -119,10 +118,10 @@ class Comparison:
 
 
 class CalibrationFilter:
-    """The model of a configuration and the steps from state to state.
+    """Model of a configuration and the steps of its states.
 
     Args:
-        config: the node's parameters.
+        config: parameters of the node.
     """
 
     def __init__(self, config: OpticalAxisConfig) -> None:
@@ -134,11 +133,11 @@ class CalibrationFilter:
         self.rows = SourceRows(config, self.model, self.ship_error)
 
     def initial_state(self) -> CalibrationState:
-        """The state before any sighting: nothing is known of the errors beyond the configuration."""
+        """Return the state before any sighting, with the errors as configured."""
         return self.started(np.zeros(self.model.size), self.model.initial_parts())
 
     def started(self, mean: FloatArray, parts: FloatArray) -> CalibrationState:
-        """The state before any sighting, with errors that are known so far; shapes (n,), (n_sources, n, n)."""
+        """Return the state before any sighting, with given errors; shapes (n,), (n_sources, n, n)."""
         alternatives = self.rows.start(mean, parts.sum(axis=0))
         apart = np.zeros(len(self.rows.sources))
         return CalibrationState(
@@ -146,12 +145,12 @@ class CalibrationFilter:
         )
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
-        """The state carried to a later moment.
+        """Propagate the state to a later time.
 
         Args:
-            state: after the sighting before.
-            time_ns: the moment.
-            ship_now_n: covariance of the ship's error as then stated, rad², shape (3, 3); None where none is.
+            state: state after the previous sighting.
+            time_ns: the time.
+            ship_now_n: covariance of the ship's error that is stated at that time, rad², shape (3, 3); None if none is.
         """
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
@@ -173,7 +172,7 @@ class CalibrationFilter:
         )
 
     def opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
-        """The state after a jump: the INS's slow error, or the encoders' zero points, may be off by as much."""
+        """Inflate the covariance after a jump: of the INS's correlated error, or of the encoders' zero points."""
         if isinstance(jump, InsJump):
             state = self.predicted(state, jump.time_ns, None)
             states, source, covariance = self.model.rows("ship.attitude"), SOURCE_SHIP, jump.covariance_n
@@ -187,9 +186,9 @@ class CalibrationFilter:
         return replace(state, parts=parts, alternatives=rows, stays=_NO_STAYS)
 
     def without(self, state: CalibrationState, source: str) -> CalibrationState:
-        """The state by all sources but one: the estimate that has done without it takes the first place.
+        """Exclude a source: its subfilter becomes the main filter.
 
-        Of the telescope there is none: the state is that before the lights contradicted.
+        For the telescope, which has no subfilter, the state before the contradiction is kept.
         """
         if source not in self.rows.sources:
             rows = self.rows.restarted(state.alternatives, state.mean, state.covariance)
@@ -206,16 +205,16 @@ class CalibrationFilter:
         )
 
     def unknown(self, state: CalibrationState) -> CalibrationState:
-        """The predicted state before a sighting: the errors of excluded sources may have changed by any amount."""
+        """Add the unknown error changes of excluded sources to the propagated state, before a sighting."""
         excluded, parts = state.trust.excluded, state.parts
         if excluded:
             parts = self.rows.with_unknown(parts, self.model.sources.index(SOURCE_AXES), excluded)
         return replace(state, parts=parts, alternatives=self.rows.unknown(state.alternatives, excluded))
 
     def aligned(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
-        """The state with the errors that are unknown (:meth:`unknown`) where a sighting has them.
+        """Set the unknown errors (:meth:`add_unknown_errors`) to their values in a sighting.
 
-        They may be degrees away, and the gate is linear. What stood there has no weight.
+        These errors may be degrees off, and the gate is linear. Their previous values have no weight.
         """
         comparison = self.compare(state, sighting)
         if comparison is None:
@@ -227,7 +226,7 @@ class CalibrationFilter:
         return replace(state, mean=mean, alternatives=replace(state.alternatives, mean=rows))
 
     def compare(self, state: CalibrationState, sighting: Sighting) -> Comparison | None:
-        """Compare a sighting with a state predicted to its moment; None where a light would be behind the telescope."""
+        """Compare a sighting with a state propagated to its time; None if a beacon would be behind the telescope."""
         prediction = self.sightings.predict(state.mean, sighting)
         if not np.all(np.isfinite(prediction.residual)):
             return None
@@ -236,10 +235,10 @@ class CalibrationFilter:
     def used(
         self, state: CalibrationState, sighting: Sighting, comparison: Comparison
     ) -> tuple[CalibrationState, Comparison]:
-        """The state after a sighting, from the state predicted to its moment, and the comparison it rests on.
+        """Update the propagated state with a sighting; return it with the comparison of the last iteration.
 
-        The sighting is linearised again at the new estimate until the estimate no longer moves (Gauss–Newton). That
-        matters where a first sighting is far from what was known.
+        The sighting is linearised again at the new estimate until the estimate converges (Gauss–Newton). This matters
+        if the first sighting is far from the prior.
         """
         compared, mean = comparison, state.mean
         for _ in range(_STEPS):
@@ -269,12 +268,12 @@ class CalibrationFilter:
     def used_stars(
         self, state: CalibrationState, exposure: StarExposure, comparison: StarComparison
     ) -> CalibrationState:
-        """The state after an exposure of stars, from the state predicted to its moment; the rows are left as they are.
+        """Update the propagated state with an exposure of stars; the subfilters are not changed.
 
         Args:
-            state: predicted.
-            exposure: its stars.
-            comparison: of them with that state.
+            state: propagated state.
+            exposure: exposure of the stars.
+            comparison: comparison of the stars with that state.
         """
         measurement, (gain,) = comparison.measurement, comparison.rows.gain
         stays = state.stays
@@ -295,7 +294,7 @@ class CalibrationFilter:
         )
 
     def _compared(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:
-        """The comparison of a sighting by its prediction; ``residual`` is in metres, shape (2 N,)."""
+        """Return the comparison of a sighting from its prediction; ``residual`` is in metres, shape (2 N,)."""
         index: Callable[[str], int] = self.model.sources.index
         noise = {index(source): part for source, part in prediction.noise_by_source.items()}
         measurement = LinearMeasurement(residual, prediction.jacobian, noise)
@@ -307,10 +306,10 @@ class CalibrationFilter:
 
 
 def _reshaped(parts: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance parts that add up to another covariance, each carried over by the one map that leads there."""
+    """Transform a covariance by source linearly so that it sums to another covariance."""
     before = parts.sum(axis=0)
     sigma = np.sqrt(np.maximum(np.diagonal(before), np.diagonal(covariance)))
-    # Radians and metres are made alike; a state without a variance keeps none.
+    # Scaled to unit variance, since states are in radians and metres; a state with zero variance keeps it.
     scale = np.outer(sigma, sigma)
     unit = 1.0 / np.where(scale > 0.0, scale, np.inf)
     carry = _root(covariance * unit) @ np.linalg.pinv(_root(before * unit), rcond=1e-9, hermitian=True)

@@ -1,9 +1,9 @@
-"""Which sightings are used, and what a sighting that is used or refused makes of the state.
+"""Gate of the sightings: which sightings, and which of their beacons, the filter accepts.
 
-A sighting must pass two tests, each with the gate's probability: of all residuals together, and of the part of them
-that no attitude of the telescope explains, which is the angles between the lights. A sighting that fails is looked at
-more closely (:mod:`theodolite_calib.lights.light_check`), so that the refusal says what is wrong: lights with exchanged
-names are used with the right names, and one wrong light among three or more is left out.
+Two tests apply, each with the probability of the gate: all residuals together, and the part of them that no attitude of
+the telescope explains, which are the angles between the beacons. A sighting that fails is tested for misidentification
+(:mod:`theodolite_calib.lights.beacon_check`), so that the rejection names its cause. Beacons with exchanged names are
+used under the right names. One wrong beacon among three or more is left out.
 """
 
 from dataclasses import dataclass, replace
@@ -22,17 +22,17 @@ from theodolite_calib.measured.samples import Exposure, ExposureDecision
 from theodolite_calib.measured.sighting import Sighting
 
 _ATTITUDE_COMPONENTS = 3
-"""So many components of the residuals an attitude of the telescope explains."""
+"""Number of residual components that an attitude of the telescope explains."""
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What may be used of a sighting, or why nothing may.
+    """Usable part of a sighting, or the reason of its rejection.
 
     Attributes:
-        decision: about its exposure.
-        sighting: with the lights that may be used, under their right names; None where none may.
-        comparison: of this sighting with the predicted state.
+        decision: decision about its exposure.
+        sighting: sighting with the accepted beacons under their right names; None if none is accepted.
+        comparison: comparison of this sighting with the propagated state.
     """
 
     decision: ExposureDecision
@@ -41,21 +41,21 @@ class Judgement:
 
 
 class SightingJudge:
-    """Judges sightings by a filter's states.
+    """Gate of the sightings, by the states of a filter.
 
     Args:
         filter_: the filter.
-        gate: how improbable a sighting may be.
+        gate: probability of the gate.
     """
 
     def __init__(self, filter_: CalibrationFilter, gate: GateConfig) -> None:
         self._filter, self._gate = filter_, gate
 
     def judge(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement:
-        """Judge a sighting by the state predicted to its moment."""
+        """Evaluate a sighting against the state propagated to its time."""
         comparison = self._filter.compare(state, sighting)
         if comparison is None:
-            text = "a light would be behind the telescope: its baseline, the encoders or the ship are far off"
+            text = "a light would be behind the telescope: large error of baseline, encoders or ship's attitude"
             return Judgement(ExposureDecision(exposure, Reason.LIGHT_CONFLICT, text=text))
         if self._passes(comparison):
             return self._use(exposure, sighting, comparison)
@@ -75,7 +75,7 @@ class SightingJudge:
     def _look_closer(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, comparison: Comparison
     ) -> Judgement:
-        """Judge two or more lights that do not fit as they are named."""
+        """Resolve a misidentification among two or more beacons that fail the gate as named."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_parts(state, comparison))
         check = check_lights(sighting.image, camera, prediction.lines, self._gate.probability, prior)
@@ -94,25 +94,25 @@ class SightingJudge:
         return Judgement(replace(decision, telescope_dt=(sighting.in_deck(check.attitude.rotation_nt), sigma)))
 
     def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
-        """The camera as the state knows it."""
+        """Return the camera with the focal length's uncertainty of the state."""
         row = self._filter.model.slices["focal_length"].start
         return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
 
     def _renamed(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, order: tuple[int, ...]
     ) -> Judgement | None:
-        """Judge lights with their names exchanged: the point ``order[i]`` is light i; None where they do not pass."""
+        """Evaluate the sighting with exchanged names, point ``order[i]`` being beacon i; None if it fails the gate."""
         renamed = sighting.chosen(list(range(len(sighting.names))), list(order))
         comparison = self._filter.compare(state, renamed)
         if comparison is None or not self._passes(comparison):
             return None
         judgement = self._use(exposure, renamed, comparison)
         exchanged = [f"{sighting.names[j]} is {name}" for name, j in zip(sighting.names, order, strict=True)]
-        text = f"lights fit only with names exchanged, and are used so: {', '.join(exchanged)}"
+        text = f"lights used with exchanged names, the only consistent: {', '.join(exchanged)}"
         return replace(judgement, decision=replace(judgement.decision, reason=Reason.LIGHT_CONFLICT, text=text))
 
     def _without_one(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
-        """Judge three or more lights without one of them: the best of the choices that pass; None where none does."""
+        """Evaluate three or more beacons without one of them; return the best decision that passes, or None."""
         rows = range(len(sighting.names))
         if len(rows) < 3:
             return None
@@ -126,11 +126,11 @@ class SightingJudge:
             return None
         _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
         judgement = self._use(exposure, others, comparison)
-        refused = sighting.names[row], Refusal(Reason.LIGHT_CONFLICT, "the other lights fit, but only without it")
+        refused = sighting.names[row], Refusal(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it")
         return replace(judgement, decision=replace(judgement.decision, left_out=(refused,)))
 
     def _use(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
-        """The judgement of a sighting that passes."""
+        """Return the decision for a sighting that passes the gate."""
         rotation_nt = comparison.prediction.rotation_nt
         sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / focal_length_m(comparison)
         decision = replace(
@@ -142,12 +142,12 @@ class SightingJudge:
         return Judgement(decision, sighting, comparison)
 
     def _disagreement(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
-        """The decision about lights that may fit among themselves, but not with the encoders and the ship."""
+        """Return the decision for beacons that are inconsistent with encoders and ship."""
         decision = self._decision(exposure, sighting, comparison)
-        return replace(decision, text=f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}")
+        return replace(decision, text=f"NIS {decision.nis:.1f} exceeds gate {decision.gate:.1f}")
 
     def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
-        """A refusal by the gate, with what was compared; other decisions are made of it."""
+        """Return a rejection by the gate with the residuals; other decisions are derived from it."""
         focal_m = focal_length_m(comparison)
         return ExposureDecision(
             measurement=exposure,
@@ -163,22 +163,22 @@ class SightingJudge:
 
 
 def _telescope_parts(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
-    """Covariance of the predicted telescope's rotation vector in n, rad², shape (3, 3) each."""
+    """Return the covariance of the predicted telescope's rotation vector in n by source, rad², shape (3, 3) each."""
     turn_n = comparison.prediction.turn_n
     return {"state": turn_n @ state.covariance @ turn_n.T, **comparison.prediction.noise_n}
 
 
 def focal_length_m(comparison: Comparison) -> float:
-    """Focal length at which a sighting was compared, m."""
+    """Return the focal length used in a comparison, m."""
     return float(comparison.prediction.camera.focal_length_m)
 
 
 def _angles_text(sighting: Sighting, camera: Camera, lines: LinesOfSight) -> str:
-    """Words for the angle between two lights that is furthest off."""
+    """Return a text about the angle between two beacons with the largest residual."""
     angles = angle_residuals(sighting.image, camera, lines)
     worst = int(np.argmax(angles.chi2))
     first, second = (sighting.names[row] for row in angles.pairs[worst])
     return (
-        f"angle between {first} and {second} is off by {angles.residual[worst] / ARCSEC:+.1f} arcsec, "
+        f"angle between {first} and {second}: residual {angles.residual[worst] / ARCSEC:+.1f} arcsec, "
         f"sigma {angles.sigma[worst] / ARCSEC:.1f}: a wrong light, a wrong baseline, or exchanged names"
     )

@@ -1,29 +1,28 @@
-"""The states of the calibration filter, built from its configuration, and how the ship's error evolves.
+"""States of the calibration filter, built from its configuration, and the process of the ship's error.
 
 =========================  =========  =================================================================================
 state                      frame      meaning; errors are true minus used
 =========================  =========  =================================================================================
-ship.attitude (3)          horizon    slow error a of the ship's attitude: R_true = exp(a) R
+ship.attitude (3)          horizon    correlated error a of the ship's attitude: R_true = exp(a) R
 ship.time_offset (1)                  a sample of the INS is valid at its stamp + this; only with the INS as source
-deformation (3)            deck       e: the theodolite's base is turned by exp(e) against the deck
+deformation (3)            deck       e: the theodolite's base is rotated by exp(e) relative to the deck
 axes (7)                              axis errors in the order of theodolite_calib.chain.axes.NAMES
-focal_length (1)                      m; of the calibration telescope, for lights and for stars seen through it
+focal_length (1)                      m; of the calibration telescope, for beacons and for stars seen through it
 parallelism (3)                       azimuth, elevation, rotation of the main axis in the telescope
-ship_antenna (3)           horizon    error of all baselines, m; this and the following only where they have a sigma
+ship_antenna (3)           horizon    error of all baselines, m; this and the following only if they have a sigma
 lever (3)                  deck       from the ship's antenna to the theodolite, m
 lens (3)                   main       from the crossing of the axes to N', m
-telescope.<id>.parallelism            as parallelism, of another camera that sees stars (3)
-telescope.<id>.optics (4)             errors of the optics of a camera that sees stars: focal length, principal
-                                      point (u, v) and k1, in their sigmas; 3 in the calibration telescope, whose
-                                      focal length is the one above
-telescope.<id>.field (18)             field-spatial error of a camera that sees stars, in sigmas
-sky.<cause>                           what all stars share, in sigmas (ship_attitude_star.sky.shared_states); only where
-                                      there are such cameras
-refraction (1)                        of the coefficient k, the same for all lights
-light.<id>.rtk (3)         horizon    slow error of this baseline, m
+telescope.<id>.parallelism            as parallelism, of another star camera (3)
+telescope.<id>.optics (4)             errors of the optics of a star camera: focal length, principal point (u, v) and
+                                      k1, in their sigmas; 3 in the calibration telescope, whose focal length is above
+telescope.<id>.field (18)             field-spatial error of a star camera, in sigmas
+sky.<cause>                           errors common to all stars, in sigmas (ship_attitude_star.sky.shared_states);
+                                      only with star cameras
+refraction (1)                        of the coefficient k, common to all beacons
+light.<id>.rtk (3)         horizon    correlated error of this baseline, m
 light.<id>.lever (3)       drone      from the drone's antenna to its light, m
 light.<id>.attitude (3)    horizon    of the drone's attitude, rad
-light.<id>.refraction (1)             further error of k on the way to this light
+light.<id>.refraction (1)             further error of k on the path to this light
 =========================  =========  =================================================================================
 """
 
@@ -63,7 +62,7 @@ COMMON_TERMS = {
     "principal_point": "lens",
     "refraction": "refraction",
 }
-"""Error term of all lines of sight (:mod:`theodolite_calib.lights.line_of_sight`) → its state."""
+"""Error term common to all lines of sight (:mod:`theodolite_calib.lights.line_of_sight`) → its state."""
 
 OWN_TERMS = {
     "rtk_bias": "rtk",
@@ -74,11 +73,11 @@ OWN_TERMS = {
 """Error term of one line of sight → its state, after ``light.<id>.``."""
 
 _AT_ONCE = 2.0
-"""A stated variance that changes by more than this factor has changed at once."""
+"""Ratio of a stated variance to the previous one above which the change is a step."""
 
 
 def state_model(config: OpticalAxisConfig) -> StateModel:
-    """All states of a configuration, and the sources of error of its budget."""
+    """Return all states of a configuration, and the error sources of its budget."""
     blocks = [*_ship_blocks(config), *_theodolite_blocks(config), *_path_blocks(config)]
     for id_, camera in config.telescopes.items():
         blocks += _camera_blocks(id_, camera, config)
@@ -97,18 +96,18 @@ def state_model(config: OpticalAxisConfig) -> StateModel:
 
 
 def chain_rows(model: StateModel) -> NDArray[np.intp]:
-    """Where the states that turn the main axis are, in the order of CHAIN_STATES."""
+    """Return the indices of the states that turn the main axis, in the order of AXIS_STATES."""
     return np.concatenate([model.rows(name) for name in CHAIN_STATES if name in model.slices])
 
 
 def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:
-    """Name of the states of a star camera's parallelism; the calibration telescope has one by lights and by stars."""
+    """Return the name of the parallelism states of a star camera; the calibration telescope has one block for all."""
     return "parallelism" if id_ == config.telescope.telescope_id else f"telescope.{id_}.parallelism"
 
 
 def _ship_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
     if config.ship.source == "ship/attitude":
-        # Its size comes with the messages, so it starts without any.
+        # The messages state its covariance; the initial one is zero.
         return [block("ship.attitude", [0.0] * 3, SOURCE_SHIP, time_s=config.ship.slow_time_s)]
     ins = config.ins
     tilt, heading = ins.tilt_sigma_arcsec * ARCSEC, ins.heading_sigma_arcsec * ARCSEC
@@ -131,7 +130,7 @@ def _theodolite_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
 
 
 def _path_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
-    """States of errors that all lines of sight have in common."""
+    """Return the states of errors common to all lines of sight."""
     antenna, air = config.ship_antenna, config.air
     return [
         block("ship_antenna", [antenna.sigma_m] * 3, SOURCE_RTK, time_s=antenna.time_s),
@@ -150,7 +149,7 @@ def _camera_blocks(id_: str, camera: StarCameraConfig, config: OpticalAxisConfig
 
 def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> list[StateBlock]:
     tilt, heading = np.deg2rad([beacon.imu.tilt_sigma_deg, beacon.imu.heading_sigma_deg])
-    # The place of a light at the antenna does not depend on the drone's attitude.
+    # The position of a light at the antenna does not depend on the drone's attitude.
     turns = bool(np.any(beacon.light.vector_m))
     attitude = [tilt, heading, tilt] if turns else [0.0] * 3
     rtk, air = beacon.rtk, config.air
@@ -164,11 +163,11 @@ def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> 
 
 @dataclass(frozen=True)
 class ShipErrorStep:
-    """What happens to the ship's error at once, where its stated covariance changes by much; at one moment, or at N.
+    """Step of the ship's error when its stated covariance changes by much, at one time or at N times.
 
     Attributes:
-        kept: share of each component that is left, shape (3,) or (N, 3).
-        new_n: covariance of what is new, rad², shape (3, 3) or (N, 3, 3).
+        kept: factor on each component of the old error, shape (3,) or (N, 3).
+        new_n: covariance of the added error, rad², shape (3, 3) or (N, 3, 3).
     """
 
     kept: FloatArray
@@ -176,39 +175,39 @@ class ShipErrorStep:
 
 
 class ShipErrorProcess:
-    """How the ship's attitude error evolves, whose size is stated by the messages and may change at once.
+    """Process of the ship's attitude error, whose covariance the messages state.
 
-    Between two messages the error is a Gauss–Markov process with the steady covariance that the messages state. Where
-    that covariance changes by more than a factor of two, more has happened than the process allows: stars came, or
-    another system took over. Then a step follows, axis by axis (:func:`ship_error_step`).
+    Between two messages the error is a Gauss–Markov process with the stated covariance as its stationary one. A change
+    of that covariance by more than a factor of two exceeds the process: stars became available, or another system took
+    over. The error then has a step, axis by axis (:func:`ship_error_step`).
 
     Args:
-        config: the node's parameters.
+        config: parameters of the node.
         model: states of the filter.
 
     Attributes:
-        columns: where the error is in the state.
-        source_index: of its source of error.
+        columns: slice of the error in the state.
+        source_index: index of its error source.
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
         self.columns = model.slices["ship.attitude"]
         self.source_index = model.sources.index(SOURCE_SHIP)
-        # The error of the INS alone may have jumped: what is far beyond its sigma does not die out.
+        # The error of the INS alone may have jumped: a component far beyond its sigma does not decay.
         by_ins = config.ship.source == "ins/imu"
         self._sigma = model.blocks["ship.attitude"].sigma if by_ins else None
 
     def later(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
-        """The error after some time, rotation vector in n, rad, shape (..., 3).
+        """Propagate the error, a rotation vector in n, rad, shape (..., 3).
 
         Args:
-            error_n: before, shape (..., 3).
-            decay: of the process over the time, shape (3,).
+            error_n: error before, shape (..., 3).
+            decay: decay factors of the process over the time, shape (3,).
         """
         return decay * error_n if self._sigma is None else slow_error_later(error_n, decay, self._sigma)
 
     def lasting(self, error_n: FloatArray) -> NDArray[np.bool_]:
-        """Which components of the error do not die out, shape (3,)."""
+        """True for each component of the error that exceeds the model and does not decay, shape (3,)."""
         return np.zeros(3, dtype=bool) if self._sigma is None else lasting(error_n, self._sigma)
 
     def carried(
@@ -221,16 +220,16 @@ class ShipErrorProcess:
         now_n: FloatArray | None,
         source_index: int | None = None,
     ) -> tuple[FloatArray, FloatArray, ShipErrorStep | None]:
-        """State and covariance parts with what the messages state, and the step where that changes at once.
+        """Apply the stated covariance to a propagated state; return mean, covariance by source and the step, or None.
 
         Args:
-            mean: the state, shape (..., n).
+            mean: state, shape (..., n).
             parts: shape (..., n_sources, n, n), decayed and without the noise of the ship's error; changed in place.
-            columns: where the ship's error is in these two.
-            decay: of the error over the time, shape (3,).
-            steady_n: stated covariance that the error has followed, rad², shape (3, 3); None where none was stated.
-            now_n: that is stated now; None where none is.
-            source_index: of the ship's error in ``parts``; None where these are those of the filter.
+            columns: slice of the ship's error in these two.
+            decay: decay factors of the error over the time, shape (3,).
+            steady_n: covariance stated before, rad², shape (3, 3); None if none was.
+            now_n: covariance stated now; None if none is.
+            source_index: index of the ship's error in ``parts``; None for that of the filter.
         """
         source_index = self.source_index if source_index is None else source_index
         add_steady_noise(parts, columns, source_index, decay, steady_n)
@@ -243,25 +242,25 @@ class ShipErrorProcess:
 def add_steady_noise(
     parts: FloatArray, columns: slice, source_index: int, decay: FloatArray, steady_n: FloatArray | None
 ) -> None:
-    """Add in place the noise that keeps the ship's error at its stated covariance.
+    """Add in place the noise that keeps the ship's error at its stationary covariance.
 
     Args:
         parts: shape (..., n_sources, n, n), decayed already.
-        columns: where the ship's error is in them.
-        source_index: of the ship's error.
-        decay: of the error over the time, shape (3,).
-        steady_n: the stated covariance, rad², shape (3, 3); None where none is stated.
+        columns: slice of the ship's error in them.
+        source_index: index of the ship's error source.
+        decay: decay factors of the error over the time, shape (3,).
+        steady_n: stationary covariance, rad², shape (3, 3); None if none is stated.
     """
     if steady_n is not None:
         parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * steady_n
 
 
 def ship_error_step(followed_n: FloatArray | None, now_n: FloatArray | None) -> ShipErrorStep | None:
-    """The step from one stated covariance to another, rad², shape (3, 3) each; None where there is none.
+    """Return the step from one stated covariance to another, rad², shape (3, 3) each; None if there is none.
 
     Args:
-        followed_n: that the error has followed; None where none was stated.
-        now_n: that is stated now; None where none is, and nothing happens.
+        followed_n: covariance stated before; None if none was.
+        now_n: covariance stated now; None if none is, and there is no step.
     """
     if now_n is None:
         return None
@@ -270,17 +269,17 @@ def ship_error_step(followed_n: FloatArray | None, now_n: FloatArray | None) -> 
 
 
 def ship_error_steps(followed_n: FloatArray | None, now_n: FloatArray) -> ShipErrorStep | None:
-    """The steps from one stated covariance to each of N others; None where there is none to any of them.
+    """Return the steps from one stated covariance to each of N others; None if no step occurs.
 
-    Where the variance shrank, the share new / old of the old error is left: a Kalman update that reduced the variance
-    by as much would leave the same. Where the variance grew, all of the old error is left. The rest is new.
+    If the variance decreased, the factor on the old error is new / old, as after a Kalman update with the same
+    decrease. If it increased, the whole old error remains. The difference to the new covariance is added.
 
     Args:
-        followed_n: that the error has followed, rad², shape (3, 3); None where none was stated.
-        now_n: that is stated at each moment, shape (N, 3, 3).
+        followed_n: covariance stated before, rad², shape (3, 3); None if none was.
+        now_n: covariances stated at N times, shape (N, 3, 3).
 
     Returns:
-        A step whose fields have a leading axis of N; where nothing happens all is left, and nothing is new.
+        Step whose fields have a leading axis of N; without a step the factor is 1 and the added covariance is 0.
     """
     if followed_n is None:
         followed_n = np.zeros((3, 3))
@@ -291,7 +290,7 @@ def ship_error_steps(followed_n: FloatArray | None, now_n: FloatArray) -> ShipEr
     stays = np.all(near, axis=1)
     kept = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
     left_n = now_n - followed_n * (kept[:, :, None] * kept[:, None, :])
-    # Not every change of a matrix is such a step in each axis: a negative variance is taken for zero.
+    # A change of a matrix need not be such a step in each axis: negative variances are set to zero.
     values, vectors = np.linalg.eigh(0.5 * (left_n + left_n.swapaxes(1, 2)))
     new_n = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
     return ShipErrorStep(np.where(stays[:, None], 1.0, kept), np.where(stays[:, None, None], 0.0, new_n))
@@ -300,14 +299,14 @@ def ship_error_steps(followed_n: FloatArray | None, now_n: FloatArray) -> ShipEr
 def with_step(
     mean: FloatArray, parts: FloatArray, columns: slice, source_index: int, step: ShipErrorStep
 ) -> tuple[FloatArray, FloatArray]:
-    """State and covariance parts after the step; the arguments are left as they are.
+    """Return state and covariance by source after the step; the arguments are not changed.
 
     Args:
         mean: shape (..., n).
         parts: shape (..., n_sources, n, n).
-        columns: where the ship's error is.
-        source_index: of its source.
-        step: what happens.
+        columns: slice of the ship's error.
+        source_index: index of its source.
+        step: the step.
     """
     mean, parts = mean.copy(), parts.copy()
     mean[..., columns] *= step.kept

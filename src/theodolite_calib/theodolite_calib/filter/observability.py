@@ -1,14 +1,14 @@
-"""Which combinations of axis errors and deformation the sightings cannot tell apart, as the live filter sees it.
+"""Combinations of axis errors and deformation that the sightings cannot separate, computed live with the filter.
 
-Where stars may be seen beside lights, N' is among them: lights depend on it, and stars do not.
+If stars are observed as well as beacons, N' is included: beacons depend on it, and stars do not.
 
-A second covariance runs beside the filter's. At its start the errors told of are as good as unknown, and the
-deformation is a random walk as fast as the filter's process, without a mean to return to. All other states are as in
-the filter, slow errors included. A combination that this covariance leaves open is therefore one that the sightings
-leave open, however many of the same kind there are. A factor between N' and an angle is in metres for a radian.
+A second covariance is propagated for this. It starts with practically unknown values of the errors in question. The
+deformation is a random walk with the rate of the filter's process, without a mean. All other states, correlated errors
+included, are as in the filter. A combination with no information in this covariance therefore has none in the
+sightings, however many of the same kind follow. A ratio between N' and an angle is in metres per radian.
 
-Beside errors as good as unknown, what is known to an arcsecond is lost in the rounding of a covariance. So its root is
-carried: stacked roots are made one by an orthogonal triangle (QR), and no step can make a variance negative (Bierman,
+With such large variances, errors known to an arcsecond would be lost in rounding. The root of the covariance is
+propagated instead: stacked roots are combined by QR decomposition, and no variance can become negative (Bierman,
 Factorization Methods for Discrete Sequential Estimation, 1977).
 """
 
@@ -28,26 +28,26 @@ DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard
 LENS_NAMES = ("lens_forward", "lens_up", "lens_right")
 
 _LEADING = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g", *LENS_NAMES)
-"""In this order errors lead the combinations that are told. The error that leads one combination is eliminated from all
-others; the errors that pair with the deformation come last."""
+"""Order in which errors lead the reported combinations. A leading error is eliminated from all other combinations; the
+errors that pair with the deformation come last."""
 
 _UNKNOWN = 1000.0
-"""Sigma of an unknown error at the start, in sigmas of the configuration."""
+"""Initial standard deviation of an unknown error, in standard deviations of the configuration."""
 
 
 @dataclass(frozen=True)
 class Unaided:
-    """A root of the covariance of the states by the sightings alone, shape (n, n): covariance = root @ root.T."""
+    """Root of the covariance of the states from the sightings alone, shape (n, n): covariance = root @ root.T."""
 
     root: FloatArray
 
 
 class Observability:
-    """What the sightings tell of the states of a filter.
+    """Observability of the states of a filter from its sightings.
 
     Args:
         model: states of the filter.
-        tells_lens: whether N' is told of, where it is a state.
+        tells_lens: True to include N', if it is a state.
     """
 
     def __init__(self, model: StateModel, tells_lens: bool = False) -> None:
@@ -72,16 +72,16 @@ class Observability:
         sigma = np.concatenate([model.blocks[name].sigma for name in told])
         rows = np.concatenate([model.rows(name) for name in told])
         self._told = names
-        # An error with a sigma of 0 is held, and need not be told.
+        # An error with a sigma of 0 is fixed and not reported.
         order = [names.index(name) for name in _LEADING if name in names and sigma[names.index(name)] > 0.0]
         self._names, self._sigma, self._rows = [names[i] for i in order], sigma[order], rows[order]
 
     def start(self) -> Unaided:
-        """Before any sighting."""
+        """Return the state before any sighting."""
         return Unaided(np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()])))
 
     def predicted(self, unaided: Unaided, dt_s: float, ship_steady_n: FloatArray | None) -> Unaided:
-        """After ``dt_s``; the ship's error follows a stated steady covariance (rad², (3, 3)) where there is one."""
+        """Propagate by ``dt_s``; the ship's error has a stated stationary covariance (rad², (3, 3)) if one is given."""
         decay, noise = self._model.transition(dt_s)
         roots = [decay[:, None] * unaided.root, np.diag(np.sqrt(noise))[:, noise > 0.0]]
         if ship_steady_n is not None:
@@ -89,31 +89,31 @@ class Observability:
         return Unaided(_triangle(np.hstack(roots)))
 
     def with_ship_step(self, unaided: Unaided, step: ShipErrorStep) -> Unaided:
-        """After a change of the ship's error at once."""
+        """Apply a step of the ship's error."""
         root = unaided.root.copy()
         root[self._ship] *= step.kept[:, None]
         return Unaided(_triangle(np.hstack([root, self._of_ship(step.new_n)])))
 
     def updated(self, unaided: Unaided, jacobian: FloatArray, noise: FloatArray) -> Unaided:
-        """After a sighting with the filter's Jacobian (m, n) and noise (m, m)."""
+        """Update with a sighting that has the filter's Jacobian (m, n) and noise (m, m)."""
         root, (size, states) = unaided.root, jacobian.shape
         both = np.block([[np.linalg.cholesky(noise), jacobian @ root], [np.zeros((states, size)), root]])
-        # The triangle's upper rows are the root of the innovation's covariance, its lower right that of what is left.
+        # Upper rows: root of the innovation's covariance; lower right: root of the updated covariance.
         return Unaided(_triangle(both)[size:, size:])
 
     def _of_ship(self, covariance_n: FloatArray) -> FloatArray:
-        """A root of a covariance of the ship's error, rad², shape (3, 3), in rows of the whole state, shape (n, 3)."""
+        """Return a root of a covariance of the ship's error, rad², shape (3, 3), as rows of the state, shape (n, 3)."""
         root = np.zeros((self._model.size, 3))
         root[self._ship] = square_root(covariance_n)
         return root
 
     def open_combinations(self, unaided: Unaided) -> tuple[str, ...]:
-        """Combinations of names that the sightings so far cannot tell apart, as ``g - deformation_up``."""
+        """Return the combinations of names that the sightings so far cannot separate, as ``g - deformation_up``."""
         root = unaided.root[self._rows]
         return open_combinations(root @ root.T, self._sigma, self._names, self._told)
 
 
 def _triangle(root: FloatArray) -> FloatArray:
-    """The lower triangle L with L Lᵀ = root rootᵀ, shape (n, n); root has n rows and n columns or more."""
+    """Return the lower triangle L with L Lᵀ = root rootᵀ, shape (n, n); root has n rows and at least n columns."""
     lower: FloatArray = np.asarray(np.linalg.qr(root.T, mode="r"), dtype=float).T
     return lower

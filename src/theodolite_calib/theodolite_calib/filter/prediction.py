@@ -1,8 +1,7 @@
-"""What a state of the calibration filter predicts of a sighting, with the Jacobian by all states.
+"""Prediction of a sighting of beacons by a state of the calibration filter, with the Jacobian by all states.
 
-The lights' points on the detector are predicted from the attitude of the telescope
-(:mod:`theodolite_calib.chain.axes`) and from the lines of sight
-(:mod:`theodolite_calib.lights.line_of_sight`). From both the errors are taken out as far as they are now known.
+The beacons' points on the detector follow from the attitude of the telescope (:mod:`theodolite_calib.chain.axes`) and
+from the lines of sight (:mod:`theodolite_calib.lights.line_of_sight`). Both are corrected by the estimated errors.
 """
 
 from dataclasses import dataclass
@@ -40,29 +39,30 @@ from theodolite_calib.lights.line_of_sight import (
 from theodolite_calib.measured.sighting import Sighting
 
 _OWN_WIDTHS = {"rtk": 3, "lever": 3, "attitude": 3, "refraction": 1}
-"""Sizes of the states of one light."""
+"""Number of components of each state of one beacon."""
 
 _NO_COVARIANCE, _UNIT = np.zeros((3, 3)), np.eye(3)
 
 _EVERY_LIGHT = -1
-"""In the place of a light: an error that moves all of them."""
+"""Beacon index of an error that moves all beacons."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """A sighting as a state predicts it; N lights, n states.
+    """Sighting predicted by a state; N beacons, n states.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (3, 3).
         turn_n: rotation vector of the telescope in n per state, shape (3, n).
-        noise_n: covariance of the telescope's rotation vector that is new with each exposure, by source, rad²,
+        noise_n: covariance of the telescope's rotation vector that is white from exposure to exposure, by source, rad²,
             shape (3, 3).
-        camera: with the focal length as now known.
-        lines: where the lights should be seen.
-        residual: measured minus predicted, m, shape (2 N,); NaN for a light behind the telescope.
-        by_attitude_n: change of the points by the telescope's rotation vector in n, m/rad, shape (2 N, 3).
-        jacobian: change of the points by all states, shape (2 N, n).
-        noise_by_source: covariance of the points that is new with each exposure, by source, m², shape (2 N, 2 N).
+        camera: camera with the estimated focal length.
+        lines: predicted lines of sight to the beacons.
+        residual: measured minus predicted, m, shape (2 N,); NaN for a beacon behind the telescope.
+        by_attitude_n: derivative of the points by the telescope's rotation vector in n, m/rad, shape (2 N, 3).
+        jacobian: derivative of the points by all states, shape (2 N, n).
+        noise_by_source: covariance of the points that is white from exposure to exposure, by source, m², shape (2 N, 2
+            N).
     """
 
     rotation_nt: FloatArray
@@ -77,10 +77,10 @@ class Prediction:
 
 
 class SightingModel:
-    """How sightings depend on the states, for a configuration.
+    """Measurement model of sightings of beacons for a configuration.
 
     Args:
-        config: the node's parameters.
+        config: parameters of the node.
         model: its states.
     """
 
@@ -94,26 +94,26 @@ class SightingModel:
         self._lights: dict[tuple[str, ...], _OfLights] = {}
 
     def chain_errors(self, mean: FloatArray) -> FloatArray:
-        """What a state says is wrong with the chain to the main axis, in the order of its columns, shape (14,)."""
+        """Return the estimated errors of the axis geometry, in the order of its columns, shape (14,)."""
         errors: FloatArray = self._configured_errors.copy()
         errors[: len(self._turning)] += mean[self._turning]
         return errors
 
     def parallelism(self, mean: FloatArray) -> FloatArray:
-        """Angles of the main axis in the telescope, rad, shape (3,)."""
+        """Return the angles of the main axis in the telescope, rad, shape (3,)."""
         return self._parallelism + self._of(mean, "parallelism")
 
     def focal_length_m(self, mean: FloatArray) -> float:
-        """Focal length as now known, m."""
+        """Return the estimated focal length, m."""
         return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
 
     def turn_n(self, chain: AxisChain, by_parallelism: FloatArray, parallelism: str) -> FloatArray:
-        """Rotation vector in n per state of a camera that is fixed to the main axis, shape (3, n).
+        """Return the rotation vector in n per state of a camera fixed to the main axis, shape (3, n).
 
         Args:
-            chain: to the main axis.
+            chain: geometry of the main axis.
             by_parallelism: rotation vector of the camera per angle of its parallelism, shape (3, 3).
-            parallelism: name of the states of these.
+            parallelism: name of the states of these angles.
         """
         turn_n = np.zeros((3, self._model.size))
         turn_n[:, self._turning] = chain.by_error[:, : len(self._turning)]
@@ -121,7 +121,7 @@ class SightingModel:
         return turn_n
 
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
-        """A sighting as a state has it, and how it follows from the states."""
+        """Predict a sighting by a state, with its Jacobian."""
         ship, encoder = sighting.ship, sighting.encoder
         chain = axis_chain(self.chain_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), chain.rotation_nm)
@@ -155,7 +155,7 @@ class SightingModel:
         return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
     def _lines(self, mean: FloatArray, sighting: Sighting, chain: AxisChain, known: "_OfLights") -> LinesOfSight:
-        """Lines of sight, with their errors taken out as far as they are known."""
+        """Return the lines of sight, corrected by the estimated errors."""
         own, survey = known.own(mean), known.survey
         lights = Lights(
             baseline_n=sighting.lights.baseline_n + own["rtk"] + self._of(mean, "ship_antenna"),
@@ -177,36 +177,36 @@ class SightingModel:
         return lines_of_sight(lights, Ship(chain.rotation_nd, _NO_COVARIANCE, chain.rotation_dm), now)
 
     def _of_lights(self, names: tuple[str, ...]) -> "_OfLights":
-        """What is known of lights with these names before any sighting; made once for all sightings of them."""
+        """Return the setup of beacons with these names; computed once for all their sightings."""
         if names not in self._lights:
             self._lights[names] = _OfLights(self._config, self._model, names)
         return self._lights[names]
 
     def _add_ships_time(self, jacobian: FloatArray, by_ship_turn: FloatArray, chain: AxisChain) -> None:
-        """Add what the ship's time does to the points by carrying the theodolite round the antenna."""
+        """Add the effect of the ship's time offset that moves the theodolite around the antenna."""
         if "ship.time_offset" in self._model.slices:
             by_turn = by_ship_turn.reshape(len(jacobian), 3)
             jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ chain.by_error[:, SHIP_TIME]
 
     def _of(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
-        """A block of the state; zeros where there is no such state."""
+        """Return a block of the state; zeros if there is no such state."""
         columns = self._model.slices.get(name)
         return mean[columns] if columns is not None else np.zeros(width)
 
 
 class _OfLights:
-    """What the configuration says of N lights, and where their states are.
+    """Configuration of N beacons and the indices of their states.
 
     Args:
-        config: the node's parameters.
+        config: parameters of the node.
         model: states of the filter.
-        names: of the lights.
+        names: names of the beacons.
 
     Attributes:
-        survey: what was measured once, without what the states say of it.
-        attitude_covariance_n: of the attitudes of the drones, rad², shape (N, 3, 3).
-        places: which state moves which light by which error of the lines of sight, as
-            :func:`theodolite_calib.filter.compiled_points.by_states` takes them, shape (e, 3).
+        survey: surveyed quantities, not corrected by the states.
+        attitude_covariance_n: covariances of the drones' attitudes, rad², shape (N, 3, 3).
+        places: couplings of states, beacons and errors of the lines of sight, as
+            :func:`theodolite_calib.filter.compiled_points.jacobian_by_states` takes them, shape (e, 3).
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel, names: tuple[str, ...]) -> None:
@@ -227,7 +227,7 @@ class _OfLights:
         imus = [beacon.imu for beacon in beacons]
         sigma = np.deg2rad([[imu.tilt_sigma_deg, imu.heading_sigma_deg, imu.tilt_sigma_deg] for imu in imus])
         self.attitude_covariance_n: FloatArray = sigma[:, :, None] ** 2 * np.eye(3)
-        # A turn of the ship moves the points by carrying the theodolite round the antenna, too.
+        # A rotation of the ship also moves the points, because the theodolite moves around the antenna.
         common = {**COMMON_TERMS, "ship_attitude": "ship.attitude"}
         moved = [(_EVERY_LIGHT, term, state) for term, state in common.items()]
         moved += [
@@ -250,22 +250,22 @@ class _OfLights:
         }
 
     def own(self, mean: FloatArray) -> dict[str, FloatArray]:
-        """What a state says of each light's own errors, by the name of the state, shape (N, 3) or (N, 1)."""
+        """Return the estimated errors of each beacon by state name, shape (N, 3) or (N, 1)."""
         padded = np.append(mean, 0.0)
         return {state: padded[places] for state, places in self._own_places.items()}
 
 
 def _places(model: StateModel, state: str, width: int) -> list[int]:
-    """Where a state of so many numbers is; where there is none, the place of a zero behind all states."""
+    """Return the indices of a state; if there is none, the index of a zero appended to all states."""
     columns = model.slices.get(state)
     return [model.size] * width if columns is None else list(range(columns.start, columns.stop))
 
 
 def _moved(lever: LeverArm, error_m: FloatArray) -> LeverArm:
-    """A lever arm with what is known of its error taken out."""
+    """Return a lever arm corrected by its estimated error."""
     return LeverArm(lever.vector_m + error_m, lever.sigma_m)
 
 
 def _range(columns: slice) -> range:
-    """The numbers of some columns."""
+    """Return the column numbers of a slice."""
     return range(columns.start, columns.stop)

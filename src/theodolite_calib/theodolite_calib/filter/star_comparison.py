@@ -1,13 +1,14 @@
-"""Stars in a camera on the theodolite against the attitude that the filter's state predicts for it.
+"""Comparison of stars in a camera on the theodolite with the camera's attitude predicted by the filter's state.
 
-The camera s hangs on the main axis, and that on encoders, deformation and ship (:mod:`theodolite_calib.chain`):
+The camera s is fixed to the main axis, whose attitude follows from encoders, deformation and ship
+(:mod:`theodolite_calib.chain`):
 
     rotation_ns = exp(a) R_ship · exp(e) · R_axes · R(ΔA, ΔE, Δω)ᵀ
 
-A star has no baseline, no lever, no N' and no terrestrial refraction: its direction in the horizon is that of the
-catalogue with aberration and refraction, and the errors that all stars share are states
-(:mod:`ship_attitude_star.sky.shared_states`). Which star a detection is, which stars are believed, and their residuals
-are as in the ship's filter (:mod:`ship_attitude_star.stars.residuals`).
+A star has no baseline, lever, N' or terrestrial refraction. Its direction in the horizon is that of the catalogue with
+aberration and refraction, and the errors common to all stars are states (:mod:`ship_attitude_star.sky.shared_states`).
+Identification, rejection of stars and residuals are those of the ship's filter
+(:mod:`ship_attitude_star.stars.residuals`).
 """
 
 from dataclasses import dataclass
@@ -32,18 +33,19 @@ from theodolite_calib.filter.prediction import SightingModel
 from theodolite_calib.measured.star_sighting import StarSighting
 
 _STEPS = 6
-# What a step of this size (rad) leaves of the equations that is not linear is its square: below rounding.
+# The non-linear remainder of a step of this size (rad) is its square: below rounding.
 _SMALL_STEP = 1e-5
 
 
 @dataclass(frozen=True)
 class CameraAttitude:
-    """A camera's attitude as a state has it; n states.
+    """Attitude of a camera by a state; n states.
 
     Attributes:
         rotation_ns: horizon from camera, shape (3, 3).
         turn_n: its rotation vector in n per state, shape (3, n).
-        noise_n: covariance of that rotation vector that is new with each exposure, by source, rad², shape (3, 3).
+        noise_n: covariance of that rotation vector that is white from exposure to exposure, by source, rad², shape (3,
+            3).
     """
 
     rotation_ns: FloatArray
@@ -51,20 +53,20 @@ class CameraAttitude:
     noise_n: dict[str, FloatArray]
 
     def prior(self, covariance: FloatArray) -> StarPrior:
-        """The same as the choice of stars takes it, by the covariance of the state, shape (n, n)."""
+        """Return the prior for the selection of stars, from the covariance of the state, shape (n, n)."""
         noise_n: FloatArray = np.sum(list(self.noise_n.values()), axis=0)
         return StarPrior(self.rotation_ns, self.turn_n @ covariance @ self.turn_n.T + noise_n)
 
 
 @dataclass(frozen=True)
 class StarComparison:
-    """Stars of an exposure beside a predicted state, linearised where the update leads; k stars.
+    """Stars of an exposure compared with a propagated state, linearised at the update; k stars.
 
     Attributes:
-        camera: at the point of linearisation.
-        stars: that are used, as they are seen from there.
-        measurement: residual relative to the predicted mean, rad, shape (2 k,), with Jacobian and noise by source.
-        rows: the comparison of it with the predicted state, as the only row.
+        camera: attitude at the point of linearisation.
+        stars: accepted stars, with residuals at that point.
+        measurement: residual relative to the propagated mean, rad, shape (2 k,), with Jacobian and noise by source.
+        rows: innovation against the propagated state, as the only filter.
     """
 
     camera: CameraAttitude
@@ -74,12 +76,12 @@ class StarComparison:
 
 
 class StarModel:
-    """How stars depend on the states, for a configuration.
+    """Measurement model of stars for a configuration.
 
     Args:
-        config: the node's parameters.
+        config: parameters of the node.
         model: its states.
-        sightings: how the main axis depends on them.
+        sightings: measurement model of the main axis.
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel, sightings: SightingModel) -> None:
@@ -92,7 +94,7 @@ class StarModel:
             id_: camera_rows(model.slices, f"telescope.{id_}", "focal_length" if id_ == shared else "")
             for id_ in config.telescopes
         }
-        # The errors of a lens are counted in sigmas, but the focal length that lights share is in metres.
+        # Errors of a lens are in sigmas, but the focal length shared with the beacons is in metres.
         self._in_sigmas: FloatArray = np.ones(model.size)
         if shared in config.telescopes:
             lens = config.star_camera(shared)
@@ -100,7 +102,7 @@ class StarModel:
         self._sky_rows = sky_rows(model.slices, config.sky) if config.telescopes else slice(0, 0)
 
     def predict(self, mean: FloatArray, sighting: StarSighting) -> CameraAttitude:
-        """The camera at the middle of an exposure as a state has it."""
+        """Return the camera's attitude at the middle of an exposure by a state."""
         ship, encoder = sighting.ship, sighting.encoder
         errors = self._sightings.chain_errors(mean)
         chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
@@ -121,7 +123,7 @@ class StarModel:
         watch: SkyWatch,
         near_ns: FloatArray | None = None,
     ) -> StarResiduals | Refusal:
-        """The stars against the camera as a state has it; see :func:`star_residuals`."""
+        """Return the residuals of the stars against the camera's attitude; see :func:`star_residuals`."""
         to_camera = camera.rotation_ns.T @ camera.turn_n
         stars = star_residuals(
             sighting.exposure,
@@ -139,11 +141,11 @@ class StarModel:
         return stars
 
     def contradiction(self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting) -> Refusal | None:
-        """The rejection of an exposure by which its camera's focal length were far from the configured one.
+        """Return the rejection of an exposure that moves the focal length far from the configured one, or None.
 
         Args:
-            mean: of the state after it, shape (n,).
-            covariance: of that state, shape (n, n).
+            mean: mean of the state after it, shape (n,).
+            covariance: covariance of that state, shape (n, n).
             sighting: the exposure.
         """
         rows, optics = self._lens_rows[sighting.camera_id], sighting.exposure.optics
@@ -156,16 +158,16 @@ class StarModel:
     def compare(
         self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, watch: SkyWatch
     ) -> StarComparison | Refusal:
-        """Compare an exposure with a state predicted to its moment, or say why no star of it can be.
+        """Compare an exposure with a state propagated to its time, or return the reason why no star of it is usable.
 
-        The stars are linearised again where the update leads until that no longer moves (Gauss–Newton): the NIS is then
-        the least sum of squares that any state can reach against prediction and stars together.
+        The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the least
+        sum of squares that any state can reach against prediction and stars together.
 
         Args:
-            mean: of the predicted state, shape (n,).
-            covariance: of the predicted state, shape (n, n).
+            mean: mean of the propagated state, shape (n,).
+            covariance: covariance of the propagated state, shape (n, n).
             sighting: the exposure.
-            watch: the sky.
+            watch: sky model.
 
         Raises:
             numpy.linalg.LinAlgError: the covariance of the residual is not positive definite.
@@ -187,7 +189,7 @@ class StarModel:
         return found
 
     def _measurement(self, camera: CameraAttitude, stars: StarResiduals, moved: FloatArray) -> LinearMeasurement:
-        """The stars as one Kalman step takes them, from a state that they are linearised ``moved`` away from."""
+        """Return the stars as one Kalman measurement, linearised at ``offset`` from the propagated mean."""
         by_turn_n = stars.by_turn @ camera.rotation_ns.T
         index = self._model.source_indices
         noise = {index[source]: by_turn_n @ part_n @ by_turn_n.T for source, part_n in camera.noise_n.items()}

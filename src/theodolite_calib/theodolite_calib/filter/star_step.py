@@ -1,9 +1,9 @@
-"""The step from a state to the next by one exposure of stars.
+"""Step of the filter by one exposure of stars.
 
-The state is carried to its moment and compared with the stars that are what they are taken for
-(:mod:`theodolite_calib.filter.star_comparison`). Where they pass the gate, the estimate by all sources and every
-estimate without one of them learn of the stars. Stars that contradict what encoders and ship predict are counted like
-lights that do: the pointing is in doubt until stars or lights agree again.
+The state is propagated to the time of the exposure and compared with the identified stars
+(:mod:`theodolite_calib.filter.star_comparison`). If they pass the gate, the main filter and the subfilters are updated.
+A rejection against encoders and ship counts like one of beacons: the pointing has an unresolved fault until stars or
+beacons are accepted again.
 """
 
 from dataclasses import replace
@@ -24,16 +24,16 @@ from theodolite_calib.measured.samples import ExposureDecision
 from theodolite_calib.measured.star_sighting import StarSighting
 
 _CONTRADICTS = (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED)
-"""Refusals that speak against what is predicted: where that is right, most stars fit it."""
+"""Rejections that contradict the prediction: most stars match a right prediction."""
 
 
 class StarStep:
-    """The step from a state to the next by one exposure of stars.
+    """Step from a state to the next by one exposure of stars.
 
     Args:
-        config: the node's parameters.
-        filter_: the filter of that configuration.
-        watch: the sky.
+        config: parameters of the node.
+        filter_: filter of that configuration.
+        watch: sky model.
     """
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, watch: SkyWatch) -> None:
@@ -43,7 +43,7 @@ class StarStep:
         self._turning = chain_rows(filter_.model)
 
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
-        """State and decision after an exposure; ``state`` is that after the sighting before."""
+        """Return state and decision after an exposure; ``state`` is that after the previous sighting."""
         after, decision = self._judged(state, sighting)
         return after, replace(decision, excluded=tuple(sorted(after.trust.excluded)))
 
@@ -59,7 +59,7 @@ class StarStep:
         except np.linalg.LinAlgError:
             found = singular_covariance()
         decision = ExposureDecision(sighting.exposure, found.reason, text=found.text)
-        # While encoders or ship are excluded nothing is predicted that stars could speak against.
+        # With encoders or ship excluded there is no prediction that stars could contradict.
         if found.reason in _CONTRADICTS and not state.trust.excluded & CHAIN:
             return held_back(state, decision, self._gate, "stars")
         return state, decision
@@ -83,7 +83,7 @@ class StarStep:
         )
         # Written so that NaN fails.
         if not nis <= gate:
-            decision = replace(decision, text=f"improbable: NIS {nis:.1f} > gate {gate:.1f}")
+            decision = replace(decision, text=f"NIS {nis:.1f} exceeds gate {gate:.1f}")
             return held_back(state, decision, self._gate, "stars")
         after = self._filter.used_stars(predicted, sighting.exposure, found)
         contradiction = self._filter.stars.contradiction(after.mean, after.covariance, sighting)

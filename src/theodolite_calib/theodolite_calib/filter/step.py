@@ -1,9 +1,9 @@
-"""The step from a state to the next by one sighting: who is trusted, which lights are used, what the rows learn of it.
+"""Step of the filter by one sighting of beacons: propagation, fault detection, gate and update.
 
-A sighting goes this way. The state is carried to its moment; drones whose baselines have jumped are excluded, and
-those that are excluded are watched. The other lights are judged (:mod:`theodolite_calib.filter.judgement`) by the
-estimate of all sources that are not excluded, and used or refused. Every estimate without one source sees them too, and
-all together tell whether a source is wrong (:mod:`theodolite_calib.filter.trust`).
+The state is propagated to the time of the sighting. Drones whose baselines have jumped are excluded, and excluded
+drones are monitored. The other beacons pass the gate (:mod:`theodolite_calib.filter.sighting_gate`) against the
+estimate by all sources that are not excluded. Every subfilter is compared with them too, and fault detection
+(:mod:`theodolite_calib.filter.fault_detection`) follows from all innovations together.
 """
 
 import functools
@@ -31,17 +31,17 @@ from theodolite_calib.measured.sighting import Sighting
 
 
 class SightingStep:
-    """The step from a state to the next by one sighting.
+    """Step from a state to the next by one sighting of beacons.
 
     Args:
-        config: the node's parameters.
-        filter_: the filter of that configuration.
-        streams_since: what encoders and ship say by themselves of the time between two moments, ns; None where they are
-            not asked, or it is too long ago.
-        ship_crept: whether the ship's attitude has left its own rates in the time before a moment, ns; None where
-            nothing tells.
-        own_faults: of encoders and ship, those whose own stream stood, jumped or repeated a stamp not long before a
-            time, ns.
+        config: parameters of the node.
+        filter_: filter of that configuration.
+        streams_since: function of two times, ns, that returns the consistency of the encoder and ship streams between
+            them; None if it is not evaluated, or too long ago.
+        ship_crept: function of a time, ns, that returns True if the ship's attitude has departed from its own rates
+            before it; None if unknown.
+        own_faults: function of a time, ns, that returns which of the encoder and ship streams were stuck, jumped or
+            repeated a stamp shortly before it.
     """
 
     def __init__(
@@ -67,13 +67,13 @@ class SightingStep:
         exposure: Exposure,
         jumps: tuple[tuple[str, BaselineJump], ...] = (),
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """State and decision after a sighting.
+        """Return state and decision after a sighting.
 
         Args:
-            state: after the sighting before.
-            sighting: the lights that have all they need.
-            exposure: that it comes from.
-            jumps: of the baselines of its lights.
+            state: state after the previous sighting.
+            sighting: beacons with complete data.
+            exposure: exposure of the sighting.
+            jumps: jumps of the baselines of its beacons, by name.
         """
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
         trust = self._referee.heard_again(predicted.trust, sighting.names, sighting.time_ns)
@@ -90,13 +90,13 @@ class SightingStep:
     def _jumped(
         self, predicted: CalibrationState, sighting: Sighting, name: str, jump: BaselineJump
     ) -> CalibrationState:
-        """The predicted state after a jump of a baseline: its drone is excluded, if it is not yet."""
+        """Exclude the drone of a baseline that has jumped, unless it is excluded already."""
         source, trust = BEACON + name, predicted.trust
         if source in trust.excluded:
             return replace(predicted, trust=self._referee.jumped(trust, source, jump))
         if trust.jumped_ns.get(source, jump.time_ns - 1) >= jump.time_ns:
             return predicted
-        why = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, which no flight explains"
+        why = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, more than its flight can explain"
         exclusion = Exclusion(sighting.time_ns)
         left_out = LeftOut(exclusion, why, 0.0, jump.jump_n, jump.sigma_m, jump.time_ns)
         return self._excluded(predicted, source, left_out)
@@ -104,14 +104,14 @@ class SightingStep:
     def _excluded(
         self, state: CalibrationState, source: str, left_out: LeftOut, seen_by: str | None = None
     ) -> CalibrationState:
-        """The state without a source: the estimate without it takes the first place."""
+        """Exclude a source: its subfilter becomes the main filter."""
         trust = self._referee.without(state.trust, source, left_out, seen_by)
         return replace(self._filter.without(state, source), trust=trust)
 
     def _judged(
         self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """State and decision; ``predicted`` may have lost sources that ``state`` still has."""
+        """Return state and decision; ``predicted`` may exclude sources that ``state`` still uses."""
         excluded = predicted.trust.excluded
         held = state if excluded == state.trust.excluded else predicted
         rows = range(len(sighting.names))
@@ -134,7 +134,7 @@ class SightingStep:
         if judgement.sighting is not None and judgement.comparison is not None:
             after, compared = self._filter.used(unknown, judgement.sighting, judgement.comparison)
             if ENCODER in excluded:
-                # Where the telescope is predicted rests on the encoders: the lights have it where the update puts it.
+                # The predicted attitude uses the excluded encoders; the update gives the attitude by the beacons.
                 turned = exp_rotation(compared.prediction.turn_n @ (after.mean - unknown.mean))
                 rotation_nt = turned @ judgement.comparison.prediction.rotation_nt
                 told_dt = judgement.sighting.in_deck(rotation_nt), _sigma_seen(compared)
@@ -154,7 +154,7 @@ class SightingStep:
         compared: Comparison,
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """What the rows say of a sighting that was used; ``before`` is the state predicted to its moment."""
+        """Update subfilters and fault state with an accepted sighting; ``before`` is the state propagated to it."""
         first = before.mean, compared.covariance
         alternatives, seen = self._filter.rows.seen(
             before.alternatives, names, compared.measurement, first, before.trust.excluded, self._gate.probability
@@ -187,7 +187,7 @@ class SightingStep:
         comparison: Comparison,
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """What the rows say of a sighting that was refused; ``predicted`` is the state at its moment."""
+        """Update subfilters and fault state with a rejected sighting; ``predicted`` is the state at its time."""
         first = predicted.mean, comparison.covariance
         alternatives, seen = self._filter.rows.seen(
             predicted.alternatives,
@@ -213,7 +213,7 @@ class SightingStep:
     def _blamed(
         self, held: CalibrationState, source: str, explaining: Set[str], decision: ExposureDecision
     ) -> str | None:
-        """Who is wrong where the rows name the encoders or the ship: their own streams are asked."""
+        """Isolate a fault of encoders or ship by their own streams; return the faulty source or None."""
         time_ns = decision.measurement.time_ns
         told = None if held.used_ns is None else self._streams_since(held.used_ns, time_ns)
         if told is None:
@@ -221,7 +221,7 @@ class SightingStep:
         return blamed(source, explaining, told, float(np.max(np.abs(decision.residual))))
 
     def _faulty(self, source: str | None, explaining: Set[str], time_ns: int) -> str | None:
-        """Return the source to exclude: where another one has shown a fault of its own just now, that one or none."""
+        """Return the source to exclude: if another one has shown a fault of its own recently, that one or none."""
         own = self._own_faults(time_ns)
         if source not in CHAIN or source in own or len(own) != 1:
             return source
@@ -231,8 +231,8 @@ class SightingStep:
     def _attributed(
         self, state: CalibrationState, source: str, decision: ExposureDecision, seen_by: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """A source is found wrong; ``seen_by`` names the row that explains it, where it has none of its own."""
-        why = f"{source} contradicts the others, and without it the rest agrees"
+        """Exclude an isolated source; ``explaining_subfilter`` is set if the source has no subfilter of its own."""
+        why = f"{source} is inconsistent with the other sources, which are consistent without it"
         refused_m = float(np.max(np.abs(decision.residual), initial=0.0)) * self._filter.sightings.focal_length_m(
             state.mean
         )
@@ -242,7 +242,7 @@ class SightingStep:
         return replace(state, refusals=0), replace(decision, text=text)
 
     def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
-        """By so much the pointing of a row may differ from that by all sources, covariance in n, rad²."""
+        """Return the largest separation of a subfilter's pointing from the main filter, as a covariance in n, rad²."""
         apart_n = (state.alternatives.mean - state.mean)[:, self._turning] @ (
             compared.prediction.turn_n[:, self._turning].T
         )
@@ -250,7 +250,7 @@ class SightingStep:
         return np.outer(farthest, farthest)
 
     def _watched_turn(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
-        """The encoders, or the ship's attitude, while excluded: would they have led to this sighting?"""
+        """Compare the sighting with the prediction of excluded encoders, or of an excluded ship's attitude."""
         used = [row for row, name in enumerate(sighting.names) if BEACON + name not in predicted.trust.excluded]
         comparison = self._filter.compare(predicted, sighting.chosen(used)) if used else None
         gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
@@ -259,7 +259,7 @@ class SightingStep:
         return replace(predicted, trust=trust)
 
     def _watched_lights(self, trust: Trust, state: CalibrationState, sighting: Sighting, others: bool) -> Trust:
-        """The lights of drones that are excluded, beside the estimate by the others."""
+        """Compare the beacons of excluded drones with the estimate by the other sources."""
         for row, name in enumerate(sighting.names):
             if BEACON + name not in state.trust.excluded:
                 continue
@@ -273,13 +273,13 @@ class SightingStep:
 
     @staticmethod
     def _refused_m(left_out: LeftOut, comparison: Comparison, others: bool) -> float:
-        """Size on the detector of what must be refused now, were it still there."""
+        """Return the size on the detector of the residual that the fault would cause now, m."""
         direction_n = comparison.prediction.lines.direction_n[0]
         across_m = np.linalg.norm(np.cross(left_out.jumped_n, direction_n))
         distance_m = comparison.prediction.lines.distance_m[0]
         by_jump = float(focal_length_m(comparison) * across_m / distance_m)
         if np.any(left_out.jumped_n):
-            # Along the line of sight a jump is not seen: then nothing can be said.
+            # A jump along the line of sight is not observable: no reinstatement then.
             return max(by_jump, np.finfo(float).tiny)
         return 0.0 if others else left_out.refused_m
 
@@ -289,7 +289,7 @@ class SightingStep:
 
 @functools.lru_cache(maxsize=16)
 def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> Factors:
-    """Numbers of sigmas for the hypotheses without one source each."""
+    """Return the sigma multipliers of the hypotheses without one source each."""
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
     return factors(config, [by_source.get(source, priors.beacon) for source in sources])
@@ -298,13 +298,13 @@ def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> Fac
 def held_back(
     state: CalibrationState, decision: ExposureDecision, gate: GateConfig, what: str
 ) -> tuple[CalibrationState, ExposureDecision]:
-    """Count a disagreement; after a run of them say so and, where configured, re-open the gate.
+    """Count a rejected sighting; report a run of them and, if configured, inflate the covariance.
 
     Args:
-        state: before the sighting that disagrees.
-        decision: about it.
-        gate: how long a run may be.
-        what: was seen, for people.
+        state: state before the rejected sighting.
+        decision: decision about it.
+        gate: limits of a run.
+        what: measured objects, for the text.
     """
     run = state.refusals + 1
     state = replace(state, refusals=run, refused_for=decision.text)
@@ -313,22 +313,22 @@ def held_back(
     reason, text = decision.reason, decision.text
     if run >= gate.conflict_after:
         reason = Reason.ATTITUDE_CONFLICT
-        text = f"{run} refusals in a row: the {what} and the encoders with the ship's attitude disagree; {text}"
+        text = f"{run} rejections in a row: {what} are inconsistent with encoders and ship's attitude; {text}"
     if gate.reopen_after and run % gate.reopen_after == 0:
         state = replace(state, parts=state.parts * gate.reopen_factor)
-        text += f"; gate re-opened: covariance times {gate.reopen_factor:g}"
+        text += f"; covariance inflated by {gate.reopen_factor:g}"
     return state, replace(decision, reason=reason, text=text)
 
 
 def separations(
     state: CalibrationState, rows: Alternatives, turning: NDArray[np.intp], rotation_nc: FloatArray, turn_n: FloatArray
 ) -> FloatArray:
-    """Distance of each row from the estimate by all sources in the pointing, in sigmas, shape (h,).
+    """Return the solution separation of each subfilter in the pointing, in standard deviations, shape (h,).
 
     Args:
-        state: the estimate by all sources.
-        rows: the others.
-        turning: where the states are that turn the main axis.
+        state: main filter.
+        rows: subfilters.
+        turning: indices of the states that turn the main axis.
         rotation_nc: horizon from a camera on the main axis, shape (3, 3).
         turn_n: its rotation vector in n per state, shape (3, n).
     """
@@ -343,14 +343,14 @@ def separations(
 
 
 def _sigma_seen(comparison: Comparison) -> float:
-    """Standard deviation of the telescope's attitude about its worst axis by the lights alone, rad."""
+    """Return the standard deviation of the telescope's attitude about its worst axis from the beacons alone, rad."""
     by_attitude, noise = comparison.prediction.by_attitude_n, comparison.measurement.noise
     information = by_attitude.T @ np.linalg.solve(noise, by_attitude)
     return float(np.sqrt(1.0 / max(np.linalg.eigvalsh(information)[0], 1.0)))
 
 
 def _spread_n(comparison: Comparison) -> FloatArray:
-    """By so much the lights turn the telescope away from where it is predicted: covariance in n, rad²."""
+    """Return the rotation between the telescope by the beacons and its prediction, as a covariance in n, rad²."""
     by_attitude = comparison.prediction.by_attitude_n
     turned_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
     return np.outer(turned_n, turned_n)

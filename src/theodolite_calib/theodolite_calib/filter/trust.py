@@ -1,10 +1,12 @@
-"""Which sources are trusted: what a disagreement says, which source is excluded, and when it is used again.
+"""Fault detection and exclusion (FDE) for the theodolite: isolate, exclude, monitor and reinstate sources.
 
-A source whose exclusion makes the rest agree is excluded (:mod:`ship_estimation.exclusion`). A baseline that jumps
-although its drone cannot have is excluded at once. While lights are refused and no single source explains it, nobody is
-believed: the pointing may be off by what the lights say. What is excluded returns once it has agreed with the others
-for a while. Agreement counts only where it could have failed: the others must know so well where the light should be
-that what was refused would be refused again. A baseline that has jumped back has nothing left to be refused.
+A source is excluded if the other sources are consistent without it (:mod:`ship_estimation.fault_isolation`). A drone is
+also excluded if its baseline jumps by more than its flight allows. If beacons are rejected and no single source
+explains the rejections, the fault is unresolved, and the pointing covariance covers the disagreement.
+
+An excluded source is monitored. It is reinstated after it has been consistent for ``return_after_s``. Consistency
+counts only if the fault would still be detectable: the standard deviation of the predicted beacon must be small against
+the rejected residual. A baseline that has jumped back has no residual left.
 """
 
 from collections.abc import Mapping, Set
@@ -24,28 +26,32 @@ from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.contradiction import Streams
 
 _SAME_JUMP_NS = SECOND_NS
-"""Jumps of one baseline that are found so close to one another are one."""
+"""Jumps of one baseline within this time count as one jump, ns."""
 _UNDONE_SIGMAS = 4.0
-"""A baseline has jumped back where so many sigmas of its jumps are left."""
+"""A baseline counts as returned if the sum of its jumps is below this many standard deviations."""
 _ALIKE_SIGMAS, _ALIKE_COSINE = 2.0, 0.7
-"""Lights creep alike where the mean of each is off by more than so many sigmas, in directions so close."""
+"""Beacons drift together if each mean exceeds the first value (standard deviations) and each pair of means has at least
+the second value as the cosine of the angle between them."""
 _SUSPECTED = 0.3
-"""A ship that has left its own rates is wrong where the means reach this share of their limit; either alone may be."""
+"""Ratio of an innovation mean to its limit above which a ship attitude that departs from its own rates is faulty.
+Neither sign alone suffices."""
 _POWER_SIGMAS = 5.0
-"""What was refused would be refused again where it is so many times the sigma of the place of the light."""
+"""A rejected residual counts as detectable again if it exceeds this many standard deviations of the predicted
+beacon."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A source that is excluded.
+    """Excluded source, with the reason of its exclusion.
 
     Attributes:
-        exclusion: since when, and how long it has agreed.
-        why: in words.
-        refused_m: size on the detector of what was refused, m; 0 where its baseline jumped.
-        jumped_n: sum of the jumps of its baseline, m, shape (3,); zeros where it has jumped back, or never jumped.
-        jumped_sigma_m: its standard deviation.
-        jump_ns: stamp of the last of them.
+        exclusion: time of the exclusion, and time since which the source has been consistent.
+        why: reason, as text.
+        refused_m: size of the rejected residual on the detector, m; 0 if the baseline jumped.
+        jumped_n: sum of the jumps of the baseline (North, Up, East), m, shape (3,); zeros if it has jumped back or
+            never jumped.
+        jumped_sigma_m: standard deviation of that sum, m.
+        jump_ns: stamp of the last jump, ns.
     """
 
     exclusion: Exclusion
@@ -58,12 +64,13 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Conflict:
-    """Lights that disagree with the encoders and the ship's attitude, and no single source explains it.
+    """Unresolved fault: beacons contradict the encoders and the ship's attitude, and no single source explains it.
 
     Attributes:
-        spread_n: by so much the pointing may be off: covariance of the rotation vector in n, rad², shape (3, 3).
-        lasting: whether it was more than a sighting or two: then it ends by agreement that lasts.
-        agrees_since_ns: since when lights have been accepted again; None where they are refused.
+        spread_n: possible error of the pointing: covariance of the rotation vector in n, rad², shape (3, 3).
+        lasting: True if more than one or two sightings disagreed; the fault then ends only after a period of
+            consistency.
+        agrees_since_ns: time since which beacons have been accepted again; None while they are rejected.
     """
 
     spread_n: FloatArray
@@ -73,13 +80,13 @@ class Conflict:
 
 @dataclass(frozen=True)
 class Trust:
-    """What is known of the sources.
+    """State of fault detection and exclusion.
 
     Attributes:
-        means: what the estimate by all sources (first) and every row have seen of every drone.
-        left_out: the sources that are excluded, by name.
-        conflict: None where there is none.
-        jumped_ns: stamps up to which jumps of baselines are known, by source.
+        means: windowed innovation means of every drone in the main filter (first) and in every subfilter.
+        left_out: excluded sources by name.
+        conflict: unresolved fault; None if there is none.
+        jumped_ns: stamps up to which jumps of baselines have been processed, by source.
     """
 
     means: Means
@@ -89,18 +96,18 @@ class Trust:
 
     @property
     def excluded(self) -> Set[str]:
-        """Names of the sources that are excluded."""
+        """Names of the excluded sources."""
         return self.left_out.keys()
 
 
 def blamed(source: str, explaining: Set[str], told: Streams, off_rad: float) -> str | None:
-    """Who is wrong where lights suddenly contradict the encoders or the ship's attitude; None where nobody knows.
+    """Return the faulty source of a sudden contradiction between beacons and prediction; None if it is not isolated.
 
     Args:
-        source: the encoders or the ship's attitude, as the rows have it.
-        explaining: all sources without which the rest agrees.
-        told: what the streams of both say of the time in which the contradiction began.
-        off_rad: by so much the lights are off on the sky.
+        source: encoders or ship's attitude, as isolated by the subfilters.
+        explaining: all sources without which the rest is consistent.
+        told: largest steps of the two streams since the last accepted sighting.
+        off_rad: offset of the beacons on the sky, rad.
     """
     if told.ship_in_doubt:
         return SHIP if SHIP in explaining else None
@@ -114,16 +121,17 @@ def blamed(source: str, explaining: Set[str], told: Streams, off_rad: float) -> 
 
 
 def crept(source: str | None, explaining: Set[str], alike: bool, ship_crept: bool | None) -> str | None:
-    """Who is wrong where lights that were used creep away from the estimate; None where nobody knows.
+    """Return the faulty source of a drift of accepted beacons; None if it is not isolated.
 
-    Lights that creep alike do so by the encoders or the ship's attitude: two drones do not. The ship's own rates tell
-    which. Where they creep in other ways, and encoders or ship explain that as well as a drone does, nobody is named.
+    If all beacons drift together, the encoders or the ship's attitude drift, because two drones do not drift together.
+    The ship's own rates distinguish the two. If the beacons drift differently and the encoders or the ship explain that
+    as well as a drone does, no source is isolated.
 
     Args:
-        source: as the rows have it; None where they do not know.
-        explaining: all sources without which the rest agrees.
-        alike: whether all lights creep alike.
-        ship_crept: whether the ship's attitude has left its own rates; None where nothing tells.
+        source: as isolated by the subfilters; None if they isolate none.
+        explaining: all sources without which the rest is consistent.
+        alike: True if all beacons drift together.
+        ship_crept: True if the ship's attitude has departed from its own rates; None if unknown.
     """
     chain = explaining & {ENCODER, SHIP}
     if ship_crept is not None:
@@ -136,18 +144,18 @@ def crept(source: str | None, explaining: Set[str], alike: bool, ship_crept: boo
 
 
 def no_doubt(rows: SourceRows) -> Trust:
-    """At the start every source is trusted."""
+    """Return the initial state: no source is excluded and no fault is unresolved."""
     return Trust(no_means(1 + len(rows.sources), len(rows.beacons)))
 
 
 class Referee:
-    """Judges the sources of a configuration by what the rows of hypotheses see.
+    """Fault detector for the sources of a configuration, from the innovations in the subfilters.
 
     Args:
-        config: how sure exclusions are.
-        gate: of the lights.
-        rows: the rows.
-        threshold: of a separation, in sigmas.
+        config: probabilities for exclusions, and the reinstatement time.
+        gate: gate of the beacons.
+        rows: set of subfilters.
+        threshold: threshold of a solution separation, in standard deviations.
     """
 
     def __init__(self, config: IntegrityConfig, gate: GateConfig, rows: SourceRows, threshold: float) -> None:
@@ -158,12 +166,12 @@ class Referee:
         self._leaves_out = np.vstack([np.zeros((1, len(rows.beacons)), dtype=bool), own])
 
     def heard_again(self, trust: Trust, names: tuple[str, ...], time_ns: int) -> Trust:
-        """What is known before a sighting: in a silence before it nobody has agreed with anything.
+        """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
 
         Args:
-            trust: after the sighting before.
-            names: of the lights that are seen now.
-            time_ns: of the sighting.
+            trust: state after the previous sighting.
+            names: beacons of this sighting.
+            time_ns: time of the sighting.
         """
         heard_ns, silent_ns = trust.means.heard_ns, time_ns - HEARD_NS
         quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._rows.beacons.index(name)] < silent_ns}
@@ -180,7 +188,7 @@ class Referee:
         return replace(trust, left_out=left_out, conflict=conflict)
 
     def observed(self, trust: Trust, names: tuple[str, ...], seen: RowsSeen, used: bool, time_ns: int) -> Trust:
-        """What is known after the rows have seen a sighting, used or not, with lights that are not excluded."""
+        """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
         beacons = [self._rows.beacons.index(name) for name in names]
         by_row = np.concatenate([[used], seen.accepted])[:, None]
         accepted = np.where(self._leaves_out[:, beacons], seen.light_nis <= self._light_gate, by_row)
@@ -188,12 +196,12 @@ class Referee:
         return replace(trust, means=means)
 
     def fault(self, trust: Trust, statistic: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
-        """Whether a source is wrong, which one, where one explains it better than all others, and all that explain it.
+        """Return True if a source is faulty, the isolated source or None, and all sources that explain the fault.
 
         Args:
-            trust: after the sighting.
-            statistic: distance of each row from the estimate by all sources, in sigmas, shape (h,).
-            time_ns: of the sighting.
+            trust: state after the sighting.
+            statistic: solution separation of each subfilter in standard deviations, shape (h,).
+            time_ns: time of the sighting.
         """
         sources, excluded = self._rows.sources, trust.excluded
         gone = np.array([BEACON + id_ in excluded for id_ in self._rows.beacons], dtype=bool)
@@ -211,7 +219,7 @@ class Referee:
         explaining = {sources[row - 1] for row in finding.explaining}
         if finding.row is not None:
             return True, sources[finding.row - 1], explaining
-        # What the encoders and what the ship's attitude do to the lights is much alike: either may explain it.
+        # Faults of encoders and ship's attitude have similar effects on the beacons: either may explain both.
         for name, other in ((ENCODER, SHIP), (SHIP, ENCODER)):
             alone = found([candidate for candidate in candidates if candidate != other])
             if alone.row is not None and sources[alone.row - 1] == name:
@@ -219,7 +227,7 @@ class Referee:
         return True, None, explaining
 
     def creep_alike(self, trust: Trust, time_ns: int) -> bool:
-        """Whether two lights or more, and all that are used, creep alike in the image."""
+        """True if at least two beacons are in use and all of them drift in the same direction in the image."""
         used = [
             row
             for row, id_ in enumerate(self._rows.beacons)
@@ -227,7 +235,7 @@ class Referee:
         ]
         if len(used) < 2:
             return False
-        # Of the longer means, in sigmas: shape (w, l, 2).
+        # Longer windows only, in standard deviations: shape (w, l, 2).
         running = trust.means.running[0, used, 1:].swapaxes(0, 1)
         off = running[..., :2] / np.sqrt(running[..., 4:])
         size = np.linalg.norm(off, axis=-1)
@@ -236,7 +244,7 @@ class Referee:
         return bool(np.any(alike))
 
     def suspects_ship(self, trust: Trust, time_ns: int) -> bool:
-        """Whether lights creep away from the estimate, within the limit, and agree where it does without the ship."""
+        """True if beacons drift within their limit and are consistent without the ship's attitude."""
         heard = trust.means.heard_ns >= time_ns - HEARD_NS
         if trust.excluded or trust.conflict is not None or not np.any(trust.means.excess[0, heard] > _SUSPECTED):
             return False
@@ -244,7 +252,7 @@ class Referee:
         return bool(np.all(trust.means.excess[row, heard] <= WELL) and np.all(trust.means.refused[row, heard] == 0))
 
     def without(self, trust: Trust, source: str, left_out: LeftOut, seen_by: str | None = None) -> Trust:
-        """A source is excluded: every row now sees what the row without it, or without ``seen_by``, has seen."""
+        """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
         row, means = 1 + self._rows.sources.index(seen_by or source), trust.means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._rows.sources), axis=0)
@@ -254,7 +262,7 @@ class Referee:
         return replace(trust, means=replace(means, **same), left_out=all_left_out, conflict=None)
 
     def jumped(self, trust: Trust, source: str, jump: BaselineJump) -> Trust:
-        """Another jump of the baseline of a drone that is excluded: it may have jumped back."""
+        """Record another jump of the baseline of an excluded drone, which may have jumped back."""
         left_out = trust.left_out[source]
         if jump.time_ns <= left_out.jump_ns + _SAME_JUMP_NS:
             return trust
@@ -269,14 +277,14 @@ class Referee:
     def watched_light(
         self, trust: Trust, name: str, compared: RowsCompared, time_ns: int, refused_m: float
     ) -> Trust:
-        """A light of a drone that is excluded, beside the estimate by the others; it may be used again.
+        """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
 
         Args:
-            trust: before.
-            name: of the light.
-            compared: with the estimate by all other sources, one row.
-            time_ns: of the sighting.
-            refused_m: size on the detector of what must be refused, were it still there; 0 for nothing.
+            trust: state before.
+            name: beacon.
+            compared: innovation against the estimate by all other sources; one filter.
+            time_ns: time of the sighting.
+            refused_m: residual on the detector that the fault would cause now, m; 0 if there is none.
         """
         index, source = self._rows.beacons.index(name), BEACON + name
         left_out = trust.left_out[source]
@@ -291,7 +299,7 @@ class Referee:
         return self._watched(replace(trust, means=means), source, exclusion, returns)
 
     def watched_turn(self, trust: Trust, source: str, agrees: bool, time_ns: int) -> Trust:
-        """The encoders, or the ship's attitude, while they are excluded: do they lead from sighting to sighting?"""
+        """Record whether excluded encoders, or an excluded ship's attitude, predict a sighting; reinstate when due."""
         exclusion = trust.left_out[source].exclusion
         since_ns = (exclusion.agrees_since_ns or time_ns) if agrees else None
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
@@ -303,7 +311,7 @@ class Referee:
             jumped_ns[source] = left_out.pop(source).jump_ns + _SAME_JUMP_NS
             row = len(self._rows.beacons) if source in CHAIN else self._rows.sources.index(source)
             if row < len(self._rows.beacons):
-                # The rows that use it again see it otherwise than as one that they do without.
+                # Means of an excluded source are not valid for subfilters that use it again.
                 others = [other for other in range(1 + len(self._rows.sources)) if other != 1 + row]
                 means = forgotten(means, others, [row])
         else:
@@ -311,7 +319,7 @@ class Referee:
         return replace(trust, means=means, left_out=left_out, jumped_ns=jumped_ns)
 
     def disagreed(self, trust: Trust, spread_n: FloatArray, lasting: bool) -> Trust:
-        """Lights were refused, and no single source explains it."""
+        """Record a fault that no single source explains."""
         before = trust.conflict
         if before is not None and np.trace(before.spread_n) > np.trace(spread_n):
             spread_n = before.spread_n
@@ -319,14 +327,14 @@ class Referee:
         return replace(trust, conflict=Conflict(spread_n, lasting))
 
     def agreed(self, trust: Trust, time_ns: int) -> Trust:
-        """Lights were accepted."""
+        """Record an accepted sighting: end an unresolved fault, at once or after a period of consistency."""
         conflict = trust.conflict
         if conflict is None:
             return trust
         if not conflict.lasting:
             return replace(trust, conflict=None)
         if conflict.agrees_since_ns is None:
-            # What the subfilters have seen while all lights were rejected is over: it isolates no source from now on.
+            # Innovations from the time when all beacons were rejected must not isolate a source from now on.
             means = forgotten(trust.means, slice(None), slice(None))
             return replace(trust, means=means, conflict=replace(conflict, agrees_since_ns=time_ns))
         over = time_ns - conflict.agrees_since_ns >= self._config.return_after_s * SECOND_NS

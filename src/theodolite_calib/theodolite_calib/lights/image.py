@@ -1,4 +1,4 @@
-"""The image of lights on the detector of the calibration telescope: camera, found lights, predicted points, streaks.
+"""Image of beacons on the detector of the calibration telescope: camera, detected and predicted points, streaks.
 
 The camera relates a detector point to a direction in the telescope frame t (forward, up, right). A point is (x, z) in
 metres along the telescope's right and up axes. The image is inverted, [W18] (12)(13): a light to the right of and above
@@ -6,7 +6,7 @@ the axis has x < 0 and z < 0, so with the principal point (x0, z0)
 
     V ∝ [f, -(z - z0), -(x - x0)]
 
-Points have shape (..., N, 2) and directions (..., N, 3) for N lights of one exposure.
+Points have shape (..., N, 2) and directions (..., N, 3) for N beacons of one exposure.
 """
 
 from collections.abc import Sequence
@@ -25,9 +25,9 @@ class Camera:
 
     Attributes:
         focal_length_m: shape (...), one for each exposure.
-        focal_length_sigma_m: its standard deviation, shape (...); zero where it is held.
+        focal_length_sigma_m: its standard deviation, shape (...); zero if it is fixed.
         principal_point_m: detector point (x0, z0) of the telescope's axis, shape (..., 1, 2) or (2,). It has no error
-            of its own, because it defines the telescope's axis; the angles from there to the main axis have theirs.
+            of its own, because it defines the telescope's axis; the angles from there to the main axis have errors.
     """
 
     focal_length_m: FloatArray | float
@@ -35,31 +35,31 @@ class Camera:
     principal_point_m: FloatArray
 
     def directions(self, point_m: FloatArray) -> FloatArray:
-        """Unit vectors in the telescope frame, shape (..., N, 3), of detector points."""
+        """Return unit vectors in the telescope frame, shape (..., N, 3), of detector points."""
         ray = self._rays(point_m)
         direction_t: FloatArray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
         return direction_t
 
     def points(self, direction_t: FloatArray) -> FloatArray:
-        """Detector points, shape (..., N, 2), of directions of any length; NaN behind the telescope."""
+        """Return detector points, shape (..., N, 2), of directions of any length; NaN behind the telescope."""
         forward = _in_front(direction_t)
         scale = -_per_light(self.focal_length_m) / forward
         return self.principal_point_m + scale[..., None] * direction_t[..., [2, 1]]
 
     def direction_by_point(self, point_m: FloatArray) -> FloatArray:
-        """Change of the direction with the detector point, rad/m, shape (..., N, 3, 2).
+        """Return the derivative of the direction by the detector point, rad/m, shape (..., N, 3, 2).
 
-        By the principal point it is the same with the other sign.
+        The derivative by the principal point has the opposite sign.
         """
         across = self._across(point_m)
         return -across[..., [2, 1]]
 
     def direction_by_focal_length(self, point_m: FloatArray) -> FloatArray:
-        """Change of the direction with the focal length, rad/m, shape (..., N, 3)."""
+        """Return the derivative of the direction by the focal length, rad/m, shape (..., N, 3)."""
         return self._across(point_m)[..., 0]
 
     def direction_covariance(self, point_m: FloatArray, sigma_m: FloatArray | float) -> FloatArray:
-        """Covariance of directions in the telescope frame, rad², shape (..., N, 3, 3): zero along the direction.
+        """Return the covariance of directions in the telescope frame, rad², shape (..., N, 3, 3), singular along them.
 
         Args:
             point_m: detector points, shape (..., N, 2).
@@ -75,19 +75,18 @@ class Camera:
         return np.stack([focal_length_m, -offset[..., 1], -offset[..., 0]], axis=-1)
 
     def _across(self, point_m: FloatArray) -> FloatArray:
-        """Change of the unit vector with the ray that it comes from, 1/m, shape (..., N, 3, 3)."""
+        """Return the derivative of the unit vector by its ray, 1/m, shape (..., N, 3, 3)."""
         return unit_vector_jacobian(self._rays(point_m))
 
 
 @dataclass(frozen=True)
 class Image:
-    """Lights found on the detector at the middle of an exposure.
+    """Beacons detected on the detector at the middle of an exposure.
 
     Attributes:
         point_m: (x right, z up), shape (..., N, 2).
         sigma_m: standard deviation of x and of z, each above zero, shape (..., N).
-        smear_m2: what the motion during the exposure adds to their covariance, shape (..., N, 2, 2); None where it adds
-            nothing.
+        smear_m2: covariance added by the motion during the exposure, shape (..., N, 2, 2); None if there is none.
     """
 
     point_m: FloatArray
@@ -102,7 +101,7 @@ class Image:
         return covariance if self.smear_m2 is None else covariance + block_diagonal(self.smear_m2)
 
     def chosen(self, rows: Sequence[int]) -> "Image":
-        """Some of the lights, or all of them in another order."""
+        """Return some of the beacons, or all of them in another order."""
         chosen = list(rows)
         smear_m2 = None if self.smear_m2 is None else self.smear_m2[chosen]
         return Image(self.point_m[chosen], np.asarray(self.sigma_m)[chosen], smear_m2)
@@ -110,13 +109,13 @@ class Image:
 
 @dataclass(frozen=True)
 class PredictedPoints:
-    """Where lights should be found on the detector; NaN behind the telescope.
+    """Predicted detector points of beacons; NaN behind the telescope.
 
     Attributes:
         point_m: shape (..., N, 2).
-        by_attitude_n: by the rotation vector of the telescope's attitude in n, m/rad, shape (..., N, 2, 3).
-        by_direction_n: by the unit direction of the light in n, m/rad, shape (..., N, 2, 3).
-        by_focal_length: m/m, shape (..., N, 2).
+        by_attitude_n: derivative by the rotation vector of the telescope's attitude in n, m/rad, shape (..., N, 2, 3).
+        by_direction_n: derivative by the unit direction of the beacon in n, m/rad, shape (..., N, 2, 3).
+        by_focal_length: derivative by the focal length, m/m, shape (..., N, 2).
     """
 
     point_m: FloatArray
@@ -126,10 +125,10 @@ class PredictedPoints:
 
 
 def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatArray) -> PredictedPoints:
-    """Detector points of lights seen along ``direction_n`` by a telescope of the attitude ``rotation_nt``.
+    """Return the detector points of beacons in the directions ``direction_n`` for a telescope's attitude.
 
-    With R the attitude "horizon from telescope" and R_true = exp(δ) R, a light seen along w (in n) is at Rᵀ w in the
-    telescope, and δ moves it there by Rᵀ (w × δ).
+    R is the attitude "horizon from telescope", and R_true = exp(δ) R. A beacon in the direction w (in n) is at Rᵀ w in
+    the telescope, and δ moves it there by Rᵀ (w × δ).
 
     Args:
         camera: its geometry.
@@ -148,12 +147,12 @@ def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatAr
 
 
 def flat(values: FloatArray | float, leading: tuple[int, ...], own: tuple[int, ...]) -> FloatArray:
-    """Values with the leading axes of all exposures, made one axis; those that are the same in all are repeated.
+    """Flatten the leading axes of all exposures to one axis; values common to all are repeated.
 
     Args:
         values: shape (..., *own), of which the leading axes broadcast.
         leading: shape of the exposures; empty for one.
-        own: shape of what belongs to one exposure.
+        own: shape of the values of one exposure.
     """
     array: FloatArray = np.asarray(values, dtype=float)
     whole = (*leading, *own)
@@ -162,21 +161,21 @@ def flat(values: FloatArray | float, leading: tuple[int, ...], own: tuple[int, .
 
 @dataclass(frozen=True)
 class LightStreaks:
-    """N lights as found on the detector, and how telescope and lights moved over the exposure.
+    """N detected beacons, and the motion of telescope and beacons over the exposure.
 
-    A found point is the mean of the light's way over the detector. Encoders, ship and baselines tell that way, and so
-    how far its mean is off the point at the middle of the exposure. A streak of length L spreads the light by L²/12
-    more than the image s² of a light at rest, and the point is known worse by as much along it: σ² (1 + L²/(12 s²))
-    (docs/explanation/theodolite.md).
+    A detected point is the mean of the beacon's path over the detector. Encoders, ship and baselines give that path,
+    and so the offset of its mean from the point at the middle of the exposure. A streak of length L spreads the light
+    by L²/12 more than the image s² of a light at rest, and the variance of the point along it increases in proportion:
+    σ² (1 + L²/(12 s²)) (docs/explanation/theodolite.md).
 
     Attributes:
-        image: as found.
+        image: as detected.
         camera: geometry of the telescope.
         psf_sigma_m: spread of the image of a light at rest, each axis.
-        nodes: m moments of the exposure.
+        nodes: m times of the exposure.
         rotation_nt: horizon from telescope at these, shape (m, 3, 3).
         middle_nt: the same at the middle, shape (3, 3).
-        path_n: from the telescope to the lights at the middle, m, shape (N, 3).
+        path_n: from the telescope to the beacons at the middle, m, shape (N, 3).
         moved_n: these paths at the nodes minus those at the middle, m, shape (m, N, 3).
     """
 
@@ -190,9 +189,9 @@ class LightStreaks:
     moved_n: FloatArray
 
     def at_middle(self) -> Image:
-        """The lights where they stood at the middle of the exposure, with what their streaks add to their errors."""
+        """Return the points at the middle of the exposure, with the errors added by their streaks."""
         image, distance_m = self.image, np.linalg.norm(self.path_n, axis=-1, keepdims=True)
-        # The detector says where a light is, and the path says how it moves.
+        # Position of the beacon from the detector, its motion from the path.
         seen_n = distance_m * (self.camera.directions(image.point_m) @ self.middle_nt.T)
         way_m = self.camera.points((seen_n + self.moved_n) @ self.rotation_nt)
         off_m = self.nodes.mean(way_m) - image.point_m
@@ -200,14 +199,14 @@ class LightStreaks:
         return Image(image.point_m - off_m, image.sigma_m, smear_m2)
 
     def chosen(self, rows: list[int], seen_rows: list[int]) -> "LightStreaks":
-        """Some lights only, or with names exchanged: light ``rows[i]`` is seen as ``seen_rows[i]``."""
+        """Return some beacons, or exchanged names: beacon ``rows[i]`` has the point ``seen_rows[i]``."""
         return replace(
             self, image=self.image.chosen(seen_rows), path_n=self.path_n[rows], moved_n=self.moved_n[:, rows]
         )
 
 
 def unit_vector_jacobian(vector: FloatArray) -> FloatArray:
-    """Change of v / |v| with v, (I - u uᵀ) / |v| with u = v / |v|, shape (..., 3, 3)."""
+    """Return the derivative of v / |v| by v, (I - u uᵀ) / |v| with u = v / |v|, shape (..., 3, 3)."""
     length = np.linalg.norm(vector, axis=-1)[..., None, None]
     unit = vector[..., None] / length
     jacobian: FloatArray = (np.eye(3) - unit * np.swapaxes(unit, -1, -2)) / length
@@ -215,7 +214,7 @@ def unit_vector_jacobian(vector: FloatArray) -> FloatArray:
 
 
 def block_diagonal(blocks: FloatArray) -> FloatArray:
-    """Matrix (..., N a, N b) with the blocks (..., N, a, b) along its diagonal."""
+    """Return the matrix (..., N a, N b) with the blocks (..., N, a, b) along its diagonal."""
     count, rows, columns = blocks.shape[-3:]
     matrix = np.zeros((*blocks.shape[:-3], count * rows, count * columns))
     for i in range(count):
@@ -224,7 +223,7 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
 
 
 def _per_light(value: FloatArray | float) -> FloatArray:
-    """A quantity of the exposure, shape (...), beside quantities of its lights, shape (..., N)."""
+    """Return a quantity of the exposure, shape (...), with an axis for its beacons, shape (..., 1)."""
     return np.asarray(value, dtype=float)[..., None]
 
 

@@ -1,8 +1,8 @@
-"""Are these lights what they are taken for? By the angles between them, and by what is known of the telescope.
+"""Check of the beacons of an exposure for misidentification, by their angles and by a prior attitude.
 
-The angle between two lights does not depend on the attitude: it checks baselines, identification and scale. When the
-two lights change names, the angle stays and the image turns by half a turn: only a prior attitude or a third light can
-tell that. An error of the principal point N' shifts all lights alike, and no check here can find it.
+The angle between two beacons does not depend on the attitude: it checks baselines, identification and scale. If two
+beacons exchange names, the angle stays and the image rotates by half a turn; only a prior attitude or a third beacon
+can reveal that. An error of the principal point N' shifts all beacons equally, and no check here can find it.
 """
 
 from dataclasses import dataclass
@@ -19,29 +19,29 @@ from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_so
 from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve, total
 
 _MOST_LIGHTS = 4
-"""With more lights no exchanges are tried, for their number grows as the factorial."""
+"""Maximum number of beacons for which exchanged names are tried; their number grows as the factorial."""
 
 
 class Verdict(Enum):
-    """What became of the lights' names."""
+    """Result of the check of the beacons' names."""
 
     CONSISTENT = "consistent"
     SWAPPED = "swapped"
-    """The lights do not fit as named, and fit far better with names exchanged, in one way only."""
+    """Inconsistent as named, and clearly more consistent with exchanged names, in one way only."""
     CONFLICT = "conflict"
-    """The angles fit under no exchange of names, or under several: a light is not where it is said to be."""
+    """The angles are consistent with no exchange of names, or with several: a beacon is not at its stated position."""
     PRIOR_CONFLICT = "prior_conflict"
-    """The angles fit under some names, but under none of these the attitude agrees with the prior."""
+    """The angles are consistent with some names, but the attitude then disagrees with the prior."""
 
 
 @dataclass(frozen=True)
 class LightCheck:
-    """Verdict on the lights of one exposure.
+    """Result of the check of the beacons of one exposure.
 
     Attributes:
-        verdict: as :class:`Verdict` explains.
-        order: the point ``order[i]`` of the image is light i; as named unless SWAPPED.
-        attitude: of the telescope, by the lights alone in that order.
+        verdict: as :class:`BeaconCheckResult` explains.
+        order: the point ``order[i]`` of the image is beacon i; as named unless SWAPPED.
+        attitude: attitude of the telescope from the beacons alone in that order.
         prior_chi2: of the difference between that attitude and the prior, 3 degrees of freedom; None without a prior.
     """
 
@@ -53,12 +53,12 @@ class LightCheck:
 
 @dataclass(frozen=True)
 class AngleResiduals:
-    """Angles between lights on the detector minus those between their lines of sight.
+    """Angles between beacons on the detector minus those between their lines of sight.
 
     Attributes:
-        pairs: indices of the lights, shape (P, 2).
+        pairs: indices of the beacons, shape (P, 2).
         residual: rad, shape (..., P).
-        sigma: rad, shape (..., P); the focal length's error is in it.
+        sigma: rad, shape (..., P); includes the error of the focal length.
         chi2: (residual / sigma)², one degree of freedom each, shape (..., P).
     """
 
@@ -69,7 +69,7 @@ class AngleResiduals:
 
 
 def angle_residuals(image: Image, camera: Camera, lines: LinesOfSight) -> AngleResiduals:
-    """The angles between all pairs of N lights, with what they should be."""
+    """Return the residuals of the angles between all pairs of N beacons."""
     count = lines.direction_n.shape[-2]
     pairs = np.array(list(combinations(range(count), 2)))
     seen_t = camera.directions(image.point_m)
@@ -93,14 +93,14 @@ def angle_residuals(image: Image, camera: Camera, lines: LinesOfSight) -> AngleR
 def check_lights(
     image: Image, camera: Camera, lines: LinesOfSight, probability: float, prior: AttitudePrior | None = None
 ) -> LightCheck:
-    """Verdict on the lights of one exposure, two or more.
+    """Check the beacons of one exposure, two or more.
 
     Args:
-        image: lights on the detector, shape (N, 2).
+        image: beacons on the detector, shape (N, 2).
         camera: geometry of the telescope.
-        lines: where lights of the same names are seen, in the same order.
-        probability: that right lights pass each of the two tests.
-        prior: attitude known beforehand.
+        lines: lines of sight of the same names, in the same order.
+        probability: that right beacons pass each of the two tests.
+        prior: prior attitude.
     """
     count = lines.direction_n.shape[-2]
     named = tuple(range(count))
@@ -110,7 +110,7 @@ def check_lights(
     exchanges = [order for order in permutations(range(count)) if order != named] if count <= _MOST_LIGHTS else []
     trials = [_trial(image, camera, lines, order, prior) for order in exchanges]
     fitting = [trial for trial in trials if _fits(trial, probability)]
-    # To fit a little better is no proof: without a prior two lights fit both ways alike.
+    # The improvement must be significant: without a prior two beacons fit equally well both ways.
     if len(fitting) == 1 and as_named.chi2 > fitting[0].chi2 + chi_square_gate(probability, 3):
         return fitting[0].check(Verdict.SWAPPED)
     angles_fit = any(_angles_fit(trial.attitude, probability) for trial in [as_named, *trials])
@@ -125,7 +125,7 @@ class _Trial:
 
     @property
     def chi2(self) -> float:
-        """Of angles and prior; infinite where there is no solution."""
+        """Chi-square of angles and prior; infinite if there is no solution."""
         chi2 = float(self.attitude.chi2) + (self.prior_chi2 or 0.0)
         return chi2 if np.isfinite(chi2) else np.inf
 
@@ -145,7 +145,7 @@ def _trial(
 
 
 def _angles_fit(attitude: TelescopeAttitude, probability: float) -> bool:
-    # An attitude that is not solved has chi2 NaN, and fits nothing.
+    # An attitude that is not solved has chi2 NaN, which is not consistent.
     return bool(attitude.chi2 <= chi_square_gate(probability, attitude.degrees))
 
 
@@ -160,13 +160,13 @@ def _angles(direction: FloatArray, pairs: NDArray[np.intp]) -> FloatArray:
 
 
 def _angle_gradients(direction: FloatArray, pairs: NDArray[np.intp]) -> FloatArray:
-    """Change of each pair's angle with each direction, shape (..., P, N, 3)."""
+    """Return the derivative of each pair's angle by each direction, shape (..., P, N, 3)."""
     gradients = np.zeros((*direction.shape[:-2], len(pairs), *direction.shape[-2:]))
     for p, (i, j) in enumerate(pairs):
         first, second = direction[..., i, :], direction[..., j, :]
         cosine = np.sum(first * second, axis=-1, keepdims=True)
         sine = np.linalg.norm(np.cross(first, second), axis=-1, keepdims=True)
-        # Along the arc, away from the other light. Lights in one place have no such direction.
+        # Along the arc, away from the other beacon; undefined for beacons in the same direction.
         sine = np.where(sine > 0.0, sine, np.nan)
         gradients[..., p, i, :] = (first * cosine - second) / sine
         gradients[..., p, j, :] = (second * cosine - first) / sine

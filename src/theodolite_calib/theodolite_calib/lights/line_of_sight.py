@@ -1,12 +1,12 @@
-"""From baselines and attitudes to the direction in which a light is seen, with all that is uncertain about it.
+"""Directions to the beacons from baselines and attitudes, with their errors.
 
 [W18] (3)-(11) with the corrections of docs/explanation/errata.md. The path from the telescope to the light, in n:
 
     W = baseline + rotation_nb · light lever - rotation_nd · (theodolite lever + rotation_dm · N')
 
-with n horizon (North, Up, East), d deck, m main frame of the theodolite, b drone (nose, up, right). The light is seen
-along W raised by k d²/(2 R), d its distance: an angle of k/(2 R) times the *horizontal* distance, which vanishes at
-the zenith, since air layered by height bends no vertical ray.
+with n horizon (North, Up, East), d deck, m main frame of the theodolite, b drone (nose, up, right). The light appears
+along W raised by k d²/(2 R), d its distance: an angle of k/(2 R) times the *horizontal* distance, which vanishes at the
+zenith, since air layered by height bends no vertical ray.
 
 Each error is a named :class:`ErrorTerm` in its own natural axes, so that a filter can keep it as a state.
 """
@@ -22,7 +22,7 @@ from ship_geometry.rotations import FloatArray
 from theodolite_calib.lights.image import block_diagonal, flat
 
 EARTH_RADIUS_M = 6_371_000.0
-"""Mean radius; its error is negligible beside that of the refraction coefficient."""
+"""Mean radius of the Earth, m; its error is negligible against that of the refraction coefficient."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class LeverArm:
 
 @dataclass(frozen=True)
 class Lights:
-    """What is measured of N lights at the middle of an exposure.
+    """Measured poses of N beacons at the middle of an exposure.
 
     Attributes:
         baseline_n: from the ship's antenna to the drone's, m, shape (..., N, 3).
-        baseline_covariance_n: of the part of its error that is new in each epoch and at each light, m²,
-            shape (..., N, 3, 3).
+        baseline_covariance_n: covariance of its error that is white in time and independent between beacons, m², shape
+            (..., N, 3, 3).
         rotation_nb: horizon from drone, shape (..., N, 3, 3).
-        attitude_covariance_n: of its rotation vector in n, rad², shape (..., N, 3, 3).
+        attitude_covariance_n: covariance of its rotation vector in n, rad², shape (..., N, 3, 3).
     """
 
     baseline_n: FloatArray
@@ -58,12 +58,12 @@ class Lights:
 
 @dataclass(frozen=True)
 class Ship:
-    """The ship at that moment.
+    """Ship at that time.
 
     Attributes:
         rotation_nd: horizon from deck, shape (..., 3, 3).
-        attitude_covariance_n: of its rotation vector in n, rad², shape (..., 3, 3).
-        rotation_dm: deck from main frame, shape (..., 3, 3); a degree is good enough.
+        attitude_covariance_n: covariance of its rotation vector in n, rad², shape (..., 3, 3).
+        rotation_dm: deck from main frame, shape (..., 3, 3); an accuracy of one degree suffices.
     """
 
     rotation_nd: FloatArray
@@ -73,18 +73,18 @@ class Ship:
 
 @dataclass(frozen=True)
 class Survey:
-    """What was measured once, and how well; each error lasts from epoch to epoch.
+    """Surveyed quantities and their errors, which are constant or correlated in time.
 
     Attributes:
         theodolite_lever: from the ship's antenna to the crossing of the theodolite's axes, in d.
-        principal_point: N' of the telescope's lens from there, in m. Its error shifts all lights alike, so that no
+        principal_point: N' of the telescope's lens from there, in m. Its error shifts all beacons equally, so that no
             residual shows it.
         light_lever: from the drone's antenna to its light, in b.
-        rtk_base_sigma_m: error of the baselines (N, U, E) that is common to all: the ship's antenna, shape (3,).
-        rtk_bias_sigma_m: error of a baseline (N, U, E) of its own that lasts, shape (3,).
-        refraction_coefficient: k of the air near the sea, about 0.13; one, or one for each light, shape (..., N).
-        refraction_sigma: of k, common to all lights.
-        refraction_light_sigma: of the further error of k on the way to each light, in the same shapes.
+        rtk_base_sigma_m: error of the baselines (N, U, E) common to all: the ship's antenna, shape (3,).
+        rtk_bias_sigma_m: correlated error of each single baseline (N, U, E), shape (3,).
+        refraction_coefficient: k of the air near the sea, about 0.13; one, or one for each beacon, shape (..., N).
+        refraction_sigma: error of k common to all beacons.
+        refraction_light_sigma: further error of k on the path to each beacon, in the same shapes.
     """
 
     theodolite_lever: LeverArm
@@ -104,12 +104,13 @@ class ErrorTerm:
     The true direction is the one used plus ``jacobian_n`` times the error.
 
     Attributes:
-        name: of the error.
-        source: its part of the error budget.
-        common: True where one error moves all lights; False where each light has its own.
-        slow: True where the error lasts from epoch to epoch; False where it is new at each.
-        jacobian_n: change of the unit directions by the error, rad per unit, shape (..., N, 3, k).
-        covariance: of the error, shape (..., k, k) where common, (..., N, k, k) where not; or (k, k) in either.
+        name: name of the error.
+        source: its source in the error budget.
+        common: True if one error moves all beacons; False if each beacon has its own.
+        slow: True if the error is correlated in time; False if it is white.
+        jacobian_n: derivative of the unit directions by the error, rad per unit, shape (..., N, 3, k).
+        covariance: covariance of the error, shape (..., k, k) if common, (..., N, k, k) if not; or (k, k) in either
+            case.
     """
 
     name: str
@@ -120,7 +121,7 @@ class ErrorTerm:
     covariance: FloatArray
 
     def direction_covariance_n(self) -> FloatArray:
-        """Covariance of all directions, rad², shape (..., 3 N, 3 N), light after light."""
+        """Return the covariance of all directions, rad², shape (..., 3 N, 3 N), beacon after beacon."""
         lights = self.jacobian_n.shape[-3]
         leading = self.jacobian_n.shape[:-3]
         if self.common:
@@ -147,21 +148,21 @@ TERM_COLUMNS = {
     "refraction": REFRACTION,
     "light_refraction": REFRACTION,
 }
-"""Error term → the columns by which it changes the directions."""
+"""Error term → its columns in :attr:`LinesOfSight.jacobian_n`."""
 
 
 @dataclass(frozen=True)
 class LinesOfSight:
-    """Where the lights are seen.
+    """Lines of sight to the beacons.
 
     Attributes:
         direction_n: unit vectors from the telescope, refraction included, shape (..., N, 3).
-        distance_m: to the lights, shape (..., N).
-        jacobian_n: change of the unit directions by the errors of :data:`TERM_COLUMNS`, rad per unit, shape
-            (..., N, 3, 19).
-        lights: as measured.
-        ship: at that moment.
-        survey: what was measured once.
+        distance_m: to the beacons, shape (..., N).
+        jacobian_n: derivative of the unit directions by the errors of :data:`TERM_COLUMNS`, rad per unit, shape (...,
+            N, 3, 19).
+        lights: poses of the beacons.
+        ship: ship at that time.
+        survey: surveyed quantities.
     """
 
     direction_n: FloatArray
@@ -173,7 +174,7 @@ class LinesOfSight:
 
     @cached_property
     def terms(self) -> tuple[ErrorTerm, ...]:
-        """The errors of the directions, independent of one another."""
+        """Errors of the directions, independent of one another."""
         lights, ship, survey = self.lights, self.ship, self.survey
         own, common = False, True
         white, slow = False, True
@@ -198,7 +199,7 @@ class LinesOfSight:
 
 
 def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
-    """Directions to the lights with their errors."""
+    """Return the directions to the beacons with their errors."""
     leading, count = lights.baseline_n.shape[:-2], lights.baseline_n.shape[-2]
     found = compiled_lights.sight_lines(
         flat(lights.baseline_n, leading, (count, 3)),
@@ -216,7 +217,7 @@ def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
 
 
 def covariance_by_source(terms: Iterable[ErrorTerm]) -> dict[str, FloatArray]:
-    """Joint covariance of the directions of all lights by source, rad², shape (..., 3 N, 3 N) each."""
+    """Return the joint covariance of the directions of all beacons by source, rad², shape (..., 3 N, 3 N) each."""
     parts: dict[str, FloatArray] = {}
     for term in terms:
         covariance = term.direction_covariance_n()
@@ -225,10 +226,10 @@ def covariance_by_source(terms: Iterable[ErrorTerm]) -> dict[str, FloatArray]:
 
 
 def _diagonal(sigma: FloatArray) -> FloatArray:
-    """Covariance (..., 3, 3) of independent components."""
+    """Return the covariance (..., 3, 3) of independent components."""
     return np.asarray(sigma, dtype=float)[..., None] ** 2 * np.eye(3)
 
 
 def _one_by_one(sigma: FloatArray | float) -> FloatArray:
-    """Covariance (..., 1, 1) of one number."""
+    """Return the covariance (..., 1, 1) of one number."""
     return np.asarray(sigma, dtype=float)[..., None, None] ** 2

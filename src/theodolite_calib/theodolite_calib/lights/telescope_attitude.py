@@ -1,14 +1,14 @@
-"""The telescope's attitude from the image of N lights: maximum likelihood, with covariance and error budget.
+"""Attitude of the telescope from the image of N beacons: maximum likelihood, with covariance and error budget.
 
 Unknown are the attitude (a rotation vector of three), the focal length and the errors of the lines of sight; the last
-two have priors. The image is as good as linear in all but the attitude. So the focal length and the errors of the lines
-of sight are integrated out exactly: with their priors they are part of the covariance of the points' residuals,
+two have priors. The image is practically linear in all but the attitude. The focal length and the errors of the lines
+of sight are therefore marginalised exactly: with their priors they are part of the covariance of the points' residuals,
 
     S = σ² I  +  F Σ_w Fᵀ  +  σ_f² p_f p_fᵀ          detection, joint errors of the directions, focal length
 
-An attitude known beforehand is one more measurement, of three components. Gauss–Newton in the attitude alone minimises
-rᵀ S⁻¹ r: the optimum and the covariance (Hᵀ S⁻¹ H)⁻¹ are those of the full problem. The estimate is linear in each
-error, with the gain K = (Hᵀ S⁻¹ H)⁻¹ Hᵀ S⁻¹, so the error budget is K S_source Kᵀ.
+A prior attitude is one more measurement, of three components. Gauss–Newton in the attitude alone minimises rᵀ S⁻¹ r:
+the optimum and the covariance (Hᵀ S⁻¹ H)⁻¹ are those of the full problem. The estimate is linear in each error, with
+the gain K = (Hᵀ S⁻¹ H)⁻¹ Hᵀ S⁻¹, so the error budget is K S_source Kᵀ.
 """
 
 from collections.abc import Mapping
@@ -26,16 +26,16 @@ SOURCE_IMAGE = "image"
 SOURCE_FOCAL_LENGTH = "focal_length"
 
 _MAX_STEPS = 20
-# Each step leaves less than a thousandth of the one before: what is left after such a step (rad) is below rounding.
+# Each step is less than a thousandth of the one before: the remainder after such a step (rad) is below rounding.
 _CONVERGED = 1e-9
 
 
 @dataclass(frozen=True)
 class AttitudePrior:
-    """What is known of the telescope's attitude without the lights.
+    """Prior of the telescope's attitude, without the beacons.
 
-    Its errors count as independent of those of the lines of sight: the ship's attitude is in both, but with a lever of
-    10 m at 2 km it enters these 200 times less.
+    Its errors are treated as independent of those of the lines of sight. The ship's attitude is in both, but with a
+    lever of 10 m at 2 km its effect on the latter is 200 times smaller.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
@@ -47,19 +47,19 @@ class AttitudePrior:
 
     @property
     def covariance_n(self) -> FloatArray:
-        """Their sum, rad², shape (..., 3, 3)."""
+        """Total covariance, rad², shape (..., 3, 3)."""
         return total(self.parts_n)
 
 
 @dataclass(frozen=True)
 class Equations:
-    """residual = jacobian @ δ + noise: first the points (2 N rows), then the prior attitude (3 rows) if there is one.
+    """Linearised equations residual = jacobian @ δ + noise: points (2 N rows), then a prior attitude (3 rows), if any.
 
     Attributes:
         residual: shape (..., m).
         jacobian: H by the attitude, shape (..., m, 3).
-        by_directions: of the points' rows by all directions, shape (..., 2 N, 3 N).
-        by_focal_length: of the points' rows, shape (..., 2 N).
+        by_directions: derivative of the points' rows by all directions, shape (..., 2 N, 3 N).
+        by_focal_length: derivative of the points' rows by the focal length, shape (..., 2 N).
         inverse: S⁻¹, shape (..., m, m).
         weighted_jacobian: Hᵀ S⁻¹, shape (..., 3, m).
     """
@@ -74,14 +74,14 @@ class Equations:
 
 @dataclass(frozen=True)
 class TelescopeAttitude:
-    """The telescope's attitude; NaN where not solved.
+    """Attitude of the telescope; NaN if not solved.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
         parts_n: covariance of its rotation vector δ in n, R_true = exp(δ) R, by source, rad², shape (..., 3, 3) each.
-        focal_length_m: as the angles between the lights have it, together with its prior, shape (...).
+        focal_length_m: estimate from the angles between the beacons and its prior, shape (...).
         focal_length_sigma_m: shape (...).
-        chi2: rᵀ S⁻¹ r of what the attitude cannot explain, shape (...).
+        chi2: rᵀ S⁻¹ r of the residuals after the fit, shape (...).
         degrees: its degrees of freedom: 2 N - 3, and 3 more with a prior attitude.
         solved: shape (...).
     """
@@ -96,27 +96,28 @@ class TelescopeAttitude:
 
     @property
     def covariance_n(self) -> FloatArray:
-        """Covariance of the rotation vector in n, rad², shape (..., 3, 3): the sum of its parts."""
+        """Total covariance of the rotation vector in n, rad², shape (..., 3, 3)."""
         return total(self.parts_n)
 
 
 def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> TelescopeAttitude:
-    """The most likely attitude of the telescope.
+    """Return the maximum-likelihood attitude of the telescope.
 
-    The attitude is not solved (NaN) where the lights tell too little: where, without a prior, they are so near to each
-    other that the rotation of the image is known no better than a degree (:data:`ship_geometry.wahba.WORST_SIGMA`).
+    The attitude is not solved (NaN) if the information is insufficient. Without a prior this is the case for beacons so
+    close together that the rotation of the image has a sigma of more than a degree
+    (:data:`ship_geometry.wahba.WORST_SIGMA`).
 
     Args:
-        image: N lights on the detector.
+        image: N beacons on the detector.
         camera: geometry of the telescope.
-        lines: where the same lights are seen, in the same order.
-        prior: attitude known beforehand.
+        lines: lines of sight of the same beacons, in the same order.
+        prior: prior attitude.
 
     Raises:
-        ValueError: one light and no prior attitude.
+        ValueError: one beacon and no prior attitude.
     """
     if prior is None and lines.direction_n.shape[-2] < 2:
-        raise ValueError("one light does not tell the rotation of the image: a prior attitude is needed")
+        raise ValueError("the rotation of the image is not observable from one light: a prior attitude is needed")
     line_parts = covariance_by_source(lines.terms)
     line_covariance = total(line_parts)
     rotation_nt = _start(image, camera, lines, line_covariance, prior)
@@ -151,7 +152,7 @@ def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrio
 def _start(
     image: Image, camera: Camera, lines: LinesOfSight, line_covariance: FloatArray, prior: AttitudePrior | None
 ) -> FloatArray:
-    """The attitude to begin with: Wahba's of the lights; the prior where that is not solved."""
+    """Return the initial attitude: Wahba's solution of the beacons, or the prior if that is not solved."""
     diagonal = np.einsum("...ii->...i", line_covariance).reshape(*line_covariance.shape[:-2], -1, 3)
     # Two components across the line of sight share the trace.
     line_variance = 0.5 * diagonal.sum(axis=-1)
@@ -165,12 +166,12 @@ def _start(
 def _focal_length(
     equations: Equations, camera: Camera, gain: FloatArray, misfit: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Focal length and its standard deviation, by its prior and by what the attitude leaves of the residuals."""
+    """Return focal length and standard deviation, from its prior and the residuals after the fit of the attitude."""
     variance = np.asarray(camera.focal_length_sigma_m, dtype=float) ** 2
     rows = equations.by_focal_length.shape[-1]
     weighted = (equations.by_focal_length[..., None, :] @ equations.inverse[..., :rows, :])[..., 0, :]
     change = variance * np.einsum("...i,...i", weighted, misfit)
-    # pᵀ (S⁻¹ - S⁻¹ H K) p: the information that is left beside the attitude.
+    # pᵀ (S⁻¹ - S⁻¹ H K) p: the information left after the fit of the attitude.
     kept = (gain[..., :rows] @ equations.by_focal_length[..., None])[..., 0]
     through_attitude = (weighted[..., None, :] @ equations.jacobian @ kept[..., None])[..., 0, 0]
     left = np.einsum("...i,...i", weighted[..., :rows], equations.by_focal_length) - through_attitude
@@ -185,7 +186,7 @@ def _parts(
     line_parts: dict[str, FloatArray],
     prior: AttitudePrior | None,
 ) -> dict[str, FloatArray]:
-    """The attitude's covariance by source."""
+    """Return the attitude's covariance by source."""
     rows = equations.by_focal_length.shape[-1]
     by_directions = gain[..., :rows] @ equations.by_directions
     parts = {source: _transported(by_directions, part) for source, part in line_parts.items()}
@@ -205,7 +206,7 @@ def _transported(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def total(parts: Mapping[str, FloatArray]) -> FloatArray:
-    """Covariance of an error budget."""
+    """Return the total covariance of an error budget."""
     covariance: FloatArray = np.sum(np.stack(np.broadcast_arrays(*parts.values())), axis=0)
     return covariance
 
@@ -218,15 +219,15 @@ def linearised(
     rotation_nt: FloatArray,
     prior: AttitudePrior | None,
 ) -> Equations:
-    """The equations at a trial attitude.
+    """Linearise the equations at a trial attitude.
 
     Args:
-        image: N lights on the detector.
+        image: N beacons on the detector.
         camera: geometry of the telescope.
-        direction_n: where the same lights are seen, unit vectors, shape (..., N, 3).
+        direction_n: unit vectors to the same beacons, shape (..., N, 3).
         line_covariance: joint covariance of these directions, rad², shape (..., 3 N, 3 N).
         rotation_nt: the trial, shape (..., 3, 3).
-        prior: attitude known beforehand.
+        prior: prior attitude.
     """
     predicted = predict_points(camera, rotation_nt, direction_n)
     rows = 2 * direction_n.shape[-2]
@@ -251,7 +252,7 @@ def linearised(
 
 
 def _joined(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Block diagonal of two matrices of different size."""
+    """Return the block diagonal of two matrices of different size."""
     m, n = first.shape[-1], second.shape[-1]
     matrix = np.zeros((*first.shape[:-2], m + n, m + n))
     matrix[..., :m, :m] = first

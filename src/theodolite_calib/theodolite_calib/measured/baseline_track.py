@@ -1,10 +1,10 @@
-"""The baselines to one drone: interpolated between good ones, and watched for a jump that no flight explains.
+"""Track of the baselines to one drone: interpolation between valid ones, and detection of jumps.
 
-A receiver that has fixed the wrong ambiguities says FIXED and is off by decimetres. The change from the right to the
-wrong solution is a step in a path that is smooth otherwise: over a second or two a drone flies a cubic. The step is
-found by least squares: a cubic through the last solutions, with and without a step at each place in turn. The
-solutions' own scatter about it is their noise where it is larger than what they state, so that a flight in gusts hides
-a step rather than being taken for one.
+A receiver with wrong ambiguities still reports FIXED and is off by decimetres. The change between the right and the
+wrong solution is a step in an otherwise smooth path: over one or two seconds a drone flies a cubic. The step is found
+by least squares, from cubics through the last solutions with and without a step at each of them. The noise is the
+larger of the solutions' scatter about the cubic and their stated noise, so that a flight in gusts hides a step rather
+than being taken for one.
 """
 
 import math
@@ -20,19 +20,20 @@ from theodolite_calib.measured import compiled_cubics
 from theodolite_calib.measured.samples import BaselineSample
 
 _MOST, _BEFORE = 14, 5
-"""Solutions that are looked at, and how many of them stand before a step at least."""
+"""Maximum number of solutions in the fit, and minimum number of them before a step."""
 _LONGEST_NS = 2 * SECOND_NS
-"""A drone flies a cubic for no longer."""
+"""Maximum time over which the path of a drone is a cubic, ns."""
 _SIGMAS = 7.0
-"""At ten solutions a second with ten places for a step, good ones must not seem to jump once in a voyage."""
+"""Threshold of a jump in standard deviations: less than one false jump per voyage at ten solutions a second with ten
+candidate steps."""
 _CUBIC, _COMPONENTS = 3, 3
 _LEAST_DEGREES = 9
-"""Degrees of freedom of the scatter below which nothing is said."""
+"""Minimum degrees of freedom of the scatter for a jump to be tested."""
 
 
 @dataclass(frozen=True)
 class BaselineJump:
-    """A baseline that has jumped although the drone cannot have.
+    """Jump of a baseline that the flight of the drone cannot explain.
 
     Attributes:
         time_ns: stamp of the first solution after the jump.
@@ -46,12 +47,12 @@ class BaselineJump:
 
 
 class BaselineTrack(VectorTrack[BaselineSample]):
-    """Baselines to one drone, good and bad: nothing is interpolated from a bad one or across it."""
+    """Baselines to one drone, valid and rejected; rejected ones are not used and not interpolated across."""
 
     keeps_ns = _LONGEST_NS
 
     def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Refusal:
-        """The baseline at a moment (N, U, E), m, with the covariance of what is new in it, m²; or why there is none."""
+        """Return the baseline at a time (N, U, E), m, with the covariance of its white error, m²; or the rejection."""
         interval = self._interval(time_ns)
         if interval is None:
             return Refusal(Reason.GAP, "no baselines on both sides of the exposure")
@@ -66,7 +67,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         return baseline.vector, baseline.noise_gain * nearest.covariance_n + baseline.error_covariance
 
     def velocity_at(self, time_ns: int) -> FloatArray:
-        """Of the drone against the ship (N, U, E) at a moment that a baseline is usable at, m/s; zero beside gaps."""
+        """Return the drone's velocity relative to the ship (N, U, E) at a valid baseline, m/s; zero next to gaps."""
         interval = self._interval(time_ns)
         assert interval is not None
         left, fraction = interval
@@ -77,9 +78,9 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         return velocity
 
     def jump_before(self, time_ns: int) -> BaselineJump | None:
-        """The clearest jump among the last solutions up to the one that follows a moment; None where there is none.
+        """Return the most significant jump among the last solutions up to the one after a time; None if there is none.
 
-        Solutions of later stamps have no part in it, so that it does not matter when they come.
+        Solutions with later stamps are not used, so that their time of arrival does not matter.
         """
         interval = self._interval(time_ns)
         if interval is None:

@@ -1,11 +1,12 @@
-"""What the encoders and the ship's attitude say by themselves of the time in which the lights began to contradict them.
+"""Consistency of the encoder and ship attitude streams around the time at which beacons began to contradict them.
 
-To the lights a slip of the encoders, a step of the ship's attitude and a knock on the telescope are much alike. The
-first two are seen in the streams themselves: a polynomial through the readings, or a line through what the rates leave
-of the attitudes, is laid over some samples before and after each moment, with a step between them. Where neither stream
-has stepped by what the lights say, the telescope has.
+For the beacons a slip of the encoders, a step of the ship's attitude and a mounting shift of the telescope have the
+same effect. The first two are visible in their own streams. A polynomial through the readings, or a line through the
+residuals of the attitudes against the rates, is fitted to some samples before and after each time. A step is allowed
+between them. If neither stream has stepped by the offset of the beacons, the telescope has shifted.
 
-What creeps makes no step. A ship that creeps leaves what its own rates lead to; encoders have no such witness.
+A drift has no step. A drifting ship's attitude departs from the integral of its own rates; for encoders there is no
+such reference.
 """
 
 import itertools
@@ -23,62 +24,62 @@ from theodolite_calib.measured.encoder_steps import short_way
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
 _BESIDE = 8
-"""So many samples at most on either side of a step are looked at."""
+"""Maximum number of samples on either side of a step."""
 _LEAST = 6
-"""So many at least on either side."""
+"""Minimum number of samples on either side of a step."""
 _BY_MOTION: tuple[int, ...] = (2, 4)
-"""Degrees of the polynomials through a motion; the one that tells a step best is taken."""
+"""Degrees of the polynomials through a motion; the one with the smallest step sigma is used."""
 _BY_RATES: tuple[int, ...] = (1,)
-"""And through what rates leave of it."""
+"""Degrees of the polynomials through the residuals against rates."""
 _SURE_SIGMAS = 5.5
-"""A step of so many sigmas is one."""
+"""Threshold of a step in standard deviations."""
 _MISSED_SIGMAS = 3.0
-"""A step that is there is found smaller than it is by less than so many sigmas."""
+"""Maximum amount by which a step is underestimated, in standard deviations."""
 
 _MEAN_OVER_S = 0.5
-"""A creeping ship's attitude is looked at in means over so long."""
+"""Length of the means in which a drift of the ship's attitude is evaluated, s."""
 _LEAST_CREEP_S = 3.0
-"""In less time nothing is told."""
+"""Minimum time span for evaluating a drift, s."""
 _CREPT_SIGMAS = 8.0
-"""It has crept where a mean is so many sigmas of an attitude from another."""
+"""Difference between two means above which the attitude has drifted, in standard deviations of an attitude."""
 _BY_TRAPEZOIDS = 2.0 / 3.0
-"""The error of trapezoids, twice: steps of double length make it four times as large, so that the difference is three
-times the error."""
+"""Error of the trapezoidal rule, twice, per difference to steps of double length: these have four times the error, so
+that the difference is three times the error."""
 _STEADY_SIGMAS = 5.0
-"""It has not where none is more than so many from another."""
+"""Difference between two means below which the attitude has not drifted, in standard deviations of an attitude."""
 _TOLD_SIGMAS = 5.0
-"""By so many sigmas of what its stated covariance has changed it may have moved, as when stars put it right."""
+"""Factor on the change of the stated standard deviation by which the attitude may move, as after a star correction."""
 
 
 class LargestStep(NamedTuple):
-    """The largest step that a stream may have made.
+    """Largest possible step of a stream.
 
     Attributes:
-        size_rad: of its largest component.
-        sigma_rad: standard deviation of that.
+        size_rad: size of its largest component.
+        sigma_rad: standard deviation of that component.
     """
 
     size_rad: float
     sigma_rad: float
 
     def is_there(self, least_rad: float) -> bool:
-        """Whether the stream has stepped, and by half of a step or more."""
+        """True if the stream has stepped by at least half of the expected step."""
         return self.size_rad > _SURE_SIGMAS * self.sigma_rad and self.size_rad > 0.5 * least_rad
 
     def is_not(self, step_rad: float) -> bool:
-        """Whether the stream has surely not stepped by so much; NaN is not sure."""
+        """True if a step of this size is ruled out; False for NaN."""
         would_be_seen = step_rad > 1.5 * _SURE_SIGMAS * self.sigma_rad
         return would_be_seen and self.size_rad < min(step_rad - _MISSED_SIGMAS * self.sigma_rad, 0.5 * step_rad)
 
 
 @dataclass(frozen=True)
 class Streams:
-    """What the two streams say of a time.
+    """Consistency of the encoder and ship attitude streams in a time range.
 
     Attributes:
-        encoder: largest step of the encoders; None where the readings do not tell.
-        ship: of the ship's attitude; None where the attitudes do not tell.
-        ship_in_doubt: whether the ship's attitude was DEGRADED, or missing for a while.
+        encoder: largest step of the encoders; None if the readings do not allow a test.
+        ship: largest step of the ship's attitude; None if the attitudes do not allow a test.
+        ship_in_doubt: True if the ship's attitude was DEGRADED, or missing for a while.
     """
 
     encoder: LargestStep | None
@@ -93,13 +94,13 @@ def streams_since(
     gaps_ns: tuple[int, int],
     ship_sigma_rad: float,
 ) -> Streams:
-    """What the streams say of the time since a moment, by samples of this time and of a second before.
+    """Return the consistency of the streams since a time, from samples since then and one second before.
 
     Args:
-        since_ns: the moment.
+        since_ns: the time.
         encoder: readings, in the order of their stamps.
         ship: attitudes, in the order of their stamps, in the time of the readings.
-        gaps_ns: readings, and attitudes, further apart are a gap.
+        gaps_ns: maximum intervals of readings, and of attitudes; larger ones are gaps.
         ship_sigma_rad: noise of an attitude about each axis.
     """
     doubt = _gap(ship, gaps_ns[1]) or any(sample.status is Status.DEGRADED for sample in ship)
@@ -107,7 +108,7 @@ def streams_since(
     if encoder and not _gap(encoder, gaps_ns[0]):
         turns = short_way(np.diff(np.array([sample.vector for sample in encoder]), axis=0))
         turned = np.vstack([np.zeros(2), np.cumsum(turns, axis=0)])
-        # Readings that stood still to the bit beside others that moved may be stuck: then they tell nothing.
+        # Exactly repeated readings among others that moved may be stuck: no test then.
         stood = np.all(turns == 0.0, axis=1)
         if np.all(stood) or not np.any(stood):
             by_encoder = _largest_step(_seconds(encoder, since_ns), turned, encoder[-1].sigma, _BY_MOTION)
@@ -118,11 +119,11 @@ def streams_since(
 
 
 def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) -> bool | None:
-    """Whether a ship's attitude has left what its own rates lead to; None where nothing tells.
+    """True if a ship's attitude has departed from the integral of its own rates; None if unknown.
 
     Args:
         ship: attitudes, in the order of their stamps.
-        longest_gap_ns: attitudes further apart are a gap.
+        longest_gap_ns: maximum interval of attitudes; a larger one is a gap.
         sigma_rad: noise of an attitude about each axis.
     """
     told = [sample for sample in ship if sample.status is not Status.DEGRADED]
@@ -147,12 +148,12 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
 
 
 def _attitudes(ship: list[ShipSample]) -> tuple[FloatArray, FloatArray]:
-    """Horizon from deck, shape (k, 3, 3), and rates in the deck, rad/s, (k, 3), of samples that all have them."""
+    """Return horizon from deck, shape (k, 3, 3), and rates in the deck, rad/s, (k, 3), of samples that have rates."""
     return np.array([sample.rotation_nd for sample in ship]), np.array([sample.rate_d for sample in ship])
 
 
 def _left_by_rates(rotation_nd: FloatArray, rate_d: FloatArray, seconds: FloatArray) -> FloatArray:
-    """What the rates of attitudes leave of these: rotation vectors in n, rad, shape (k, 3)."""
+    """Return the residuals of attitudes against their integrated rates: rotation vectors in n, rad, shape (k, 3)."""
     rate_n = (rotation_nd @ rate_d[..., None])[..., 0]
     turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
     turns_n = turns_n - 0.5 * (rate_n[1:] + rate_n[:-1]) * np.diff(seconds)[:, None]
@@ -160,7 +161,7 @@ def _left_by_rates(rotation_nd: FloatArray, rate_d: FloatArray, seconds: FloatAr
 
 
 def _ships_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> LargestStep | None:
-    """The largest step of the ship's attitude, by its own rates where all samples have them."""
+    """Return the largest step of the ship's attitude, using its rates if all samples have them."""
     seconds = _seconds(ship, since_ns)
     if all(sample.rate_d is not None for sample in ship):
         return _largest_step(seconds, _left_by_rates(*_attitudes(ship), seconds), sigma_rad, _BY_RATES)
@@ -173,13 +174,13 @@ def _ships_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> Larg
 def _largest_step(
     seconds: FloatArray, values: FloatArray, sigma_rad: float, degrees: Sequence[int]
 ) -> LargestStep | None:
-    """The largest step between two neighbouring values, beside a polynomial; None where there are too few values.
+    """Return the largest step between two consecutive values in addition to a polynomial; None if there are too few.
 
     Args:
-        seconds: times after the moment since when a step is looked for, shape (k,).
+        seconds: times relative to the start of the search, shape (k,).
         values: shape (k, c).
-        sigma_rad: noise of each value; where what is left shows more, that counts.
-        degrees: of the polynomials; that which tells the step best is taken.
+        sigma_rad: noise of each value; larger residuals replace it.
+        degrees: degrees of the polynomials; the one with the smallest step sigma is used.
     """
     largest: LargestStep | None = None
     for first_after in range(_LEAST, len(seconds) - _LEAST + 1):
@@ -195,7 +196,7 @@ def _largest_step(
 
 
 def _step(since_s: FloatArray, values: FloatArray, sigma_rad: float, degree: int) -> LargestStep:
-    """The step of some values at time zero, beside a polynomial."""
+    """Return the step of some values at time zero in addition to a polynomial."""
     design = np.column_stack([(since_s >= 0.0).astype(float), np.vander(since_s / np.ptp(since_s), degree + 1)])
     found = np.linalg.lstsq(design, values, rcond=None)[0]
     left = values - design @ found
@@ -205,10 +206,10 @@ def _step(since_s: FloatArray, values: FloatArray, sigma_rad: float, degree: int
 
 
 def _seconds(samples: Sequence[Stamped], since_ns: int) -> FloatArray:
-    """Stamps after a moment, s."""
+    """Return the stamps relative to a time, s."""
     return np.array([sample.time_ns - since_ns for sample in samples]) / SECOND_NS
 
 
 def _gap(samples: Sequence[Stamped], longest_ns: int) -> bool:
-    """Whether two neighbours are too far apart."""
+    """True if two consecutive samples are too far apart."""
     return any(later.time_ns - one.time_ns > longest_ns for one, later in itertools.pairwise(samples))

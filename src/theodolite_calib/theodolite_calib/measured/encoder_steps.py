@@ -1,10 +1,9 @@
-"""Steps of the encoders in place: from one reading to the next they are elsewhere, and move on as before.
+"""Detection of encoder steps: from one reading to the next the encoders are elsewhere, and move on as before.
 
-A reading is predicted from a cubic through those before it: a mount that turns, or takes out the ship's roll, makes no
-step. What is far outside the noise of such predictions, which is learnt, is a step at first sight. The next reading
-tells what it was. Where it is as far from the cubic as the one before, the encoders have slipped, or the mount has
-moved and stopped between two readings. Where it is farther off, a motion has begun or ended. Where it is back, one
-reading was wrong.
+A reading is predicted by a cubic through the readings before it, which a rotating or roll-compensating mount follows. A
+prediction error far outside its noise, which is estimated, is a pending step. The next reading decides. If its error
+equals that of the reading before, the encoders have slipped, or the mount has moved and stopped between two readings.
+If it is larger, a motion has begun or ended. If it is small, one reading was wrong.
 """
 
 import math
@@ -20,34 +19,35 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured import compiled_cubics
 
 _FITTED = 12
-"""A cubic is laid through so many readings."""
+"""Number of readings in the cubic."""
 _LEAST = 7
-"""Through fewer none is laid."""
+"""Minimum number of readings in the cubic."""
 _SIGMAS = 6.5
-"""At fifty readings a second, good ones must not be suspected more than once in some hours."""
+"""Threshold of a pending step in standard deviations: at fifty readings a second at most one false one in some
+hours."""
 _SURE_SIGMAS = 3.0
 _MEMORY = 200
-"""The noise is a mean over about so many readings."""
+"""Number of readings over which the noise is averaged."""
 _LEARNING = 50
-"""Before so many readings the noise is not known, and no step is told."""
+"""Number of readings before the noise is known and steps are detected."""
 _LARGEST_SHARE = 3.0
-"""A prediction that is off by more than so many times the noise is learnt as off by that much."""
+"""Maximum prediction error that enters the noise estimate, in multiples of the noise."""
 _GONE, _GOES_ON = 0.5, 1.25
-"""After a step in place the next reading is off by so many times as much as the first, at least and at most. The least
-that a motion can do that begins after the reading before the last is one and a half times."""
+"""Least and greatest ratio of the second prediction error to the first for a step. A motion that begins after the
+reading before the last gives at least 1.5."""
 
 _FULL_TURN = 2.0 * np.pi
 
 
 class EncoderStep(NamedTuple):
-    """A step in place.
+    """Step of the encoders.
 
     Attributes:
         time_ns: just before the first reading after it.
-        step: of azimuth and elevation, rad, shape (2,).
+        step: step of azimuth and elevation, rad, shape (2,).
         sigma_rad: standard deviation of each of the two.
-        sure_rad: by so much at least, about the worse axis, with three sigmas.
-        within_s: time between the readings before and after it.
+        sure_rad: lower bound of the step about the larger axis, three standard deviations, rad.
+        within_s: interval between the readings before and after it.
     """
 
     time_ns: int
@@ -58,14 +58,14 @@ class EncoderStep(NamedTuple):
 
 
 class _Off(NamedTuple):
-    """How far a reading is from the cubic.
+    """Prediction error of a reading against the cubic.
 
     Attributes:
         time_ns: stamp of the reading.
-        by: azimuth and elevation, rad, shape (2,).
+        by: error of azimuth and elevation, rad, shape (2,).
         gain: sigma of each per sigma of one reading.
-        sigma_rad: of each, by noise.
-        bound_rad: by so much a good reading may be off.
+        sigma_rad: standard deviation of each by noise.
+        bound_rad: bound for a valid reading.
     """
 
     time_ns: int
@@ -76,13 +76,13 @@ class _Off(NamedTuple):
 
     @property
     def far(self) -> bool:
-        """Whether it is a step at first sight."""
+        """True if the error exceeds its bound: a pending step."""
         azimuth, elevation = self.by.tolist()
         return not (abs(azimuth) <= self.bound_rad and abs(elevation) <= self.bound_rad)
 
 
 class EncoderSteps:
-    """Watches the readings of one run in the order of their stamps."""
+    """Step detector for the readings of one run, in the order of their stamps."""
 
     def __init__(self) -> None:
         self._before: deque[tuple[int, FloatArray]] = deque(maxlen=_FITTED)
@@ -91,25 +91,25 @@ class EncoderSteps:
 
     @property
     def off_rad(self) -> float:
-        """How far the last reading is off where it is a step at first sight, which the next will tell; else 0."""
+        """Prediction error of the last reading if it is a pending step, rad; else 0."""
         return 0.0 if self._first is None else math.hypot(*self._first[0].by)
 
     def restart(self) -> None:
-        """Readings that come now do not go on from those before; the noise stays known."""
+        """Restart the prediction with the next reading; the noise estimate is kept."""
         self._before.clear()
         self._first = None
 
     def observe(
         self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float, longest_ns: int = SECOND_NS
     ) -> EncoderStep | None:
-        """Take the next reading; the step that it has proven, if it has.
+        """Add the next reading; return the step that it proves, or None.
 
         Args:
             time_ns: its stamp.
             angles: azimuth and elevation, rad, shape (2,).
             sigma_rad: stated noise of each.
-            coarseness_rad: steps in which they are printed; 0 where every value is new.
-            longest_ns: readings further apart are not compared.
+            coarseness_rad: resolution of the printed values; 0 if every value is new.
+            longest_ns: maximum interval between readings that are compared.
         """
         if self._before:
             before_ns, before = self._before[-1]
@@ -130,7 +130,7 @@ class EncoderSteps:
         return None
 
     def _off(self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float) -> _Off | None:
-        """How far a reading is from the cubic; None where there is none."""
+        """Return the prediction error of a reading; None if there are too few readings before it."""
         if len(self._before) < _LEAST:
             return None
         weights, gain = _weights(tuple([before_ns - time_ns for before_ns, _ in self._before]))
@@ -140,11 +140,11 @@ class EncoderSteps:
         return _Off(time_ns, angles - led, gain, gain * noise_rad, bound_rad)
 
     def _told(self, first: _Off, angles: FloatArray, off: _Off, now: FloatArray) -> EncoderStep | None:
-        """What the reading after a step at first sight says of it; the readings are ``angles`` and ``now``."""
+        """Resolve a pending step by the reading after it; the readings are ``angles`` and ``now``."""
         axis = int(np.argmax(np.abs(first.by)))
         share, before_ns = off.by[axis] / first.by[axis], self._before[-1][0]
         if share > _GONE:
-            # What went before leads no further.
+            # The readings before the change do not predict the following ones.
             self._before.clear()
             self._before.append((first.time_ns, angles))
         self._before.append((off.time_ns, now))
@@ -155,7 +155,7 @@ class EncoderSteps:
         return EncoderStep(first.time_ns - 1, first.by, first.sigma_rad, sure_rad, within_s)
 
     def _learn(self, off: _Off) -> None:
-        """Learn the noise of one reading of one axis from a prediction."""
+        """Update the noise estimate of one reading of one axis with a prediction error."""
         self._count = min(self._count + 1, _MEMORY)
         one = 0.5 * float(off.by @ off.by) / off.gain**2
         if self._count > _LEARNING:
@@ -165,9 +165,10 @@ class EncoderSteps:
 
 @lru_cache(maxsize=64)
 def _weights(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
-    """Weights of values at some moments in the value at zero of the cubic through them, by least squares.
+    """Return the least-squares weights of values at some times in the value at zero of the cubic through them.
 
-    The second is the sigma of a further value's distance from that one, per sigma of a value.
+    The second result is the standard deviation of a further value relative to that one, per standard deviation of a
+    value.
     """
     seconds = np.array(since_ns) / SECOND_NS
     weights = compiled_cubics.weights_at_zero(seconds / np.max(np.abs(seconds)))
@@ -175,6 +176,6 @@ def _weights(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
 
 
 def short_way(angles: FloatArray) -> FloatArray:
-    """Angles the short way round."""
+    """Return angles wrapped to half a turn."""
     wrapped: FloatArray = angles - _FULL_TURN * np.rint(angles / _FULL_TURN)
     return wrapped

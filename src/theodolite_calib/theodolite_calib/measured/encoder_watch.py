@@ -1,14 +1,11 @@
-"""The watch over the encoders.
+"""Check of the encoders: reject implausible readings, accept a persistent jump, and mark readings as unconfirmed.
 
-It refuses readings that cannot be true, believes a jump that lasts, and doubts what comes after until lights have
-confirmed it.
-
-A theodolite at rest reads the same for hours, and so does one that is stuck. The lights tell the two
-apart: when they say that the telescope has turned in the deck, the encoders are stuck. Readings that stopped dead in
-the midst of a motion are in doubt. A reading that the mount could reach only with a larger acceleration than it has is
-wrong; a few such readings that agree among themselves are a slip of the encoders. A smaller step in place
-(:mod:`theodolite_calib.measured.encoder_steps`) is in doubt until lights have confirmed it; where the mount could not
-have moved and stopped between two readings, it is a slip.
+A theodolite at rest repeats its readings for hours, and so does one whose encoders are stuck. Beacons distinguish the
+two: the encoders are stuck if the telescope has rotated in the deck. Readings that stop during a motion are
+unconfirmed. A reading that would need more acceleration than the mount has is rejected; a few such readings that are
+consistent among themselves are a slip of the encoders. A smaller step (:mod:`theodolite_calib.measured.encoder_steps`)
+is unconfirmed until beacons confirm it. It is a slip if the mount could not have moved and stopped between two
+readings.
 """
 
 import math
@@ -35,24 +32,25 @@ from theodolite_calib.measured.encoder_steps import EncoderStep, EncoderSteps, s
 from theodolite_calib.measured.samples import EncoderSample
 
 _LIGHTS = "lights"
-"""Name of the lights as a witness."""
+"""Name of the beacons as a motion reference."""
 _SIGMAS = 5.0
-"""A motion of more than so many sigmas of a reading, from one reading to the next, is surely one."""
+"""Change between two readings that is a motion, in standard deviations of a reading."""
 _LONGEST_STEP_S = 1.0
-"""Readings that are further apart are not compared."""
+"""Maximum interval between readings that are compared, s."""
 _LARGEST_ELEVATION = 3.0 * np.pi
-"""Largest elevation reading in radians: half a turn, counted a turn too far. Azimuths are taken modulo a turn."""
+"""Largest elevation reading in radians: half a turn plus one turn. Azimuths are taken modulo a turn."""
 _SURE_AFTER = 20
-"""Readings in a row beyond the largest elevation after which the unit is wrong; within it, after which it is right."""
+"""Number of consecutive readings beyond the largest elevation after which the unit is wrong, or within it after which
+it is right."""
 
 
 @dataclass(frozen=True)
 class EncoderJump:
-    """Encoders that have slipped for good: since then they read differently where the axis points.
+    """Permanent slip of the encoders: from then on they read differently for the same axis.
 
     Attributes:
         time_ns: just before the first reading after the slip.
-        jump: of azimuth and elevation, rad, shape (2,).
+        jump: change of azimuth and elevation, rad, shape (2,).
         sigma_rad: standard deviation of each of the two.
     """
 
@@ -62,11 +60,11 @@ class EncoderJump:
 
 
 class JudgedReading(NamedTuple):
-    """What is to be done with a reading.
+    """Result of the check of a reading.
 
     Attributes:
-        refusal: why the reading is not used; None where it is.
-        jump: the slip that is believed with this reading, used or not; None where there is none.
+        refusal: reason of its rejection; None if it is accepted.
+        jump: slip that is accepted with this reading, whether the reading is used or not; None if there is none.
     """
 
     refusal: Refusal | None = None
@@ -74,17 +72,17 @@ class JudgedReading(NamedTuple):
 
 
 class EncoderWatch:
-    """Watches the readings of one run in the order of their stamps.
+    """Check of the encoder readings of one run, in the order of their stamps.
 
     Args:
-        sigma_rad: noise of a reading; an arcsecond where it is less.
-        max_acceleration: that the mount can reach, rad/s².
+        sigma_rad: noise of a reading; an arcsecond if it is less.
+        max_acceleration: maximum acceleration of the mount, rad/s².
     """
 
     def __init__(self, sigma_rad: float, max_acceleration: float) -> None:
         self._stuck, self._jumps, self._continuation = StuckGuard(), JumpGuard(), Continuation(sigma_rad)
-        # Two readings that lead to the next: the last two taken, and the last two whether taken or not. In a healthy
-        # run these are the same.
+        # Two readings predict the next: the last two accepted, and the last two accepted or not. Without rejections
+        # these are the same.
         self._taken: tuple[EncoderSample, ...] = ()
         self._all: tuple[EncoderSample, ...] = ()
         self._last: tuple[EncoderSample, FloatArray] | None = None
@@ -99,37 +97,37 @@ class EncoderWatch:
         self.reconfigure(sigma_rad, max_acceleration)
 
     def reconfigure(self, sigma_rad: float, max_acceleration: float) -> None:
-        """Go on with another noise and another mount."""
+        """Apply another noise and another mount."""
         self._continuation.sigma_rad = self._sigma_rad = max(sigma_rad, ARCSEC)
         self._max_acceleration = max_acceleration
 
     @property
     def doubt(self) -> str:
-        """Why the readings are in doubt until a light has confirmed them; empty where they are not."""
+        """Reason why the readings are unconfirmed until the next beacon; empty if they are confirmed."""
         if self._unconfirmed is not None:
             return self._unconfirmed.text
         if self._in_doubt_since_ns is not None:
-            return "the encoders stopped dead in a motion: at rest, or stuck"
+            return "the encoders stopped during a motion: at rest, or stuck"
         if self._stepped is not None:
-            return f"the encoders have stepped by {self._stepped[1] / ARCSEC:.0f}″, and no light has confirmed it since"
+            return f"the encoders have stepped by {self._stepped[1] / ARCSEC:.0f}″, not yet confirmed by a light"
         if self._steps.off_rad:
-            return "the encoders are not where the readings before lead: moved, or slipped"
+            return "the encoders are not where predicted: moved, or slipped"
         return ""
 
     @property
     def doubt_rad(self) -> float:
-        """By so much the readings may be wrong about each axis, as a standard deviation, beside their noise."""
+        """Standard deviation of the readings about each axis while unconfirmed, in addition to their noise, rad."""
         return math.hypot(self._steps.off_rad, 0.0 if self._stepped is None else self._stepped[1])
 
     def judge(
         self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Refusal | None = None
     ) -> JudgedReading:
-        """Judge a reading.
+        """Check a reading.
 
         Args:
             sample: the reading.
-            track: those taken so far; by these a reading is judged that comes after later ones.
-            late: the refusal of a reading that comes too late; None where it does not. Its unit is judged all the same.
+            track: accepted readings so far, against which a reading that comes after later ones is checked.
+            late: rejection of a reading that comes too late; None if it does not. Its unit is checked in any case.
         """
         refusal = self._units_refusal(sample, counts=late is None) or late
         if refusal is not None:
@@ -149,22 +147,22 @@ class EncoderWatch:
             judged = self._judge_step(step)
         self._watch_motion(sample)
         if self._stuck.observe(sample.time_ns, sample.vector, self._sigma_rad, self._witnesses):
-            # After a freeze the reading cannot be extrapolated.
+            # Stuck readings cannot be extrapolated.
             self._taken = self._all = ()
             self._steps.restart()
             self._unconfirmed = Unconfirmed(sample.time_ns, "the encoders were stuck", "lights")
-            text = "both encoders stand still while the lights say that the telescope turns in the deck"
+            text = "both encoders stuck: unchanged while, by the lights, the telescope rotates in the deck"
             return JudgedReading(Refusal(Reason.STUCK, text))
         return judged
 
     def see_lights(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
-        """The telescope in the deck as lights had it at a moment, shape (3, 3), with the error about its worst axis."""
-        # Before the readings stood still the telescope may well have turned.
+        """Record the telescope's attitude in the deck by beacons, shape (3, 3), and the error about its worst axis."""
+        # Rotations before the readings stood still do not count.
         if self._still_since_ns is not None and time_ns >= self._still_since_ns:
             self._witnesses[_LIGHTS] = Witness(time_ns, telescope_dt, sigma_rad)
 
     def confirm(self, time_ns: int) -> None:
-        """Lights at a moment agreed with the readings of that moment."""
+        """Record that beacons were consistent with the readings at a time."""
         if self._in_doubt_since_ns is not None and time_ns > self._in_doubt_since_ns:
             self._in_doubt_since_ns = None
         if self._unconfirmed is not None:
@@ -172,14 +170,14 @@ class EncoderWatch:
         self.believe_lights(time_ns)
 
     def believe_lights(self, time_ns: int) -> None:
-        """Lights at a moment told where the encoders are, be they right or wrong: a step before it is known."""
+        """Record that beacons have determined the encoders' offset, consistent or not: earlier steps are known."""
         if self._stepped is not None and time_ns > self._stepped[0]:
             self._stepped = None
 
     def _units_refusal(self, sample: EncoderSample, counts: bool) -> Refusal | None:
-        """Return the refusal of a reading that cannot be in radians; None where it can.
+        """Return the rejection of a reading that cannot be in radians; None if it can.
 
-        A run of such readings shows that the unit is wrong: then all are refused until a run of others has come.
+        A run of such readings shows that the unit is wrong: then all are rejected until a run of valid ones.
         """
         azimuth, elevation = sample.vector.tolist()
         beyond = not abs(elevation) <= _LARGEST_ELEVATION
@@ -193,7 +191,7 @@ class EncoderWatch:
         return Refusal(Reason.UNITS, text)
 
     def _judge_jump(self, sample: EncoderSample) -> JudgedReading:
-        """Judge a reading later than all before by where the two readings before lead."""
+        """Check a reading later than all before against the prediction from the two readings before."""
         match = self._match(self._taken, sample)
         step = match if self._all is self._taken else self._match(self._all, sample)
         fits = match is None or (match.fits if step is None else match.fits_again(step))
@@ -216,20 +214,20 @@ class EncoderWatch:
         return JudgedReading()
 
     def _judge_step(self, step: EncoderStep) -> JudgedReading:
-        """Judge the reading that proves a step in place."""
+        """Check the reading that proves a step."""
         step_rad = size(step.step)
-        # From rest to rest: half of the way with all acceleration there is, and half of it braking.
+        # From rest to rest: half of the way with maximum acceleration, half of it braking.
         reached_rad = 0.25 * self._max_acceleration * step.within_s**2
         if not step.sure_rad > reached_rad:
             before_rad = 0.0 if self._stepped is None else self._stepped[1]
             self._stepped = step.time_ns, math.hypot(before_rad, step_rad)
             return JudgedReading()
         self._unconfirmed = Unconfirmed(step.time_ns, "the encoders have jumped", "lights")
-        text = f"{step_rad / ARCSEC:.0f}″ off in one step: more than {reached_rad / ARCSEC:.0f}″, as the mount can"
+        text = f"step of {step_rad / ARCSEC:.0f}″: the mount can reach {reached_rad / ARCSEC:.0f}″"
         return JudgedReading(Refusal(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
 
     def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> Match | None:
-        """A reading against the place where two before it lead; None where there are not two, or too long ago."""
+        """Compare a reading with the prediction from two before it; None without two, or if they are too old."""
         if len(before) < 2:
             return None
         first, second = before
@@ -242,7 +240,7 @@ class EncoderWatch:
         return self._continuation.match(difference, step)
 
     def _watch_motion(self, sample: EncoderSample) -> None:
-        """Doubt begins with a reading equal to the last one although that one had moved."""
+        """Mark readings as unconfirmed after one equal to the last although that one had moved."""
         if self._last is None:
             self._last, self._still_since_ns = (sample, np.zeros(2)), sample.time_ns
             return
@@ -257,7 +255,7 @@ class EncoderWatch:
 
 
 def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:
-    """Up to two readings before a moment."""
+    """Return up to two readings before a time."""
     found: tuple[EncoderSample, ...] = ()
     while len(found) < 2:
         sample = track.last_before(time_ns - 1)
@@ -269,7 +267,7 @@ def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSam
 
 
 def _moved_back(sample: EncoderSample, first: EncoderSample, second: EncoderSample) -> EncoderSample:
-    """The reading at the time of ``second``, extrapolated back from ``sample``.
+    """Return the reading extrapolated back from ``sample`` to the time of ``second``.
 
     The axis moves as it did from ``first`` to ``second``. After a slip, the next reading is predicted with it.
     """
@@ -279,5 +277,5 @@ def _moved_back(sample: EncoderSample, first: EncoderSample, second: EncoderSamp
 
 def _gate_refusal(match: Match) -> Refusal:
     off, bound = size(match.difference) / ARCSEC, match.bound_rad / ARCSEC
-    text = f"{off:.0f}″ from where the readings before lead: more than {bound:.0f}″, which the mount can reach"
+    text = f"{off:.0f}″ from the predicted reading: the mount can reach {bound:.0f}″"
     return Refusal(Reason.GATE, text)

@@ -1,9 +1,9 @@
-"""The guard of the ship's attitude, which may be told what comes: it then judges many attitudes at once.
+"""Check of the ship's attitudes, one by one or in batches announced beforehand.
 
-Offline the attitudes of some seconds are read before the first of them has its turn. Those that go the way of nearly
-all are judged together, as the samples of an INS are (:meth:`ship_estimation.ins_guard.InsGuard.look_ahead`); each
-judgement is given out when its attitude comes. Where another one comes than was told, the guard goes back to the state
-that it had before, judges what has come one by one, and goes on so. A live node tells nothing of what comes.
+Offline the attitudes of some seconds are read before they are used. Regular ones are checked together, as the samples
+of an INS are (:meth:`ship_estimation.ins_check.InsCheck.check_block`), and each result is returned when its attitude
+comes. If another attitude comes than was announced, the check returns to its state before the batch and continues one
+by one. A live node announces nothing.
 """
 
 import copy
@@ -21,17 +21,17 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured.samples import ShipSample
 
 _SIGMAS = 5.0
-"""So many sigmas of what it states of its covariance the source may step."""
+"""Factor on the change of the stated standard deviation by which the source may step."""
 
 _PATIENCE = 8
-"""Where an attitude does not go the usual way, so many after it are judged one by one."""
+"""Number of attitudes that are checked one by one after an irregular one."""
 
 
 class GuardAhead:
-    """Judges the attitudes of the ship, told ahead or not: what is said of each is the same.
+    """Check of the ship's attitudes, announced or not; the results are the same.
 
     Args:
-        config: noise of the attitudes, and after how many refused ones a jump is believed.
+        config: noise of the attitudes, and number of rejections after which a jump is accepted.
     """
 
     def __init__(self, config: GuardedInsConfig) -> None:
@@ -41,26 +41,26 @@ class GuardAhead:
 
     def _forget_expected(self) -> None:
         self._expected: list[ShipSample] = []
-        # Those of them that came, each with what the source said of a step; the guard as it was before the first.
+        # Those of them that came, each with the step reported by the source; the check before the first.
         self._judged: list[tuple[ShipSample, float]] = []
         self._before: InsGuard | None = None
-        # Those that were judged before their turn, and the place of the first of them.
+        # Those that were checked in a block, and the index of the first of them.
         self._followed: Followed | None = None
         self._first = self._patience = 0
 
     def reconfigure(self, config: GuardedInsConfig) -> None:
-        """Go on with another noise."""
+        """Apply another noise."""
         self._go_back()
         self._forget_expected()
         self._guard.reconfigure(config)
 
     @property
     def rates(self) -> Rates:
-        """What the rates are worth."""
+        """Status of the rates."""
         return self._guard.rates if self._followed is None else Rates.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
-        """These attitudes come next, as far as is known now."""
+        """Announce the next attitudes, as far as they are known."""
         if self._judged or not self._expected:
             self._go_back()
             self._forget_expected()
@@ -69,12 +69,12 @@ class GuardAhead:
         self._block, self._told_rad = _arrays(self._expected)
 
     def judge(self, sample: ShipSample, used: AttitudeTrack, told_rad: float) -> JudgedIns:
-        """What :meth:`ship_estimation.ins_guard.InsGuard.judge` says of an attitude, without witnesses.
+        """Check an attitude as :meth:`ship_estimation.ins_check.InsCheck.check` does, without motion references.
 
         Args:
             sample: the attitude.
-            used: those used so far.
-            told_rad: by so much the source itself says that it may have stepped with it.
+            used: accepted attitudes so far.
+            told_rad: step with it that the source itself reports, rad.
         """
         place = len(self._judged)
         if place == len(self._expected) or sample is not self._expected[place]:
@@ -95,15 +95,15 @@ class GuardAhead:
         return JudgedIns(sample) if followed.last is None else followed.last
 
     def _look_ahead(self, place: int, told_rad: float) -> None:
-        """Judge the attitudes from one on, as long as they go the usual way."""
+        """Check the attitudes from one on as a block, as long as they are regular."""
         if self._patience:
             self._patience -= 1
             return
         times_ns, least_rad = self._block.times_ns, self._guard.least_step_rad
-        # Written so that NaN is judged by itself.
+        # Written so that NaN is checked one by one.
         if not (self._guard.looks_ahead(int(times_ns[place])) and told_rad <= least_rad):
             return
-        # Not beyond a gap, nor where the source may have stepped by what is told from noise.
+        # Not beyond a gap, nor where a reported step exceeds the noise.
         steps_ns = np.diff(times_ns[place:])
         usual = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._told_rad[place + 1 :] <= least_rad)
         end = len(times_ns) if usual.all() else place + 1 + int(np.argmin(usual))
@@ -114,7 +114,7 @@ class GuardAhead:
             self._patience = _PATIENCE
 
     def _go_back(self) -> None:
-        """Judge what has come one by one, where some were judged that have not."""
+        """Check the received attitudes one by one if a block holds some that did not come."""
         if self._followed is None:
             return
         assert self._before is not None
@@ -124,14 +124,14 @@ class GuardAhead:
 
 
 def told_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:
-    """How far the source may have stepped with an attitude by what it states of its covariance, and did before."""
+    """Return the possible step of the source from the change of its stated covariance, rad."""
     if covariance_n is None or before_n is None:
         return 0.0
     return _SIGMAS * math.sqrt(abs(float((covariance_n - before_n).trace())))
 
 
 def _arrays(samples: Sequence[ShipSample]) -> tuple[SampleBlock, FloatArray]:
-    """Attitudes that have rates and covariances, and how far the source may have stepped with each, rad, shape (N,)."""
+    """Return attitudes with rates and covariances, and the possible step of the source with each, rad, shape (N,)."""
     block = SampleBlock(
         np.array([sample.time_ns for sample in samples]),
         np.array([sample.rotation_nd for sample in samples]),

@@ -1,4 +1,4 @@
-"""What goes into the optical-axis core and what comes out: plain structs in radians, metres and nanoseconds."""
+"""Inputs and outputs of the optical-axis core: plain structs in radians, metres and nanoseconds."""
 
 import enum
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ StampArray = NDArray[np.int64]
 
 
 class Mode(enum.IntEnum):
-    """How the pointing was found; the values are those of ship_msgs/OpticalAxisPointing."""
+    """Source of the pointing; the values are those of ship_msgs/OpticalAxisPointing."""
 
     TWO_LIGHTS = 0
     ONE_LIGHT = 1
@@ -49,13 +49,13 @@ class EncoderSample(VectorSample):
 
 @dataclass(frozen=True)
 class EncoderRun:
-    """N readings of the encoders, with what their watch says of them.
+    """N encoder readings with the result of their check.
 
     Attributes:
         time_ns: in ascending order, shape (N,).
         angles: azimuth and elevation, rad, shape (N, 2).
-        variance: of each of the two, by noise and doubt, rad², shape (N,).
-        doubt: why each is in doubt; empty where it is not.
+        variance: variance of each of the two, from noise and unconfirmed steps, rad², shape (N,).
+        doubt: reason why each is unconfirmed; empty if it is confirmed.
     """
 
     time_ns: StampArray
@@ -65,7 +65,7 @@ class EncoderRun:
 
     @classmethod
     def of(cls, samples: Sequence[EncoderSample], doubts: Sequence[str], doubts_rad: Sequence[float]) -> "EncoderRun":
-        """The run of some readings; the last is a standard deviation of each angle beside the noise."""
+        """Return the series of some readings; ``doubts_rad`` is an additional standard deviation of each angle."""
         variances = [sample.sigma**2 + doubt_rad**2 for sample, doubt_rad in zip(samples, doubts_rad, strict=True)]
         times_ns = np.array([sample.time_ns for sample in samples])
         return cls(times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(doubts))
@@ -73,12 +73,12 @@ class EncoderRun:
 
 @dataclass(frozen=True)
 class ShipSample(AttitudeSample):
-    """The ship's attitude at one moment.
+    """Ship's attitude at one time.
 
     Attributes:
-        slow_covariance_n: covariance of the part of its error that lasts, rotation vector in n, rad², shape (3, 3);
-            None where the configuration states it.
-        status: what the source says that it is worth.
+        slow_covariance_n: covariance of the correlated part of its error, rotation vector in n, rad², shape (3, 3);
+            None if the configuration states it.
+        status: status stated by the source.
     """
 
     slow_covariance_n: FloatArray | None = None
@@ -92,12 +92,12 @@ class ShipSample(AttitudeSample):
 
 @dataclass(frozen=True)
 class BaselineSample(VectorSample):
-    """One baseline from the ship's antenna to a drone's: ``vector`` is in (North, Up, East), m.
+    """Baseline from the ship's antenna to a drone's: ``vector`` is in (North, Up, East), m.
 
     Attributes:
-        covariance_n: of what is new in it, m², shape (3, 3).
-        refusal: why it must not be used; None where it may. A refused baseline is kept all the same, so that no
-            exposure waits for a better one of its moment.
+        covariance_n: covariance of its white error, m², shape (3, 3).
+        refusal: reason why it must not be used; None if it may. A rejected baseline is kept, so that no exposure waits
+            for a better one of its time.
     """
 
     covariance_n: FloatArray
@@ -105,7 +105,7 @@ class BaselineSample(VectorSample):
 
     @cached_property
     def variance_m2(self) -> float:
-        """Of all three components together; each sample is asked for it by several exposures."""
+        """Variance of all three components together; cached because several exposures use each sample."""
         return float(self.covariance_n.trace())
 
     def content(self) -> bytes:
@@ -115,7 +115,7 @@ class BaselineSample(VectorSample):
 
 @dataclass(frozen=True)
 class SeenLight:
-    """A light on the detector.
+    """Beacon detected on the detector.
 
     Attributes:
         beacon_id: its name.
@@ -134,13 +134,14 @@ class Exposure:
 
     Attributes:
         time_ns: middle of the exposure.
-        lights: in the order of their names, each name once.
-        exposure_s: how long it lasted; 0 where the message does not say.
+        lights: beacons in the order of their names, each name once.
+        exposure_s: duration; 0 if the message does not state it.
     """
 
     source: ClassVar[str] = "beacons"
     covariance_known: ClassVar[bool] = True
-    """Each light has its sigma: by the message or, which is counted when the message comes, by the configuration."""
+    """True for every exposure: each beacon has its sigma from the message or the configuration, which is counted on
+    reception."""
 
     time_ns: int
     lights: tuple[SeenLight, ...]
@@ -148,16 +149,16 @@ class Exposure:
 
     @cached_property
     def nodes(self) -> Nodes | None:
-        """Moments over which a mean over the exposure is formed; None where its length is not known."""
+        """Times over which a mean over the exposure is formed; None if its duration is unknown."""
         return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
 
     @cached_property
     def reach_ns(self) -> int:
-        """So far from the middle of the exposure the turn of telescope and ship must be known."""
+        """Time before and after the middle over which the rotation of telescope and ship must be known, ns."""
         return 0 if self.nodes is None else self.nodes.reach_ns
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         lights = b"".join(
             light.beacon_id.encode() + light.point_m.tobytes() + np.float64(light.sigma_m).tobytes()
             for light in self.lights
@@ -167,7 +168,7 @@ class Exposure:
 
 
 AnyExposure = Exposure | StarExposure
-"""What the calibration filter is given: lights, or stars of one camera."""
+"""Input of the calibration filter: beacons, or stars of one camera."""
 
 
 @dataclass(frozen=True)
@@ -179,15 +180,15 @@ class TargetSample:
         target_id: its name.
         point_m: (x right, z up), shape (2,).
         sigma_m: standard deviation of x and of z.
-        exposure_s: how long it lasted; 0 where the message does not say.
-        detector_rotation: of the detector against the main frame, right side down, rad.
-        range_m: from the theodolite's centre; NaN where it is not known.
-        range_sigma_m: its standard deviation; NaN where it is not known.
+        exposure_s: duration; 0 if the message does not state it.
+        detector_rotation: rotation of the detector relative to the main frame, right side down, rad.
+        range_m: from the theodolite's centre; NaN if unknown.
+        range_sigma_m: its standard deviation; NaN if unknown.
     """
 
     source: ClassVar[str] = "target"
     covariance_known: ClassVar[bool] = True
-    """As of :class:`Exposure`."""
+    """As for :class:`Exposure`."""
 
     time_ns: int
     target_id: str
@@ -200,38 +201,38 @@ class TargetSample:
 
     @cached_property
     def nodes(self) -> Nodes | None:
-        """Moments over which a mean over the exposure is formed; None where its length is not known."""
+        """Times over which a mean over the exposure is formed; None if its duration is unknown."""
         return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
 
     @property
     def reach_ns(self) -> int:
-        """So far from the middle of the exposure the turn of the main frame must be known."""
+        """Time before and after the middle over which the rotation of the main frame must be known, ns."""
         return 0 if self.nodes is None else self.nodes.reach_ns
 
     @property
     def has_range(self) -> bool:
-        """Whether range and sigma are both known."""
+        """True if range and sigma are both known."""
         return self.range_m > 0.0 and self.range_sigma_m > 0.0
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         numbers = self.sigma_m, self.exposure_s, self.detector_rotation, self.range_m, self.range_sigma_m
         return self.target_id.encode() + self.point_m.tobytes() + np.array(numbers).tobytes()
 
 
 @dataclass(frozen=True)
 class TargetEstimate:
-    """Where a target is seen at the moment of its image; NaN where no direction is claimed, or no range is known.
+    """Direction and position of a target at the time of its image; NaN if INVALID, or without a range.
 
     Attributes:
-        time_ns: of the image.
+        time_ns: time of the image.
         target_id: the target.
-        direction_n: unit vector in which it is seen, from the theodolite's centre, shape (3,).
-        covariance_n: of its total error, zero along it, shape (3, 3).
+        direction_n: unit vector to it from the theodolite's centre, shape (3,).
+        covariance_n: covariance of its total error, zero along it, shape (3, 3).
         position_n: from the ship's antenna, m, shape (3,).
-        position_covariance_n: of its total error, m², shape (3, 3).
-        status: what it is worth.
-        text: why it is not VALID.
+        position_covariance_n: covariance of its total error, m², shape (3, 3).
+        status: status of the direction.
+        text: reason if it is not VALID.
     """
 
     time_ns: int
@@ -246,15 +247,15 @@ class TargetEstimate:
 
 @dataclass(frozen=True)
 class ExposureDecision(Decision[AnyExposure]):
-    """What became of an exposure.
+    """Decision about an exposure.
 
-    ``residual`` and ``sigma`` are angles on the sky: of each light to the right and up, of each star up and to the
-    right. ``left_out`` are lights or stars. An exposure whose lights had their names exchanged is accepted, with the
+    ``residual`` and ``sigma`` are angles on the sky: of each beacon to the right and up, of each star up and to the
+    right. ``rejected_parts`` are beacons or stars. An exposure whose beacons had exchanged names is accepted, with the
     reason LIGHT_CONFLICT.
 
     Attributes:
-        telescope_dt: deck from telescope as the lights have it, shape (3, 3), and the standard deviation about its
-            worst axis, rad; None where they do not tell.
+        telescope_dt: deck from telescope by the beacons, shape (3, 3), and the standard deviation about its worst axis,
+            rad; None if not determined.
         excluded: sources that are excluded after it.
     """
 
@@ -264,23 +265,23 @@ class ExposureDecision(Decision[AnyExposure]):
 
 @dataclass(frozen=True)
 class PointingEstimate:
-    """Where the main axis points at one moment; NaN where no pointing is claimed.
+    """Pointing of the main axis at one time; NaN if INVALID.
 
     Attributes:
-        time_ns: moment of validity.
+        time_ns: time of validity.
         rotation_nm: horizon from main frame, shape (3, 3).
         parts_n: error covariance by source, rotation vector in n, rad², shape (n_sources, 3, 3).
-        covariance_n: the sum of these, shape (3, 3).
-        undisputed_n: the same without what the sources dispute: the protection levels rest on it.
+        covariance_n: total covariance, with the inflation by solution separations, shape (3, 3).
+        undisputed_n: the same without that inflation; the protection levels use it.
         rotation_nt: horizon from telescope, shape (3, 3); NaN in mode ENCODER.
-        mode: how it was found.
-        status: what it is worth.
-        light_count: lights used.
-        state: of the filter, that it rests on.
-        text: why it is not VALID.
-        by_error_n: rotation vector of the main axis in n per error of the chain, shape (3, k).
-        rotation_dm: deck from main frame, by the deck as tf2 gives it between two ship/attitude: with that deck it is
-            ``rotation_nm``, shape (3, 3); NaN where the pointing knows of no ship/attitude.
+        mode: source of the pointing.
+        status: status of the pointing.
+        light_count: number of beacons used.
+        state: state of the filter on which it rests.
+        text: reason if it is not VALID.
+        by_error_n: rotation vector of the main axis in n per error of the axis geometry, shape (3, k).
+        rotation_dm: deck from main frame, with the deck as tf2 interpolates it between two ship/attitude (with that
+            deck it is ``rotation_nm``), shape (3, 3); NaN without ship/attitude.
     """
 
     time_ns: int
@@ -300,7 +301,7 @@ class PointingEstimate:
 
 @dataclass(frozen=True)
 class PointingRun:
-    """Where the main axis points at N moments, by one state; each field is that of :class:`PointingEstimate`.
+    """Pointings of the main axis at N times, by one state; each field is that of :class:`PointingEstimate`.
 
     Attributes:
         time_ns: in ascending order, shape (N,).
@@ -310,10 +311,10 @@ class PointingRun:
         undisputed_n: shape (N, 3, 3).
         rotation_nt: shape (N, 3, 3).
         mode: shape (N,).
-        status: N of them.
+        status: N statuses.
         light_count: shape (N,).
-        state: of the filter.
-        text: N of them.
+        state: state of the filter.
+        text: N texts.
         by_error_n: shape (N, 3, k).
         rotation_dm: shape (N, 3, 3).
     """
@@ -333,12 +334,12 @@ class PointingRun:
     rotation_dm: FloatArray
 
     def some(self, which: slice) -> "PointingRun":
-        """Some of them."""
+        """Return a slice of the series."""
         values = {name: value if name == "state" else value[which] for name, value in vars(self).items()}
         return PointingRun(**values)
 
     def one(self, number: int) -> PointingEstimate:
-        """One of them."""
+        """Return one pointing of the series."""
         return PointingEstimate(
             time_ns=int(self.time_ns[number]),
             rotation_nm=self.rotation_nm[number],
@@ -358,12 +359,12 @@ class PointingRun:
 
 @dataclass
 class PointingOutcome(Outcome[Any, PointingEstimate]):
-    """What one input of the optical-axis core led to.
+    """Result of one input of the optical-axis core.
 
-    Decisions are about exposures of lights and about images of targets.
+    Decisions are about exposures of beacons and stars, and about images of targets.
 
     Attributes:
-        targets: directions of targets; INVALID for each image to which no pointing belongs, which a decision refuses.
+        targets: directions of targets; INVALID for each image without a pointing, which a decision rejects.
     """
 
     targets: list[TargetEstimate] = field(default_factory=list)

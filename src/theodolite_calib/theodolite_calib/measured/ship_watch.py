@@ -1,7 +1,7 @@
-"""The watch over the ship's attitude.
+"""Check of the ship's attitude.
 
-The rates that come with its attitudes judge these and are judged by them, be they of the INS alone or of
-``ship/attitude``. The rates of the INS alone go no further: the pointing then rests on the attitudes alone.
+The rates that come with its attitudes check these and are checked by them, with the INS alone as well as with
+``ship/attitude``. Rates of the INS alone are not used further: the pointing then uses its attitudes only.
 """
 
 from collections.abc import Sequence
@@ -20,40 +20,40 @@ from theodolite_calib.measured.samples import ShipSample
 
 
 class ShipWatch:
-    """Watches the attitudes of the ship of one run in the order of their stamps.
+    """Check of the ship's attitudes of one run, in the order of their stamps.
 
-    An attitude that states its covariance may step by what the covariance changes with it: a fused attitude that was
-    put right by stars says so by a covariance that has shrunk.
+    An attitude with a stated covariance may step by the change of that covariance: a fused attitude that was corrected
+    by stars has a smaller covariance than the one before.
 
     Args:
-        config: the ship and the INS.
-        shift_ns: the attitudes are valid so much later than their stamps.
+        config: ship and INS.
+        shift_ns: offset of the time of validity from the stamps, ns.
     """
 
     def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
         self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
         watched = _watched(config)
         self._guard, self._shift_ns = GuardAhead(watched), shift_ns
-        # The samples used, with their rates: a sample that comes after later ones is judged by these.
+        # Accepted samples with their rates: a sample that comes after later ones is checked by these.
         self._used = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
         self._stated: FloatArray | None = None
         self._unconfirmed: Unconfirmed | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
-        """Go on with another noise."""
+        """Apply another noise."""
         self._guard.reconfigure(_watched(config))
 
     @property
     def proven(self) -> bool:
-        """Whether the rates are measured: then no step of some sigmas of a sample passes unseen."""
+        """True if the rates are measured: every step of some standard deviations of a sample is then detected."""
         return self._guard.rates is Rates.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
-        """These attitudes, with rates and covariances, come next, as far as is known now."""
+        """Announce the next attitudes, with rates and covariances, as far as they are known."""
         self._guard.expect(samples)
 
     def judge(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
-        """What is to be done with a sample; none before ``oldest_ns`` will come."""
+        """Check a sample; none before ``oldest_ns`` will come."""
         self._used.drop_before(oldest_ns)
         judged = self._guard.judge(sample, self._used, told_step_rad(sample.slow_covariance_n, self._stated))
         if judged.rates_wrong_after_ns is not None:
@@ -70,18 +70,18 @@ class ShipWatch:
         return judged
 
     def confirm(self, time_ns: int) -> None:
-        """Lights at a moment agreed with the attitude of that moment."""
+        """Record that beacons were consistent with the attitude at a time."""
         if self._unconfirmed is not None:
             self._unconfirmed = self._unconfirmed.after_agreement(time_ns)
 
     def doubt(self, time_ns: int) -> str:
-        """Why the attitude of a moment is in doubt; empty where it is not."""
+        """Return the reason why the attitude at a time is unconfirmed; empty if it is confirmed."""
         jumped = self._unconfirmed
         return jumped.text if jumped is not None and time_ns > jumped.since_ns else ""
 
 
 def _watched(config: OpticalAxisConfig) -> GuardedInsConfig:
-    """The INS itself, or the fused attitude as if it were one."""
+    """Return the configuration of the check: that of the INS, or of the fused attitude in its place."""
     if config.ship.source == "ins/imu":
         return config.ins
     return GuardedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)

@@ -1,4 +1,4 @@
-"""A sighting: one exposure of lights with all that it is compared with, brought to the middle of the exposure."""
+"""Sighting: one exposure of beacons with all samples that it is compared with, at the middle of the exposure."""
 
 from dataclasses import dataclass, replace
 
@@ -20,16 +20,16 @@ from theodolite_calib.measured.tracks import EncoderAt, LightAt, MeasuredTracks,
 
 @dataclass(frozen=True)
 class Sighting:
-    """An exposure with all that belongs to it.
+    """Exposure with the samples of its time.
 
     Attributes:
         time_ns: middle of the exposure.
-        names: of the N lights.
-        image: where they are on the detector.
-        lights: where they are said to be; the covariance of the drones' attitudes is not used.
-        ship: its attitude.
-        encoder: its angles.
-        streaks: the lights as found, where ``image`` has them at the middle of an exposure of known length; else None.
+        names: names of the N beacons.
+        image: points on the detector.
+        lights: baselines and drone attitudes; the covariance of the drones' attitudes is not used.
+        ship: ship's attitude.
+        encoder: encoder angles.
+        streaks: beacons as detected, if ``image`` has them at the middle of an exposure of known duration; else None.
     """
 
     time_ns: int
@@ -41,12 +41,12 @@ class Sighting:
     streaks: LightStreaks | None = None
 
     def in_deck(self, rotation_nt: FloatArray) -> FloatArray:
-        """Deck from telescope, by the ship's attitude, shape (3, 3)."""
+        """Return deck from telescope, by the ship's attitude, shape (3, 3)."""
         rotation_dt: FloatArray = self.ship.rotation_nd.T @ rotation_nt
         return rotation_dt
 
     def chosen(self, rows: list[int], seen_rows: list[int] | None = None) -> "Sighting":
-        """The same with some lights only, or with names exchanged: light ``rows[i]`` is seen as ``seen_rows[i]``."""
+        """Return the sighting with some beacons, or exchanged names: beacon ``rows[i]`` gets point ``seen_rows[i]``."""
         lights = Lights(
             self.lights.baseline_n[rows],
             self.lights.baseline_covariance_n[rows],
@@ -66,13 +66,13 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Assembled:
-    """What belongs to an exposure.
+    """Result of assembling a sighting.
 
     Attributes:
-        sighting: of the lights that have all they need; None where none has.
-        refusal: why there is none.
-        lights_refused: the other lights, by name.
-        jumps: of the baselines of the sighting's lights, by name; of those that have jumped.
+        sighting: beacons with complete data; None if there is none.
+        refusal: reason if there is none.
+        lights_refused: the other beacons, by name.
+        jumps: baseline jumps of the sighting's beacons, by name.
     """
 
     sighting: Sighting | None
@@ -82,11 +82,11 @@ class Assembled:
 
 
 class SightingAssembler:
-    """Puts sightings together from the tracks of one run.
+    """Assembles sightings from the tracks of one run.
 
     Args:
-        config: the node's parameters.
-        tracks: what was measured.
+        config: parameters of the node.
+        tracks: tracks of the measured samples.
     """
 
     def __init__(self, config: OpticalAxisConfig, tracks: MeasuredTracks) -> None:
@@ -94,7 +94,7 @@ class SightingAssembler:
         self._axes = AxisErrors.from_vector(config.axes.values)
 
     def assemble(self, exposure: Exposure) -> Assembled:
-        """Everything at the middle of an exposure."""
+        """Return the samples at the middle of an exposure."""
         ship, encoder = self._tracks.ship_at(exposure.time_ns), self._tracks.encoder_at(exposure.time_ns)
         if encoder is None:
             return Assembled(None, Refusal(Reason.GAP, "no encoder readings on both sides of it"), ())
@@ -133,9 +133,9 @@ class SightingAssembler:
         return Assembled(at_middle, None, tuple(refused), jumps)
 
     def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
-        """A sighting with its lights where they stood at the middle of the exposure; None where that is not known.
+        """Return a sighting with its points at the middle of the exposure; None if samples are missing.
 
-        The lights are compared with the mean over the exposure, so the noise of encoders and ship is that of the mean.
+        The points are compared with the mean over the exposure, so the noise of encoders and ship is that of the mean.
         """
         tracks, lever_m, telescope = self._tracks, self._lever_m, self._telescope
         times_ns = [sighting.time_ns + offset_ns for offset_ns in nodes.offset_ns]
@@ -163,7 +163,7 @@ class SightingAssembler:
         return replace(sighting, image=streaks.at_middle(), streaks=streaks, ship=ship, encoder=encoder)
 
     def _rotation_dt(self, azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
-        """Deck from telescope as configured, shape (..., 3, 3): a degree would be good enough."""
+        """Return deck from telescope as configured, shape (..., 3, 3); an accuracy of one degree suffices."""
         rotation_dm = main_axis_rotation(self._axes, azimuth, elevation)
         rotation_dt: FloatArray = rotation_dm @ rotation_from_angles(*self._telescope.parallelism).T
         return rotation_dt

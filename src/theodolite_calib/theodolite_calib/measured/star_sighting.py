@@ -1,4 +1,4 @@
-"""A sighting of stars: one exposure of a camera on the theodolite with all that it is compared with, at its middle."""
+"""Star sighting: one exposure of a camera on the theodolite with all samples of its middle."""
 
 from dataclasses import dataclass
 
@@ -14,13 +14,13 @@ from theodolite_calib.measured.tracks import EncoderAt, MeasuredTracks, ShipAt
 
 @dataclass(frozen=True)
 class StarSighting:
-    """An exposure of stars with what leads from the horizon to their camera.
+    """Exposure of stars with the samples that give the camera's attitude.
 
     Attributes:
-        camera_id: of the camera.
-        exposure: the stars where they stood at its middle.
-        ship: its attitude.
-        encoder: its angles.
+        camera_id: id of the camera.
+        exposure: stars at their points at its middle.
+        ship: ship's attitude.
+        encoder: encoder angles.
     """
 
     camera_id: str
@@ -37,15 +37,15 @@ class StarSighting:
 def star_sighting(
     exposure: StarExposure, config: OpticalAxisConfig, tracks: MeasuredTracks
 ) -> StarSighting | Refusal:
-    """Everything at the middle of an exposure, or what is missing.
+    """Return the samples at the middle of an exposure, or the rejection that names what is missing.
 
-    Where its length is known, the stars are compared with the mean over the exposure: the noise of encoders and ship
-    is that of the mean.
+    If the duration is known, the stars are compared with the mean over the exposure: the noise of encoders and ship is
+    that of the mean.
 
     Args:
-        exposure: as the camera saw it.
-        config: the node's parameters.
-        tracks: what was measured.
+        exposure: exposure as the camera recorded it.
+        config: parameters of the node.
+        tracks: tracks of the measured samples.
     """
     time_ns, camera_id = exposure.time_ns, exposure.source.partition(".")[2]
     nodes = None if exposure.length is None else exposure.length.nodes

@@ -1,7 +1,7 @@
-"""What was measured so far, each source in a track of its own, and what each source says at one moment.
+"""Tracks of the measured samples, one per source, and their values at one time.
 
 The encoders, the ship, the baseline to each drone and the attitude of each drone have their own stamps and rates. Each
-is interpolated at the moment asked for, and says how much noise it has there.
+is interpolated at the requested time, with its noise at that time.
 """
 
 from collections.abc import Sequence
@@ -27,29 +27,29 @@ from theodolite_calib.measured.samples import AnyExposure, EncoderSample, Exposu
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _FULL_TURN = 2.0 * np.pi
 _LOOKED_BACK_NS = 3 * SECOND_NS
-"""So long back the encoders and the ship's attitude are looked at where lights contradict them."""
+"""Maximum time range in which the streams of encoders and ship are checked after a contradiction, ns."""
 _BEFORE_NS = SECOND_NS
-"""And so much longer, for what they did before."""
+"""Time before that range from which samples are used as well, ns."""
 
 _CREPT_WITHIN_NS = 60 * SECOND_NS
-"""So long back the ship's attitude is compared with its own rates where lights creep away from it."""
+"""Time range in which the ship's attitude is compared with its own rates, ns."""
 
 _DROP_EVERY_NS = SECOND_NS // 10
-"""What is not needed any more is forgotten so often, not at each sample."""
+"""Period in which old samples are dropped, ns."""
 
 
 @dataclass(frozen=True)
 class ShipAt:
-    """The ship's attitude at one moment.
+    """Ship's attitude at one time.
 
     Attributes:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
-        noise: variance of each component of what is new with each sample, and of interpolation, rad².
-        status: what the source says that it is worth; between two attitudes, of the lesser one.
-        chord_nd: horizon from deck as tf2 gives it, which turns steadily from one ship/attitude to the next; None where
-            the attitude is that of the INS alone.
+        noise: variance of each component of the white error and of interpolation, rad².
+        status: status stated by the source; between two attitudes the worse one.
+        chord_nd: horizon from deck as tf2 interpolates it, at a constant rate from one ship/attitude to the next; None
+            with the INS alone.
     """
 
     rotation_nd: FloatArray
@@ -62,15 +62,15 @@ class ShipAt:
 
 @dataclass(frozen=True)
 class ShipRun:
-    """The ship's attitude at N moments; each field is that of :class:`ShipAt`.
+    """Ship's attitude at N times; each field is that of :class:`ShipAt`.
 
     Attributes:
         rotation_nd: shape (N, 3, 3).
         rate_d: shape (N, 3).
-        slow_covariance_n: shape (N, 3, 3); None where the configuration states it.
+        slow_covariance_n: shape (N, 3, 3); None if the configuration states it.
         noise: shape (N,).
-        status: N of them.
-        chord_nd: shape (N, 3, 3); None where the attitude is that of the INS alone.
+        status: N statuses.
+        chord_nd: shape (N, 3, 3); None with the INS alone.
     """
 
     rotation_nd: FloatArray
@@ -82,7 +82,7 @@ class ShipRun:
 
     @classmethod
     def of(cls, ships: Sequence[ShipAt]) -> "ShipRun":
-        """The run of some moments, all of one source, whose covariances are stated by the same."""
+        """Return the series of some times, all of one source and with covariances stated in the same way."""
         slow_n = [ship.slow_covariance_n for ship in ships if ship.slow_covariance_n is not None]
         chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
         return cls(
@@ -97,12 +97,12 @@ class ShipRun:
 
 @dataclass(frozen=True)
 class EncoderAt:
-    """The encoders at one moment.
+    """Encoders at one time.
 
     Attributes:
         azimuth: rad.
         elevation: rad.
-        noise: variance of each, that of interpolation included, rad².
+        noise: variance of each, interpolation included, rad².
     """
 
     azimuth: float
@@ -112,13 +112,13 @@ class EncoderAt:
 
 @dataclass(frozen=True)
 class LightAt:
-    """Where a light is said to be at one moment.
+    """Pose of a beacon at one time.
 
     Attributes:
         baseline_n: from the ship's antenna to the drone's, m, shape (3,).
-        covariance_n: of what is new in it, and of interpolation, m², shape (3, 3).
-        rotation_nb: horizon from drone, shape (3, 3); the identity where the light is at the drone's antenna.
-        jump: of the baseline among its last solutions; None where they go on smoothly.
+        covariance_n: covariance of its white error and of interpolation, m², shape (3, 3).
+        rotation_nb: horizon from drone, shape (3, 3); the identity if the light is at the drone's antenna.
+        jump: jump of the baseline among its last solutions; None if there is none.
     """
 
     baseline_n: FloatArray
@@ -128,18 +128,18 @@ class LightAt:
 
 
 class MeasuredTracks:
-    """The tracks of one run.
+    """Tracks of one run.
 
     Args:
-        config: the node's parameters.
+        config: parameters of the node.
 
     Attributes:
-        encoder: readings of the encoders.
+        encoder: encoder readings.
         ship: attitudes of the ship, in the stamps of their source.
-        baselines: from the ship's antenna to each drone's, by beacon_id.
+        baselines: baselines from the ship's antenna to each drone's, by beacon_id.
         drones: attitudes of the drones whose light is not at their antenna, by beacon_id.
-        ship_shift_ns: the ship's attitudes are valid so much later than their stamps.
-        reach_ns: so far from its moment data may lie that an exposure is compared with.
+        ship_shift_ns: offset of the ship attitudes' time of validity from their stamps, ns.
+        reach_ns: maximum distance in time of the data that an exposure is compared with, ns.
     """
 
     def __init__(self, config: OpticalAxisConfig) -> None:
@@ -149,7 +149,7 @@ class MeasuredTracks:
         self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if self._by_ins else config.ship.max_gap_s))
         self.baselines = {id_: BaselineTrack(_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
         self._levers_b = {id_: b.light.vector_m for id_, b in config.beacons.items()}
-        # The place of a light at the antenna does not depend on the drone's attitude.
+        # The position of a light at the antenna does not depend on the drone's attitude.
         self.drones = {
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
@@ -160,13 +160,13 @@ class MeasuredTracks:
         self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
-        """Go on with other noise."""
+        """Apply other noise."""
         self._by_ins = config.ship.source == "ins/imu"
         white_arcsec = config.ins.white_sigma_arcsec if self._by_ins else config.ship.white_sigma_arcsec
         self._ship_noise = (white_arcsec * ARCSEC) ** 2
 
     def drop_before(self, time_ns: int) -> None:
-        """Forget what no exposure at or after ``time_ns`` needs; of the last moments nothing yet."""
+        """Drop the samples that no exposure at or after ``time_ns`` needs, at most once in a period."""
         if time_ns < self._dropped_until_ns + _DROP_EVERY_NS:
             return
         self._dropped_until_ns, keep_from_ns = time_ns, time_ns - abs(self.ship_shift_ns)
@@ -185,21 +185,21 @@ class MeasuredTracks:
         return not self.covers_mount(exposure.time_ns + exposure.reach_ns)
 
     def covers_mount(self, time_ns: int) -> bool:
-        """Whether no data still to come, in order, can change encoders and ship at a moment."""
+        """True if no data still to come, in order, can change encoders and ship at a time."""
         return self.encoder.covers(time_ns) and self.ship.covers(time_ns - self.ship_shift_ns)
 
     @property
     def ship_covered_until_ns(self) -> int | None:
-        """The latest moment at which later samples can no longer change the ship's attitude; None for none."""
+        """Latest time at which later samples can no longer change the ship's attitude; None if there is none."""
         until_ns = self.ship.covered_until_ns
         return None if until_ns is None else until_ns + self.ship_shift_ns
 
     def ship_at(self, time_ns: int, over: Nodes | None = None) -> ShipAt | None:
-        """The ship's attitude at a moment; None in a gap.
+        """Return the ship's attitude at a time; None in a gap.
 
         Args:
-            time_ns: the moment.
-            over: moments of an exposure about it that the track spans; the noise is then that of the mean over it.
+            time_ns: the time.
+            over: times of an exposure about it that the track spans; the noise is then that of the mean over it.
         """
         attitude = self.ship.at(time_ns - self.ship_shift_ns)
         if attitude is None:
@@ -210,7 +210,7 @@ class MeasuredTracks:
         if over is not None:
             gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self.ship_shift_ns))
         noise = gain * self._ship_noise + float(attitude.error_covariance_d.trace())
-        # An attitude between two is worth no more than either of them: the source may have jumped there.
+        # Between two attitudes the worse status applies: the source may have jumped there.
         after = attitude.next_sample
         degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
         status = Status.DEGRADED if degraded else sample.status
@@ -218,7 +218,7 @@ class MeasuredTracks:
         return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise, status, chord_nd)
 
     def encoder_at(self, time_ns: int, over: Nodes | None = None) -> EncoderAt | None:
-        """The encoders at a moment; None in a gap. For ``over`` see :meth:`ship_at`."""
+        """Return the encoders at a time; None in a gap. For ``over`` see :meth:`ship_at`."""
         angles = self.encoder.at(time_ns)
         sample = self.encoder.last_before(time_ns)
         if angles is None or sample is None:
@@ -229,7 +229,7 @@ class MeasuredTracks:
         return EncoderAt(azimuth, elevation, noise)
 
     def main_axis_at(self, moments_ns: list[int], axes: AxisErrors) -> FloatArray | None:
-        """Horizon from main frame at m moments by given axis errors, shape (m, 3, 3); None where one is not known."""
+        """Return horizon from main frame at m times by given axis errors, shape (m, 3, 3); None in a gap."""
         ships, encoders = map(self.ship_at, moments_ns), map(self.encoder_at, moments_ns)
         turned = [
             ship.rotation_nd @ main_axis_rotation(axes, encoder.azimuth, encoder.elevation)
@@ -239,7 +239,7 @@ class MeasuredTracks:
         return np.array(turned) if len(turned) == len(moments_ns) else None
 
     def streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
-        """What encoders and ship say by themselves of the time between two moments; None of a time too long ago."""
+        """Return the consistency of the encoder and ship streams between two times; None if that is too long ago."""
         if until_ns - since_ns > _LOOKED_BACK_NS:
             return None
         first_ns, shift_ns = since_ns - _BEFORE_NS, self.ship_shift_ns
@@ -253,10 +253,7 @@ class MeasuredTracks:
         )
 
     def ship_crept(self, time_ns: int) -> bool | None:
-        """Whether the ship's attitude has left its own rates within a minute, and since it last jumped.
-
-        None where nothing tells.
-        """
+        """True if the ship's attitude departed from its rates in the last minute, after its last jump, or None."""
         until_ns = time_ns - self.ship_shift_ns
         first_ns, jumped_ns = until_ns - _CREPT_WITHIN_NS, self.ship.last_cut_ns(until_ns)
         ship = self.ship.between(first_ns if jumped_ns is None else max(first_ns, jumped_ns + 1), until_ns)
@@ -264,7 +261,7 @@ class MeasuredTracks:
         return ship_crept(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
 
     def light_at(self, beacon_id: str, time_ns: int) -> LightAt | Refusal:
-        """Where a light is said to be at a moment, or why that is not known."""
+        """Return the pose of a beacon at a time, or the rejection."""
         baseline = self.baselines[beacon_id].usable_at(time_ns)
         if isinstance(baseline, Refusal):
             return baseline

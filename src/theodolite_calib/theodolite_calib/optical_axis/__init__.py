@@ -1,5 +1,5 @@
-"""The core of the node ``optical_axis``: encoders, ship, baselines and lights in, the main axis out.
+"""Core of the node ``optical_axis``: encoders, ship, baselines and beacons in, the main axis out.
 
-The room adds time order, the output and the saved calibration to the filter. It may import all rooms but ``ros`` and
+The room adds time order, the output and the saved calibration to the filter. It may import all rooms except ``ros`` and
 ``axis_fit``.
 """

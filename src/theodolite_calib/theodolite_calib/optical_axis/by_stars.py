@@ -1,7 +1,7 @@
-"""The pointing by the stars of one exposure and nothing else: where the ship's attitude or the encoders are gone.
+"""Pointing from the stars of one exposure alone, if the ship's attitude or the encoders are missing.
 
-The stars must verify one another, three at least, and have their names: nothing predicts where the camera looks. From
-the camera the survey leads to the main axis, as the filter now has it: R_main = R_camera · R(azimuth, elevation, roll).
+At least three stars must be identified and verify one another, because there is no prediction of the camera's attitude.
+The main axis follows by the estimated parallelism: R_main = R_camera · R(azimuth, elevation, roll).
 """
 
 import numpy as np
@@ -19,8 +19,8 @@ from theodolite_calib.filter.model import SOURCE_PARALLELISM, chain_rows, parall
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 
 _OF_STARS = ("installation", "catalogue")
-"""Terms of a solution that the filter has no source for: a single camera has no installation beside its parallelism,
-and its catalogue is in the noise of the stars."""
+"""Terms of a solution without a source of their own in the filter: a single camera has no installation besides its
+parallelism, and its catalogue error is part of the star noise."""
 
 
 def pointing_by_stars(
@@ -31,15 +31,15 @@ def pointing_by_stars(
     state: CalibrationState,
     text: str,
 ) -> PointingEstimate | None:
-    """The main axis at the middle of an exposure; None where its stars do not give what others of them verify.
+    """Return the main axis at the middle of an exposure; None if its stars do not give a verified attitude.
 
     Args:
-        exposure: as the camera saw it.
-        watch: the sky.
-        config: the node's parameters.
-        filter_: the filter of that configuration.
-        state: that tells of the camera's parallelism.
-        text: why there is nothing but stars.
+        exposure: exposure as the camera recorded it.
+        watch: sky model.
+        config: parameters of the node.
+        filter_: filter of that configuration.
+        state: state with the camera's parallelism.
+        text: reason for a pointing from stars alone.
     """
     visible = visible_stars(exposure, watch, None)
     if isinstance(visible, Refusal):
@@ -48,7 +48,7 @@ def pointing_by_stars(
     if solution.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
         return None
     if exposure.length is not None:
-        # Nothing tells how the camera turned meanwhile.
+        # The rotation of the camera during the exposure is not measured.
         untold = np.deg2rad(config.ins.untold_acceleration_deg_per_s2)
         solution = solution.with_more_noise(exposure.length.untold_turn_variance(float(untold)))
     model, camera_id = filter_.model, exposure.source.partition(".")[2]
@@ -57,7 +57,7 @@ def pointing_by_stars(
     by_angles_n = solution.rotation_nb @ rotation_vector_from_angle_errors(azimuth, elevation)
     parts_n = np.zeros((len(model.sources), 3, 3))
     for term, part_n in zip(SOLUTION_TERMS, solution.parts_n, strict=False):
-        # The model has no source of an error that cannot be.
+        # The model has no source for a term that is zero.
         if not part_n.any():
             continue
         parts_n[model.source_indices[SOURCE_STAR_NOISE if term in _OF_STARS else term]] += part_n

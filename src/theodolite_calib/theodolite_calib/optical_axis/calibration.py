@@ -1,9 +1,8 @@
-"""The calibration in two views of the filter's state: for people now, and for the start of the next session.
+"""Calibration from the filter's state: values for the calibration topic, and the start of the next session.
 
-:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation; where
-stars may be seen, also N' and how the main axis stands in each camera.
-:class:`CalibrationPrior` is what is saved: the constants. The deformation is not saved, for it will have changed by
-then.
+:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation; with star
+cameras also N' and the parallelism of the main axis in each camera. :class:`CalibrationPrior` is saved: the constants.
+The deformation is not saved, because it will have changed.
 """
 
 from collections.abc import Mapping
@@ -22,20 +21,20 @@ from theodolite_calib.filter.observability import DEFORMATION_NAMES, LENS_NAMES
 
 SAVED_BLOCKS = ("axes", "focal_length", "parallelism")
 SAVED_NAMES = (*NAMES, "focal_length", "parallelism_azimuth", "parallelism_elevation", "parallelism_rotation")
-"""What is always saved, in the order of the states' blocks. The angles of cameras that see stars come after these."""
+"""Names that are always saved, in the order of the states' blocks. The angles of star cameras follow these."""
 
 _OF_TELESCOPE = SAVED_NAMES[len(NAMES) :]
 _MOVED = 6.0
-"""A camera whose saved angles are further from those configured, in sigmas of both, was mounted anew."""
+"""Difference of saved and configured angles, in sigmas of both, above which a camera has been remounted."""
 
 
 def camera_names(id_: str) -> tuple[str, str, str]:
-    """What the angles of the main axis in a camera that sees stars are called."""
+    """Return the names of the angles of the main axis in a star camera."""
     return f"telescopes.{id_}.azimuth", f"telescopes.{id_}.elevation", f"telescopes.{id_}.roll"
 
 
 def camera_of(name: str) -> str:
-    """The camera that a saved quantity belongs to; empty where it belongs to none."""
+    """Return the camera that a saved quantity belongs to; empty if it belongs to none."""
     return name.removeprefix("telescopes.").rpartition(".")[0] if name.startswith("telescopes.") else ""
 
 
@@ -44,14 +43,14 @@ class Calibration:
     """Named quantities with their joint covariance.
 
     Attributes:
-        time_ns: moment of the last sighting used; 0 before it.
+        time_ns: time of the last accepted sighting; 0 before the first.
         names: as in ship_msgs/TheodoliteCalibration.
         values: rad or m, shape (n,).
-        covariance: of the values, shape (n, n).
-        units: "rad" or "m" for each.
-        unobservable: combinations of names that the sightings so far cannot tell apart.
-        sighting_count: sightings used so far.
-        residual_rms: of lights and stars on the sky, rad; NaN before the first sighting.
+        covariance: covariance of the values, shape (n, n).
+        units: "rad" or "m" for each value.
+        unobservable: combinations of names that the sightings so far cannot separate.
+        sighting_count: number of accepted sightings.
+        residual_rms: RMS of beacons and stars on the sky, rad; NaN before the first sighting.
     """
 
     time_ns: int
@@ -66,15 +65,15 @@ class Calibration:
 
 @dataclass(frozen=True)
 class CalibrationPrior:
-    """What a saved calibration holds.
+    """Content of a saved calibration.
 
     Attributes:
-        time_ns: moment of the data it rests on.
-        serial: of the theodolite.
-        telescope_id: of the telescope.
-        values: in the order of ``names``, rad or m, shape (n,).
-        covariance: joint, shape (n, n).
-        names: SAVED_NAMES, and :func:`camera_names` of each camera that sees stars.
+        time_ns: time of its data.
+        serial: serial number of the theodolite.
+        telescope_id: id of the telescope.
+        values: values in the order of ``names``, rad or m, shape (n,).
+        covariance: joint covariance, shape (n, n).
+        names: SAVED_NAMES, and :func:`camera_names` of each star camera.
     """
 
     time_ns: int
@@ -85,7 +84,7 @@ class CalibrationPrior:
     names: tuple[str, ...] = SAVED_NAMES
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Standard deviations by name with the theodolite's and its telescope's, each rad or m, shape (1,)."""
+        """Return standard deviations by name, with the serial of theodolite and telescope, rad or m, (1,) each."""
         telescope = f"{self.serial}, {self.telescope_id}"
         sigma = np.sqrt(np.diagonal(self.covariance))
         return {
@@ -95,7 +94,7 @@ class CalibrationPrior:
 
 
 def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> Calibration:
-    """The named values of a state; a flexure with value and sigma zero is left out."""
+    """Return the named values of a state; a flexure with zero value and sigma is omitted."""
     model = filter_.model
     axes = config.axes.values + state.mean[model.slices["axes"]]
     variance = np.diagonal(state.covariance)
@@ -118,7 +117,7 @@ def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state:
 
 
 class _Named(NamedTuple):
-    """One state of the calibration topic: its name, its row, its value and the unit of that."""
+    """One state of the calibration topic: name, index, value and unit."""
 
     name: str
     row: int
@@ -127,13 +126,13 @@ class _Named(NamedTuple):
 
 
 def _by_stars(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> list[_Named]:
-    """What stars tell beside lights, as far as it is not held: N' and how the main axis stands in each camera."""
+    """Return the values that stars add, if they are estimated: N' and the parallelism of each camera."""
     if not config.telescopes:
         return []
     model, telescope = filter_.model, config.telescope
     told = {"parallelism": (SAVED_NAMES[-3:], telescope.parallelism, "rad")}
     for id_, camera in config.telescopes.items():
-        # The calibration telescope has one parallelism by lights and by stars, and is told already.
+        # The calibration telescope has one parallelism for beacons and stars, already listed.
         told.setdefault(parallelism_block(id_, config), (camera_names(id_), camera.parallelism, "rad"))
     told["lens"] = LENS_NAMES, telescope.lens.vector_m, "m"
     return [
@@ -146,7 +145,7 @@ def _by_stars(filter_: CalibrationFilter, config: OpticalAxisConfig, state: Cali
 
 
 def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> CalibrationPrior:
-    """What to save of a state that rests on sightings."""
+    """Return the prior to save, from a state that rests on sightings."""
     assert state.informed_ns is not None
     saved = _saved(filter_, config)
     rows = [one.row for one in saved]
@@ -163,11 +162,11 @@ def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: Calib
 def state_from_prior(
     filter_: CalibrationFilter, config: OpticalAxisConfig, prior: CalibrationPrior, now_ns: int
 ) -> tuple[CalibrationState, list[str]]:
-    """The start of a session with a saved calibration, and remarks for the operator.
+    """Return the initial state of a session with a saved calibration, and remarks for the operator.
 
-    A calibration of another theodolite is not used at all, and one of another telescope is used without focal length
-    and parallelism. Of a camera that is not configured here, or was mounted anew, nothing is used. A calibration older
-    than ``calibration_max_age_d`` keeps its values, and the configured uncertainty is added to its own.
+    A calibration of another theodolite is not used. One of another telescope is used without focal length and
+    parallelism. The angles of a camera that is not configured, or was remounted, are not used. A calibration older than
+    ``calibration_max_age_d`` keeps its values, and the configured uncertainty is added to its own.
     """
     initial = filter_.initial_state()
     if prior.serial != config.serial:
@@ -175,7 +174,7 @@ def state_from_prior(
         return initial, [text]
     saved = {one.name: one for one in _saved(filter_, config)}
     messages = []
-    # A quantity that was held when the calibration was saved takes its uncertainty from the configuration.
+    # A quantity that was fixed in the saved calibration takes its uncertainty from the configuration.
     usable = np.diagonal(prior.covariance) > 0.0
     of_telescope = usable & [name in _OF_TELESCOPE for name in prior.names]
     if prior.telescope_id != config.telescope.telescope_id and np.any(of_telescope):
@@ -198,7 +197,7 @@ def state_from_prior(
     if age_d > config.calibration_max_age_d:
         messages.append(
             f"saved calibration is {age_d:.1f} d old, more than calibration_max_age_d = "
-            f"{config.calibration_max_age_d:g}: its uncertainty is widened by the configured one"
+            f"{config.calibration_max_age_d:g}: the configured uncertainty is added to its own"
         )
     else:
         parts[:, rows, :] = 0.0
@@ -209,25 +208,25 @@ def state_from_prior(
 
 
 class _Saved(NamedTuple):
-    """A quantity that is saved: its name, its row among the states, and its value as configured."""
+    """Saved quantity: name, index of its state, and configured value."""
 
     name: str
     row: int
     configured: float
 
     def whole(self, beyond: float) -> float:
-        """Its value, by what it is beyond the configured one."""
+        """Return the total value from the correction to the configured one."""
         value = float(self.configured + beyond)
         return float(wrap_pi(value)) if camera_of(self.name) else value
 
     def beyond(self, whole: float) -> float:
-        """What a value is beyond the configured one."""
+        """Return the correction of a total value to the configured one."""
         beyond = float(whole - self.configured)
         return float(wrap_pi(beyond)) if camera_of(self.name) else beyond
 
 
 def _saved(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_Saved]:
-    """All that is saved: SAVED_NAMES, and the angles of each camera of its own."""
+    """Return all saved quantities: SAVED_NAMES, and the angles of each star camera."""
     model, telescope = filter_.model, config.telescope
     names, configured = [*SAVED_NAMES], [*config.axes.values, telescope.focal_length_m, *telescope.parallelism]
     blocks = [*SAVED_BLOCKS]
@@ -243,7 +242,7 @@ def _saved(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_Saved
 def _reason_against_camera(
     prior: CalibrationPrior, of_camera: NDArray[np.bool_], saved: Mapping[str, _Saved], initial: CalibrationState
 ) -> str:
-    """Why the saved angles of a camera are not used; empty where they are."""
+    """Return the reason why the saved angles of a camera are not used; empty if they are."""
     for place in np.flatnonzero(of_camera):
         one = saved.get(prior.names[place])
         if one is None:
@@ -253,5 +252,5 @@ def _reason_against_camera(
         if not off <= _MOVED * sigma:
             angle = one.name.rpartition(".")[2]
             apart = f"{off / ARCSEC:.1f} arcsec from the configured one, more than {_MOVED:g} sigma"
-            return f"its {angle} is {apart}, as where it was mounted anew"
+            return f"its {angle} is {apart}: remounted?"
     return ""

@@ -1,10 +1,10 @@
-"""Encoders, ship, baselines and lights in, the main axis out: the core that the node and the replay share.
+"""Core of ``optical_axis``, shared by node and replay: encoders, ship, baselines and beacons in, the main axis out.
 
-Knows no ROS, no files, no clock. The core is a model, the calibration filter with the tracks of what was measured, in
-the shell of every estimator (:mod:`ship_estimation.estimator_shell`): the shell decides when an exposure is applied and
-which pointing may follow. What belongs to the theodolite alone stands here: the watches over encoders and INS, and the
-readings that wait for the ship's attitude. A pointing is put out at the stamp of each reading of the encoders, as soon
-as the ship's attitude of that moment is there.
+The core has no ROS, files or clock. It combines the calibration filter and the tracks of measured samples with the
+time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which decides when an exposure is applied and
+which pointing may follow. This module adds the checks of encoders and INS, and the readings that wait for the ship's
+attitude. A pointing is published at the stamp of each encoder reading, as soon as the ship's attitude of that time is
+available.
 """
 
 import math
@@ -74,14 +74,14 @@ if TYPE_CHECKING:
     from theodolite_calib.optical_axis.escorting import Escort
 
 _OWN_FAULTS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
-"""A reading, or an attitude, is rejected for these because its own stream stands, repeats a stamp or jumps."""
+"""Reasons for which a reading or an attitude is rejected by its own stream: stuck, repeated stamp, or jump."""
 _MOST_JUMPS = 100
-"""Jumps of encoders and ship that are kept until they are asked for, once a second."""
-_TOLD_TWICE = "encoders and ship both say different things of one moment: a clock has told a time twice"
+"""Maximum number of jumps of encoders and ship that are kept until they are requested, once a second."""
+_TOLD_TWICE = "encoders and ship both contradict themselves at one time: a clock has repeated a time"
 
 
 class _WaitingReading(NamedTuple):
-    """A reading of the encoders that waits for the ship's attitude, why it is in doubt, and by how much."""
+    """Encoder reading that waits for the ship's attitude, with the reason and sigma if it is unconfirmed."""
 
     sample: EncoderSample
     doubt: str
@@ -89,16 +89,15 @@ class _WaitingReading(NamedTuple):
 
 
 class OpticalAxisCore:
-    """The estimator of the main optical axis.
+    """Estimator of the main optical axis.
 
     Args:
-        config: the node's parameters.
-        watch: the sky; None where no camera sees stars.
-        closed: takes states that can no longer change, in order; None where nobody asks for them.
+        config: parameters of the node.
+        watch: sky model; None if no camera observes stars.
+        closed: callback for states that can no longer change, in order; None if unused.
 
     Attributes:
-        due: offline, the pointings that are put out together when somebody asks for them; None where each is put out
-            at once.
+        due: offline, pointings that are computed together on request; None if each is computed at once.
     """
 
     filter_class: ClassVar[type[CalibrationFilter]] = CalibrationFilter
@@ -130,15 +129,15 @@ class OpticalAxisCore:
         self.reset()
 
     def start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
-        """Reset to a saved calibration; returns remarks for the operator."""
+        """Reset to a saved calibration; return remarks for the operator."""
         self._start = (prior, now_ns)
         return self.reset()
 
     def reset(self, clock_jumped: bool = False) -> list[str]:
-        """Forget all measurements. After a jump of the clock, outputs may start again at earlier times.
+        """Discard all measurements. After a jump of the clock, outputs may start again at earlier times.
 
         Returns:
-            What is to be said of the saved calibration that the filter starts from, if there is one.
+            Remarks about the saved calibration that the filter starts from, if there is one.
         """
         initial = self.filter.initial_state()
         remarks: list[str] = []
@@ -151,11 +150,11 @@ class OpticalAxisCore:
         return remarks
 
     def step_time_base(self, step_ns: int, state: CalibrationState) -> None:
-        """Go on by clocks that have stepped: no time has passed for the calibration.
+        """Continue after a step of all clocks: no time has passed for the calibration.
 
         Args:
-            step_ns: the step.
-            state: before it.
+            step_ns: step, ns.
+            state: state before it.
         """
         self._shell.step_time_base(with_shifted_stamps(state, step_ns), step_ns)
         if self._sky is not None:
@@ -182,7 +181,7 @@ class OpticalAxisCore:
         self._ship_covered_until_ns: int | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
-        """Go on with other noise and gates; geometry and the set of lights stay."""
+        """Apply other noise and gates; geometry and the set of beacons stay."""
         self._take_models(config)
         self._tracks.reconfigure(config)
         self._sightings = SightingAssembler(config, self._tracks)
@@ -193,11 +192,11 @@ class OpticalAxisCore:
             self._escort.reconfigure(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """A reading of the encoders; the pointing of its moment follows.
+        """Add an encoder reading; the pointing of its time follows.
 
         Args:
             sample: the reading.
-            arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
+            arrival_ns: time of reception, in the waiting time base; None if each reading arrives at its stamp.
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         track, shell = self._tracks.encoder, self._shell
@@ -222,7 +221,7 @@ class OpticalAxisCore:
         return outcome
 
     def add_ship(self, sample: ShipSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """An attitude of the ship; the arrival is that of :meth:`add_encoder`."""
+        """Add an attitude of the ship; for the arrival see :meth:`add_encoder`."""
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
         if outcome.refusal is None:
             outcome.refusal, sample = self._judge_ship(sample, outcome)
@@ -239,23 +238,23 @@ class OpticalAxisCore:
         return outcome
 
     def expect_ships(self, samples: Sequence[ShipSample]) -> None:
-        """Attitudes of the ship, with rates and covariances, that come next as far as is known now."""
+        """Announce the next attitudes of the ship, with rates and covariances, as far as they are known."""
         self._ship_watch.expect(samples)
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
-        """A baseline to a drone. One that must not be used is refused, and no exposure waits for a better one."""
+        """Add a baseline to a drone. An unusable one is rejected, and no exposure waits for a better one."""
         outcome = self._add(f"baseline.{beacon_id}", self._tracks.baselines[beacon_id], sample)
         if outcome.refusal is None:
             outcome.refusal = sample.refusal
         return outcome
 
     def add_drone_attitude(self, beacon_id: str, sample: AttitudeSample) -> PointingOutcome:
-        """An attitude of a drone; not needed where its light is at its antenna."""
+        """Add an attitude of a drone; it is not needed if the light is at the drone's antenna."""
         track = self._tracks.drones.get(beacon_id)
         return PointingOutcome() if track is None else self._add(f"drone.{beacon_id}", track, sample)
 
     def add_surroundings(self, given: SkyInput) -> PointingOutcome:
-        """Where the ship is, or the air around her; stars that were seen in another sky are compared anew."""
+        """Add the ship's position, or the air; stars that were compared with another sky are compared again."""
         assert self._sky is not None
         surroundings, outcome = self._sky.surroundings, PointingOutcome()
         outcome.refusal = surroundings.refusal(given)
@@ -270,14 +269,14 @@ class OpticalAxisCore:
         return outcome
 
     def add_exposure(self, exposure: Exposure) -> PointingOutcome:
-        """Lights on the detector, one or more."""
+        """Add beacons on the detector, one or more."""
         outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
         if outcome.refusal is None:
             self._shell.add(exposure, outcome)
         return outcome
 
     def add_stars(self, exposure: StarExposure, arrival_ns: int | None = None) -> PointingOutcome:
-        """Stars in a camera; the arrival is that of :meth:`add_encoder`."""
+        """Add stars in a camera; for the arrival see :meth:`add_encoder`."""
         outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
         if outcome.refusal is None and self._shell.add(exposure, outcome):
             arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
@@ -286,9 +285,9 @@ class OpticalAxisCore:
         return outcome
 
     def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """An image of a target, answered at once or when the pointing of its moment was put out.
+        """Add an image of a target; its direction follows at once, or when the pointing of its time has been published.
 
-        It moves neither the state nor the window: all pointings are what they are without it.
+        An image changes neither the state nor the window: all pointings are as without it.
         """
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
         if outcome.refusal is None:
@@ -298,16 +297,16 @@ class OpticalAxisCore:
         return outcome
 
     def contest(self, source: str, text: str) -> None:
-        """Set that two publishers send as a source; an empty text ends it."""
+        """Set that two publishers send on one source; an empty text ends it."""
         contradictions = self._of_targets if source == TargetSample.source else self._shell.contradictions
         contradictions.contest(source, self._shell.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
-        """Says INVALID, once a second, when no pointing was put out for a second, whatever came in.
+        """Report INVALID once a second while no pointing has been published for a second.
 
         Args:
-            now_ns: the time now.
-            waiting_ns: the same in the time of waiting; None where the two are one.
+            now_ns: current time.
+            waiting_ns: current time in the waiting time base; None if the two are one.
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = PointingOutcome()
@@ -320,67 +319,67 @@ class OpticalAxisCore:
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> PointingEstimate:
-        """Return the output that claims no pointing, for the reason that the text gives."""
+        """Return an INVALID output with the given reason."""
         return no_pointing(self.filter, self.state, now_ns, text)
 
     def estimates_due(self) -> list[tuple[slice, PointingRun | Refusal]]:
-        """The pointings that are due, as numbers among them and runs; see :meth:`PointingOutput.of_due`."""
+        """Return the pending pointings, as slices and series; see :meth:`PointingOutput.compute_pending`."""
         due, self.due = self.due or [], []
         return self._pointing.of_due(due)
 
     def calibration(self) -> Calibration:
-        """What the filter now knows of axis errors, focal length and deformation; several topics tell of it."""
+        """Return the estimated axis errors, focal length and deformation; cached per state for several topics."""
         if self._calibration is None or self._calibration[0] is not self.state:
             self._calibration = self.state, calibration_of(self.filter, self.config, self.state)
         return self._calibration[1]
 
     def calibration_to_save(self) -> CalibrationPrior | None:
-        """The part of it that the next session can start from; None where nothing was ever sighted."""
+        """Return the prior for the next session; None if there is no sighting and no saved calibration."""
         if self.state.informed_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_of(self.filter, self.config, self.state)
 
     def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
-        """How far a pointing may be wrong although nothing says so."""
+        """Return protection levels and test statistics of a pointing."""
         return self._pointing.integrity(estimate)
 
     def escort(self, estimate: PointingEstimate) -> "EscortAdvice | None":
-        """Where the drones should fly by the latest pointing; None where that is not asked, or not yet."""
+        """Return the advised positions of the drones for the latest pointing; None if disabled or not yet pending."""
         return None if self._escort is None else self._escort.advice(estimate)
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
-        """An exposure within ``lag_s`` with all that belongs to it; None where that is not there."""
+        """Return an exposure within ``lag_s`` with the samples of its time; None if they are missing."""
         return self._sightings.assemble(exposure).sighting
 
     @property
     def state(self) -> CalibrationState:
-        """The filter's state after the last exposure applied."""
+        """State of the filter after the last exposure applied."""
         return self._shell.state
 
     # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
 
     @property
     def excluded(self) -> Set[str]:
-        """The sources that are excluded."""
+        """Names of the excluded sources."""
         return self.state.trust.excluded
 
     @property
     def is_undisputed(self) -> bool:
-        """True if its state rests on lights or stars, nothing is excluded, contradicts another or is in doubt."""
+        """True if the state rests on beacons or stars, and no source is excluded, contradictory or unconfirmed."""
         now_ns = self._shell.window.newest_ns
         doubt = self._watch.doubt or self._ship_watch.doubt(now_ns) or self._contradiction(now_ns)
         return is_undisputed(self.state) and not doubt
 
     @property
     def is_contradicted(self) -> bool:
-        """True if lights contradict encoders and ship for longer than a sighting or two, and no source explains it."""
+        """True if beacons contradict encoders and ship in more than one or two sightings, and no source is isolated."""
         conflict = self.state.trust.conflict
         return conflict is not None and conflict.lasting
 
     def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
-        """Return another estimator that starts from a remembered state; from the saved one or the prior without.
+        """Return another estimator, from a remembered state or, without one, from the saved calibration or the prior.
 
-        With a memory it also starts with the position and the air as they are known here.
+        With a memory it also starts with the current position and air.
         """
         second = type(self)(self.config, None if self._sky is None else self._sky.twin(memory is not None))
         second._start = self._start
@@ -392,7 +391,7 @@ class OpticalAxisCore:
         return second
 
     def take_jumps(self) -> list[OwnJump]:
-        """Return the jumps that encoders and ship showed by themselves since the last call."""
+        """Return the jumps detected in the encoder and ship streams since the last call."""
         jumps = list(self._own_jumps)
         self._own_jumps.clear()
         return jumps
@@ -402,7 +401,7 @@ class OpticalAxisCore:
         return propagate_memory(self.filter, memory, jumps, self._shell.window.oldest_ns)
 
     def memory_residuals(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, MemoryResidual]:
-        """Return how far the lights that were just judged are from a remembered state."""
+        """Return the residuals of the last evaluated beacons against a remembered state, by source."""
         sighting = self.sighting(decision.measurement) if isinstance(decision.measurement, Exposure) else None
         if sighting is None:
             return {}
@@ -419,14 +418,14 @@ class OpticalAxisCore:
         return departure_sigmas(self.filter, state, memory, ship, encoder, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
-        """Return those of the sources of which no measurement was used recently."""
+        """Return those of the sources of which no measurement was accepted recently."""
         means, since_ns = self.state.trust.means, self._shell.window.newest_ns - HEARD_NS
         used = (means.heard_ns >= since_ns) & (means.refused[0] == 0)
         lights = [BEACON + id_ for id_ in self.filter.rows.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
     def take_over_outputs(self, live: "OpticalAxisCore") -> None:
-        """Go on with the outputs where another estimator ends, of which none is due."""
+        """Continue the outputs of another estimator that ends and has none pending."""
         self._shell.continue_outputs(live._shell)
         self._of_targets = live._of_targets
         self._targets.continue_answers(live._targets)
@@ -444,10 +443,10 @@ class OpticalAxisCore:
         self._calibration = None
 
     def _new_escort(self) -> "Escort | None":
-        """What gives advice to the drones; None where none is asked."""
+        """Return the advisor for the drones; None if it is disabled."""
         if not self.config.escort.enabled:
             return None
-        # Only here: loading scipy's optimisers takes longer than all else that a node loads.
+        # Imported here: loading scipy's optimisers takes longer than the rest of the node.
         from theodolite_calib.optical_axis.escorting import Escort
 
         return Escort(self.config, self.filter, self._tracks)
@@ -459,10 +458,10 @@ class OpticalAxisCore:
         return outcome
 
     def _judge_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Refusal | None, ShipSample]:
-        """Why an attitude of the ship is not used, and the attitude as it may be used."""
+        """Check an attitude of the ship; return its rejection or None, and the attitude as it may be used."""
         judged = self._ship_watch.judge(sample, self._shell.window.oldest_ns)
         if judged.rates_wrong_after_ns is not None:
-            # What was compared with the help of these rates is compared again without them.
+            # Exposures compared with these rates are compared again without them.
             changed_after_ns = self._tracks.ship.forget_rates(judged.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._shell.data_changed(changed_after_ns + self._tracks.ship_shift_ns)
@@ -480,11 +479,11 @@ class OpticalAxisCore:
             self._own_jumps.append(OwnJump(jump))
             self._shell.add_jump(time_ns, "ins", jump, changed_after_ns)
         assert isinstance(judged.sample, ShipSample)
-        # The pointing rests on the attitudes of the INS alone: no rate of it, true or not, can spoil that.
+        # With the INS alone the pointing uses its attitudes only, so that no wrong rate can affect it.
         by_ins = self.config.ship.source == "ins/imu"
         return judged.refusal, replace(judged.sample, rate_d=None) if by_ins else judged.sample
 
-    # -- the model in the shell -----------------------------------------------------------------------------
+    # -- model of the time-ordered estimator ----------------------------------------------------------------
 
     def _step(
         self, state: CalibrationState, exposure: AnyExposure, may_wait: bool
@@ -517,20 +516,20 @@ class OpticalAxisCore:
         return self.filter.opened(state, jump)
 
     def _streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
-        """What encoders and ship say by themselves of a time."""
+        """Return the consistency of the encoder and ship streams in a time range."""
         return self._tracks.streams_since(since_ns, until_ns)
 
     def _ship_crept(self, time_ns: int) -> bool | None:
-        """Whether the ship's attitude has left its own rates in the time before a moment."""
+        """True if the ship's attitude departed from its own rates before a time; None if unknown."""
         return self._tracks.ship_crept(time_ns)
 
     def _note_own_fault(self, source: str, time_ns: int, refusal: Refusal | None, jumped: bool = False) -> None:
-        """Note that the stream of the encoders or of the ship has stood, jumped or repeated a stamp by itself."""
+        """Record that the encoder or ship stream was stuck, jumped or repeated a stamp."""
         if jumped or (refusal is not None and refusal.reason in _OWN_FAULTS):
             self._own_fault_ns[source] = max(time_ns, self._own_fault_ns.get(source, time_ns))
 
     def _note_own_jump(self, time_ns: int, judged: JudgedReading) -> None:
-        """Note that the encoders have jumped or stood by their own readings."""
+        """Record a jump or a stuck reading of the encoders."""
         if judged.jump is not None:
             self._own_jumps.append(OwnJump(judged.jump))
         stands = judged.refusal is not None and judged.refusal.reason is Reason.STUCK
@@ -539,22 +538,22 @@ class OpticalAxisCore:
         self._stands = stands
 
     def _own_faults(self, time_ns: int) -> set[str]:
-        """Return those of encoders and ship whose stream showed a fault of its own not long before a time."""
+        """Return those of encoders and ship whose stream had a fault of its own shortly before a time."""
         since_ns = time_ns - round(self.config.integrity.return_after_s * SECOND_NS)
         return {source for source, fault_ns in self._own_fault_ns.items() if fault_ns >= since_ns}
 
     def _forget_before(self, time_ns: int) -> None:
-        """Forget what no exposure at or after a stamp is compared with."""
+        """Drop the data that no exposure at or after a stamp is compared with."""
         self._tracks.drop_before(time_ns)
         if self._sky is not None:
             self._sky.surroundings.drop_before(time_ns)
 
     def _tell_watches(self, decision: ExposureDecision) -> None:
-        """What the lights or the stars of an exposure say of the encoders and of the INS."""
+        """Pass the result of an exposure to the checks of the encoders and of the INS."""
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
             self._watch.see_lights(time_ns, *decision.telescope_dt)
-        # Lights of a telescope that was knocked tell nothing.
+        # Beacons in a telescope that has shifted carry no information.
         if not decision.accepted or TELESCOPE in decision.excluded:
             return
         if ENCODER in decision.excluded:
@@ -567,7 +566,7 @@ class OpticalAxisCore:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        """The pointings of readings whose moment the ship covers now, or never will, and targets that await them."""
+        """Publish pointings whose ship attitude is final, or will never come, and the targets that wait for them."""
         if self._waiting:
             self._publish_waiting(outcome, waiting_ns)
         self._answer_targets(outcome)
@@ -587,7 +586,7 @@ class OpticalAxisCore:
                 self._put_out(outcome, due, waiting_ns)
 
     def _put_out(self, outcome: PointingOutcome, due: DuePointing, waiting_ns: int) -> None:
-        """Put out a pointing at once, or with others when somebody asks for them."""
+        """Publish a pointing at once, or queue it if pointings are computed on request."""
         if self.due is None:
             follows = self._shell.follows(due.time_ns)
             self._shell.put_out(outcome, due.time_ns, waiting_ns, lambda _state: self._pointing.estimate(due))
@@ -601,7 +600,7 @@ class OpticalAxisCore:
         self._targets.was_put_out(due, self._shell.window.oldest_ns)
 
     def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        """With the ship or the encoders gone, put out the pointing by the newest stars while they are young."""
+        """Publish the pointing from the newest stars if ship or encoders have timed out and the stars are recent."""
         needed = {self.config.ship.source: self._ship_arrival_ns, "the encoders": self._encoder_arrival_ns}
         silent = [name for name, arrival_ns in needed.items() if _is_silent(arrival_ns, waiting_ns)]
         if self._newest_stars is None or not silent:
@@ -609,7 +608,7 @@ class OpticalAxisCore:
         (exposure, arrival_ns), self._newest_stars = self._newest_stars, None
         if waiting_ns - arrival_ns > SECOND_NS:
             return
-        text = f"by stars alone: nothing from {' and '.join(silent)}"
+        text = f"by stars alone: no data from {' and '.join(silent)}"
 
         def by_stars(state: CalibrationState) -> PointingEstimate | None:
             assert self._sky is not None
@@ -618,7 +617,7 @@ class OpticalAxisCore:
         self._shell.put_out(outcome, exposure.time_ns, waiting_ns, by_stars)
 
     def _watch_time(self) -> None:
-        """Compare lights anew where a refusal has shown that encoders and ship tell a time twice."""
+        """Compare beacons again if rejections show that encoders and ship repeat a time."""
         before = self._told_twice
         together = self._shell.contradictions.together({ENCODER, self.config.ship.source})
         if together is None:
@@ -631,15 +630,15 @@ class OpticalAxisCore:
             self._shell.data_changed(before[1])
 
     def _contradiction(self, time_ns: int) -> str:
-        """Why what a pointing rests on is in doubt since a source contradicted itself; empty where none did."""
+        """Return the text of a source that contradicted itself at a time; empty if none did."""
         return self._shell.contradictions.text(self._shell.contradictions.at(time_ns))
 
 
 def _is_silent(arrival_ns: int | None, waiting_ns: int) -> bool:
-    """Whether the last input of a kind that led on came too long ago."""
+    """True if an input has timed out: none received, or the last one more than a second ago."""
     return arrival_ns is None or waiting_ns - arrival_ns > SECOND_NS
 
 
 def _encoder_limits(config: OpticalAxisConfig) -> tuple[float, float]:
-    """Noise of a reading, rad, and largest acceleration of an axis, rad/s²."""
+    """Return the noise of a reading, rad, and the largest acceleration of an axis, rad/s²."""
     return config.encoder.sigma_arcsec * ARCSEC, math.radians(config.encoder.max_acceleration_deg_per_s2)

@@ -1,6 +1,6 @@
-"""The advice for the drones of a run: by the pose of the latest pointing, at most once in a period.
+"""Advice for the drones of a run, from the pose of the latest pointing, at most once in a period.
 
-Only a node that gives advice imports this module: loading scipy's optimisers takes longer than all else.
+Only a node that gives advice imports this module, because loading scipy's optimisers takes long.
 """
 
 import numpy as np
@@ -17,12 +17,12 @@ from theodolite_calib.measured.tracks import MeasuredTracks
 
 
 class Escort:
-    """The advice of one run.
+    """Advisor for the drones of one run.
 
     Args:
-        config: the node's parameters.
-        filter_: the filter of that configuration.
-        tracks: what was measured.
+        config: parameters of the node.
+        filter_: filter of that configuration.
+        tracks: tracks of the measured samples.
     """
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, tracks: MeasuredTracks) -> None:
@@ -33,14 +33,14 @@ class Escort:
         self.reconfigure(config, filter_)
 
     def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
-        """Go on with other noise."""
+        """Apply other noise."""
         self._config, self._filter = config, filter_
 
     def advice(self, estimate: PointingEstimate) -> EscortAdvice | None:
-        """Where the drones should fly; None before its time, or where no drone can be used.
+        """Return the advised positions of the drones; None before the period ends, or if no drone is usable.
 
         Args:
-            estimate: the latest pointing that claims something.
+            estimate: latest pointing that is not INVALID.
         """
         time_ns, period_ns = estimate.time_ns, round(self._config.escort.period_s * SECOND_NS)
         if self._told_ns is not None and time_ns - self._told_ns < period_ns:
@@ -68,7 +68,7 @@ class Escort:
         return advice
 
     def _usable(self, estimate: PointingEstimate) -> tuple[str, ...]:
-        """The drones whose lights the filter would use."""
+        """Return the drones whose beacons the filter would use."""
         off, excluded = set(self._config.sources_off), estimate.state.trust.excluded
         return tuple(
             name
@@ -77,7 +77,7 @@ class Escort:
         )
 
     def _newest(self, name: str, time_ns: int) -> BaselineSample | None:
-        """The newest baseline to a drone; None where it is not a good one, or an old one."""
+        """Return the newest baseline to a drone; None if it is rejected or old."""
         sample = self._tracks.baselines[name].newest
         if sample is None or sample.refusal is not None:
             return None

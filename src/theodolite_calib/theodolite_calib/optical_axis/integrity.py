@@ -1,7 +1,7 @@
-"""How far the pointing may be wrong although nothing says so: protection levels of its angles.
+"""Integrity of the pointing: protection levels of its angles.
 
-The estimates without one source each (:mod:`theodolite_calib.filter.alternatives`) tell how far the main axis would be
-another one without it; :mod:`ship_estimation.protection` makes levels of that.
+The solution separations of the subfilters (:mod:`theodolite_calib.filter.subfilters`) give protection levels by
+:mod:`ship_estimation.protection_levels`.
 """
 
 import math
@@ -18,16 +18,16 @@ from theodolite_calib.filter.step import hypothesis_factors
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 
 QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
-"""What the levels bound."""
+"""Quantities bounded by the protection levels."""
 
 
 class PointingLevels:
-    """The protection levels of the pointings by one state of the filter; made once per state.
+    """Protection levels of the pointings by one state of the filter; computed once per state.
 
     Args:
-        filter_: the filter and its model.
+        filter_: filter with its model.
         config: its configuration.
-        state: of the filter.
+        state: state of the filter.
 
     Attributes:
         state: the same.
@@ -45,12 +45,12 @@ class PointingLevels:
         self._in_dispute = state.trust.conflict is not None or state.refusals > 0
 
     def of(self, estimate: PointingEstimate) -> IntegrityReport:
-        """The integrity of a pointing."""
+        """Return the integrity of a pointing."""
         azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm).tolist()
         to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
         to_angles[0] *= math.cos(elevation)
-        # What the estimates dispute is covered by the levels already. What a pointing adds to the error of the state,
-        # as the noise of the encoders, is the same in every estimate.
+        # The separations are in the levels already. What a pointing adds to the error of the state,
+        # such as the noise of the encoders, is the same in every subfilter.
         found = separation(
             self._k,
             self._rows,
@@ -61,7 +61,7 @@ class PointingLevels:
             self.state.parts,
             self.state.alternatives.parts[:, 0],
         )
-        # Without lights and stars nothing checks the encoders and the ship's attitude, nor these stars that are alone.
+        # Without beacons and stars nothing checks encoders and ship's attitude; stars alone are not checked either.
         alone = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
         in_doubt = self._in_dispute or estimate.mode is Mode.ENCODER or alone or estimate.status is Status.INVALID
         return integrity_report(
@@ -70,5 +70,5 @@ class PointingLevels:
 
 
 def integrity_of(filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate) -> IntegrityReport:
-    """The integrity of one pointing, which rests on a state of the filter of that configuration."""
+    """Return the integrity of one pointing, from a state of the filter of that configuration."""
     return PointingLevels(filter_, config, estimate.state).of(estimate)

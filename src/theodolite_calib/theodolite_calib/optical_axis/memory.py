@@ -1,7 +1,7 @@
-"""The remembered calibration: a start from it, and how far lights and other states are from it.
+"""Remembered calibration: restart from it, and residuals and differences of beacons and states from it.
 
-The rules for which these are asked are those of :mod:`ship_estimation.recovery`. Stars on the mount are not compared
-with it: an excluded source returns by lights.
+The rules that use these functions are in :mod:`ship_estimation.recovery`. Stars are not compared with it: an excluded
+source is reinstated by beacons.
 """
 
 from collections.abc import Sequence
@@ -20,12 +20,12 @@ from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 _UNKNOWN_RAD = float(np.deg2rad(20.0))
-"""Standard deviation of each zero point of encoders that stood still while the axis turned."""
+"""Standard deviation of each zero point of encoders that stood still while the axis turned, rad."""
 
 
 @dataclass(frozen=True)
 class OwnJump:
-    """A jump that the stream of the encoders or of the ship showed by itself.
+    """Jump that the encoder or ship stream showed by itself.
 
     Attributes:
         jump: the jump.
@@ -35,25 +35,25 @@ class OwnJump:
 
     @property
     def covariance_n(self) -> FloatArray:
-        """Covariance of what the jump changes in the directions to lights, to the right and up, rad², shape (2, 2)."""
+        """Covariance of the change in the directions to beacons, to the right and up, rad², shape (2, 2)."""
         if isinstance(self.jump, EncoderJump):
             return float(self.jump.jump @ self.jump.jump + self.jump.sigma_rad**2) * np.eye(2)
         return float(np.trace(self.jump.covariance_n)) * np.eye(2)
 
 
 def stood_still(time_ns: int) -> OwnJump:
-    """Return what encoders that stood still may have missed until a time."""
+    """Return the jump that stuck encoders may have missed until a time."""
     return OwnJump(EncoderJump(time_ns, np.zeros(2), _UNKNOWN_RAD))
 
 
 def is_undisputed(state: CalibrationState) -> bool:
-    """True if a state rests on lights or stars, no source is excluded or contradicts another."""
+    """True if a state rests on beacons or stars, and no source is excluded or inconsistent."""
     trust = state.trust
     return state.informed_ns is not None and not (state.refusals or trust.excluded or trust.conflict is not None)
 
 
 def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> CalibrationState:
-    """Return a start with what is remembered of the errors, and with no fault of since then."""
+    """Return an initial state with the remembered errors, without later faults."""
     return replace(
         filter_.started(memory.mean, memory.parts),
         time_ns=memory.time_ns,
@@ -77,7 +77,7 @@ def propagate_memory(
 def memory_residuals(
     filter_: CalibrationFilter, memory: CalibrationState, sighting: Sighting
 ) -> dict[str, MemoryResidual]:
-    """Return by light how far it is from a remembered state, as turns of its direction to the right and up."""
+    """Return the residual of each beacon against a remembered state, rotations of its direction right and up."""
     state = filter_.predicted(memory, sighting.time_ns, sighting.ship.slow_covariance_n)
     drift, prediction = _drift(filter_, state), filter_.sightings.predict(state.mean, sighting)
     noise_m2 = sum(prediction.noise_by_source.values(), np.zeros((2 * len(sighting.names),) * 2))
@@ -109,17 +109,17 @@ def departure_sigmas(
 ) -> float:
     """Return the largest difference from a remembered state, in standard deviations of both.
 
-    Lasting states are compared one by one. What they and the others do to the telescope together is compared about
-    North, Up and East: it is known better than any of them.
+    Constant states are compared one by one. Their effect on the telescope, together with that of the other states, is
+    compared about North, Up and East, because it is known better than any of them.
 
     Args:
-        filter_: of the estimator.
-        state: of it.
+        filter_: filter of the estimator.
+        state: its state.
         memory: the remembered state.
-        ship: at the moment of the state.
-        encoder: at that moment.
-        is_later: True for a later state of the same estimator, which knows all that the remembered one did: then the
-            standard deviations are those of the latter.
+        ship: ship's attitude at the time of the state.
+        encoder: encoders at that time.
+        is_later: True for a later state of the same estimator, which contains the information of the remembered one;
+            the standard deviations are then those of the latter.
     """
     assert state.time_ns is not None
     memory = filter_.predicted(memory, state.time_ns, ship.slow_covariance_n)
@@ -135,13 +135,13 @@ def departure_sigmas(
     difference = np.abs(compared @ (state.mean - memory.mean))
     covariance = memory.covariance if is_later else state.covariance + memory.covariance
     variance = np.diagonal(compared @ covariance @ compared.T)
-    # What is known exactly does not differ. Written so that NaN is compared.
+    # States without variance do not differ. Written so that NaN is compared.
     varies = variance != 0.0
     return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
 
 
 def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
-    """Return the rotation vectors that move a direction to the right and up by one radian, as columns, shape (3, 2)."""
+    """Return the rotation vectors that move a direction to the right and up by 1 rad, as columns, shape (3, 2)."""
     north, up, east = direction_n
     level = np.hypot(north, east)
     right_n = np.array([-east, 0.0, north]) / level
@@ -150,7 +150,7 @@ def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
 
 
 def _drift(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
-    """Return the covariance that comes to a state within a second, shape (n, n)."""
+    """Return the covariance added to a state within one second, shape (n, n)."""
     assert state.time_ns is not None
     before = replace(state, time_ns=state.time_ns - SECOND_NS, parts=np.zeros_like(state.parts))
     return filter_.predicted(before, state.time_ns, state.ship_steady_n).covariance

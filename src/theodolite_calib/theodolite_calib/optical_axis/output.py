@@ -1,6 +1,6 @@
-"""The pointing at readings of the encoders: by one state of the filter and the ship's attitude of their moments.
+"""Pointing at encoder readings, from one state of the filter and the ship's attitude at their times.
 
-One function says it for the one reading that a live node has at a time and for the many of a block.
+One function serves the single reading of a live node and the many of a batch.
 """
 
 from collections.abc import Sequence
@@ -42,14 +42,14 @@ from theodolite_calib.measured.tracks import ShipAt, ShipRun
 from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
 
 _NOTHING_HAPPENS = np.empty((0, 3)), np.empty((0, 3, 3))
-"""Of the ship's error: what is left at each moment, and what is new."""
+"""Arrays for no step of the ship's error: factors and added covariances."""
 
 _TWO_LIGHTS, _ONE_LIGHT, _ENCODER = int(Mode.TWO_LIGHTS), int(Mode.ONE_LIGHT), int(Mode.ENCODER)
 _STARS, _STARS_AND_LIGHTS = int(Mode.STARS), int(Mode.STARS_AND_LIGHTS)
 
 
 class AxesAt(NamedTuple):
-    """The axes at N moments.
+    """Main axis at N times.
 
     Attributes:
         rotation_nm: horizon from main frame, shape (N, 3, 3).
@@ -63,19 +63,19 @@ class AxesAt(NamedTuple):
 
 
 class CorrectedAxis:
-    """The main axis corrected by one filter state; made once per state, used at the encoder's rate.
+    """Main axis corrected by one filter state; computed once per state, used at the encoder's rate.
 
-    Only the states that turn the main axis enter, so only these are carried on: the columns are those of
-    :data:`theodolite_calib.chain.axes.CHAIN_STATES`.
+    Only the states that turn the main axis are propagated: the columns are those of
+    :data:`theodolite_calib.chain.axes.AXIS_STATES`.
 
     Args:
-        filter_: the filter and its model.
+        filter_: filter with its model.
         state: its state after the last sighting.
 
     Attributes:
         state: the same.
         rotation_mt: main frame from telescope, shape (3, 3).
-        disputed: what the estimates without one source dispute of the states, shape (k, k).
+        disputed: covariance added to these states by the solution separations, shape (k, k).
     """
 
     def __init__(self, filter_: CalibrationFilter, state: CalibrationState) -> None:
@@ -98,13 +98,13 @@ class CorrectedAxis:
         self.disputed = disputed((state.alternatives.mean - state.mean)[:, rows], state.separation)
 
     def axes(self, ship: ShipRun, encoders: EncoderRun) -> AxesAt:
-        """The axes at N readings; before the state's moment they are as at it.
+        """Return the main axis at N readings; before the state's time it is not propagated.
 
-        The result depends on the arguments and the state alone; one moment gives, to the last bit, what it gives among
-        others.
+        The result depends on the arguments and the state alone. A single time gives, to the last bit, the same result
+        as among others.
 
         Args:
-            ship: of the moments of the readings.
+            ship: ship's attitude at the readings.
             encoders: the readings.
         """
         since_ns = np.zeros(len(encoders.time_ns), dtype=np.int64)
@@ -131,14 +131,14 @@ class CorrectedAxis:
 
 
 class DuePointing(NamedTuple):
-    """What the pointing at a reading of the encoders rests on.
+    """Inputs of the pointing at an encoder reading.
 
     Attributes:
         sample: the reading.
-        ship: of its moment.
-        doubt: why the encoders are in doubt; empty where they are not.
-        doubt_rad: standard deviation of each angle by that, beside its noise.
-        state: of the filter, after the last exposure applied.
+        ship: ship's attitude at its time.
+        doubt: reason why the encoders are unconfirmed; empty if they are confirmed.
+        doubt_rad: additional standard deviation of each angle while unconfirmed, rad.
+        state: state of the filter after the last exposure applied.
     """
 
     sample: EncoderSample
@@ -154,11 +154,11 @@ class DuePointing(NamedTuple):
 
 
 class PointingOutput:
-    """Makes the pointings by a filter's states: what is claimed at a reading depends on its arguments alone.
+    """Computes pointings from states of a filter; a pointing depends on its arguments alone.
 
     Args:
-        config: the node's parameters.
-        filter_: the filter of that configuration.
+        config: parameters of the node.
+        filter_: filter of that configuration.
     """
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
@@ -170,7 +170,7 @@ class PointingOutput:
         self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
     def of_due(self, due: Sequence[DuePointing]) -> list[tuple[slice, PointingRun | Refusal]]:
-        """Numbers of pointings that are due, and these, which rest on one state, or why they could not be computed."""
+        """Compute pending pointings; return slices of them, each with its series or its failure."""
         found: list[tuple[slice, PointingRun | Refusal]] = []
         for _, group in groupby(due, key=lambda one: (id(one.state), one.ship.slow_covariance_n is None)):
             alike, start = list(group), found[-1][0].stop if found else 0
@@ -178,7 +178,7 @@ class PointingOutput:
             if isinstance(run, PointingRun):
                 found.append((slice(start, start + len(alike)), run))
             else:
-                # Each by itself, so that those that can be computed are put out.
+                # One by one, so that those that can be computed are published.
                 alone = enumerate(map(self._run_or_failure, ([one] for one in alike)), start)
                 found += [(slice(number, number + 1), one) for number, one in alone]
         return found
@@ -190,7 +190,7 @@ class PointingOutput:
             return failure(error)
 
     def estimate(self, due: DuePointing) -> PointingEstimate:
-        """The pointing at one reading."""
+        """Return the pointing at one reading."""
         return self._run_of([due]).one(0)
 
     def _run_of(self, due: Sequence[DuePointing]) -> PointingRun:
@@ -198,12 +198,12 @@ class PointingOutput:
         return self.estimates(EncoderRun.of(samples, doubts, doubts_rad), ShipRun.of(ships), states[0])
 
     def estimates(self, encoders: EncoderRun, ship: ShipRun, state: CalibrationState) -> PointingRun:
-        """The pointings at N readings; one reading gives, to the last bit, what it gives among others.
+        """Return the pointings at N readings; a single reading gives, to the last bit, the same as among others.
 
         Args:
-            encoders: the readings, none before the state.
-            ship: of their moments.
-            state: after the last exposure applied before them.
+            encoders: readings, none before the state.
+            ship: ship's attitude at their times.
+            state: state after the last exposure applied before them.
         """
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
@@ -212,7 +212,7 @@ class PointingOutput:
             axes.parts_n[:, self._disagreement] += state.trust.conflict.spread_n
         lights, stars = self._recent(time_ns, state.used_ns), self._recent(time_ns, state.stars_ns)
         recent = lights | stars
-        # Of where the axis points without lights and stars the separations say nothing.
+        # Solution separations do not apply to a pointing without beacons and stars.
         undisputed_n, covariance_n = compiled_mounts.totals(
             axes.parts_n, axes.by_error_n, self._corrected.disputed, recent.view(np.uint8), self._disagreement
         )
@@ -245,20 +245,20 @@ class PointingOutput:
         return run
 
     def _recent(self, time_ns: StampArray, used_ns: int | None) -> NDArray[np.bool_]:
-        """At which moments what was used last is young, shape (N,)."""
+        """True for each time at which the last accepted sighting is recent, shape (N,)."""
         if used_ns is None:
             return np.zeros(len(time_ns), dtype=bool)
         recent: NDArray[np.bool_] = time_ns - used_ns <= self._recent_ns
         return recent
 
     def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
-        """How far a pointing may be wrong although nothing says so."""
+        """Return protection levels and test statistics of a pointing."""
         if self._levels is None or self._levels.state is not estimate.state:
             self._levels = PointingLevels(self._filter, self._config, estimate.state)
         return self._levels.of(estimate)
 
     def _degrade_above_limit(self, run: PointingRun) -> None:
-        """Pointings that may be wrong by more than the alert limit are DEGRADED."""
+        """Set pointings to DEGRADED whose protection level exceeds the alert limit."""
         for number, status in enumerate(run.status):
             if status is not Status.DEGRADED:
                 text = above_limit(self.integrity(run.one(number)), QUANTITIES)
@@ -268,7 +268,7 @@ class PointingOutput:
     def _worths(
         self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], doubts: list[str]
     ) -> list[tuple[Status, str]]:
-        """Status of each pointing, and why it is not VALID."""
+        """Return status and reason of each pointing; the reason is empty if it is VALID."""
         known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
         worths = []
         for kind in zip(modes, ship_statuses, doubts, strict=True):
@@ -279,14 +279,14 @@ class PointingOutput:
         return worths
 
     def _worth(self, state: CalibrationState, mode: int, ship_status: Status, doubt: str) -> tuple[Status, str]:
-        """Status of a pointing, and why it is not VALID."""
+        """Return status and reason of a pointing; the reason is empty if it is VALID."""
         if doubt:
             return Status.DEGRADED, doubt
         if state.refusals:
-            text = "the last lights or stars disagreed with the encoders and the ship's attitude: "
+            text = "the last lights or stars were inconsistent with encoders and ship's attitude: "
             return Status.DEGRADED, text + state.refused_for
         if state.trust.conflict is not None:
-            return Status.DEGRADED, "lights have disagreed with the encoders and the ship's attitude: nobody knows why"
+            return Status.DEGRADED, "unresolved fault: lights are inconsistent with encoders and ship's attitude"
         for source, left_out in state.trust.left_out.items():
             unconfirmed = state.informed_ns is None or state.informed_ns < left_out.exclusion.since_ns
             if mode == Mode.ENCODER or unconfirmed or not source.startswith(BEACON):
@@ -294,7 +294,7 @@ class PointingOutput:
         if ship_status is Status.DEGRADED:
             return Status.DEGRADED, "the ship's attitude is DEGRADED"
         if state.informed_ns is None and not np.any(state.parts[self._saved]):
-            text = "no light or star was ever seen and no calibration loaded: axis errors as configured"
+            text = "no light or star used yet and no calibration loaded: axis errors as configured"
             return Status.DEGRADED, text
         if mode == Mode.ENCODER:
             return Status.COASTING, "no lights, no stars: by encoders, axis errors and the ship's attitude"
@@ -302,7 +302,7 @@ class PointingOutput:
 
 
 def no_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns: int, text: str) -> PointingEstimate:
-    """No pointing is claimed."""
+    """Return an INVALID pointing."""
     unknown = np.full((3, 3), np.nan)
     return PointingEstimate(
         time_ns=now_ns,

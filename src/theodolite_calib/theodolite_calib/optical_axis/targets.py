@@ -1,7 +1,7 @@
-"""The direction of a target at the middle of its exposure: by the main axis of that moment, between two readings.
+"""Direction of a target at the middle of its exposure, from the main axis at that time, between two encoder readings.
 
-A direction rests on what was put out: the pointings at the readings before and after it. It is worth no more than the
-lesser of these two, and no more than the pointing at its own moment, which is computed as they are.
+A direction depends on published pointings: those at the readings before and after it. Its status is the worst of these
+two and of the pointing at its own time.
 """
 
 from collections import deque
@@ -37,14 +37,14 @@ from theodolite_calib.target.waiting import WaitingTargets
 
 
 class TargetAnswers:
-    """The images of targets of one run, each answered once: by a direction, or by INVALID and a refusal.
+    """Target images of one run; each gives one direction, or INVALID and a rejection.
 
     Args:
-        config: the node's parameters.
-        filter_: the filter of that configuration.
-        pointing: makes the pointings.
-        tracks: what was measured.
-        contradictions: of the source of the images.
+        config: parameters of the node.
+        filter_: filter of that configuration.
+        pointing: computes the pointings.
+        tracks: tracks of the measured samples.
+        contradictions: stamp conflicts of the source of the images.
     """
 
     def __init__(
@@ -61,39 +61,40 @@ class TargetAnswers:
         self.reconfigure(config, filter_, pointing)
 
     def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter, pointing: PointingOutput) -> None:
-        """Go on with other noise."""
+        """Apply other noise."""
         self._config, self._pointing = config, pointing
         self._directions = TargetOutput(config, filter_)
         self._axes = AxisErrors.from_vector(config.axes.values)
 
     def continue_answers(self, before: "TargetAnswers") -> None:
-        """Go on with the images and the pointings where the answers of another estimator end."""
+        """Take over the images and pointings of another estimator that ends."""
         self._waiting, self._put_out = before._waiting, before._put_out
 
     def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
-        """Take an image that is not late."""
+        """Add an image that is not late."""
         outcome.refusal = self._waiting.add(sample, waiting_ns)
         for overflowing in self._waiting.overflowing():
-            text = "too many images of targets wait for the pointing: the oldest is refused"
+            text = "too many images of targets wait for the pointing: the oldest is rejected"
             outcome.decisions.append(_refused(overflowing, Refusal(Reason.OVERFLOW, text)))
 
     def was_put_out(self, due: DuePointing, oldest_ns: int) -> None:
-        """A pointing went out; images may come for moments from ``oldest_ns`` on."""
+        """Record a published pointing; images may come for times from ``oldest_ns`` on."""
         self._put_out.append(due)
-        # The last one before that moment stays: it is the one before the first image that may come.
+        # The last one before that time stays, for the first image that may come.
         while len(self._put_out) > 1 and self._put_out[1].time_ns <= oldest_ns:
             self._put_out.popleft()
 
     def answer(
         self, outcome: PointingOutcome, waiting_ns: int | None, oldest_ns: int, state: Callable[[], CalibrationState]
     ) -> None:
-        """Answer the images whose pointing is known now, or never will be.
+        """Publish the directions of images whose pointing is final, or will never come.
 
         Args:
-            outcome: takes the directions, and the refusals.
-            waiting_ns: the time of waiting, at a tick; None with a message, for one that is refused must answer none.
+            outcome: receives the directions and the rejections.
+            waiting_ns: waiting time base at a tick; None with a message, because a rejected one must not trigger
+                directions.
             oldest_ns: data before it can no longer come.
-            state: of the filter now, for outputs.
+            state: returns the current state of the filter, for outputs.
         """
         if not len(self._waiting):
             return
@@ -105,7 +106,7 @@ class TargetAnswers:
                 self._answer(sample, outcome, state())
 
     def _is_covered(self, sample: TargetSample) -> bool:
-        """Whether no data still to come change what the direction rests on, and a pointing after it was put out."""
+        """True if no later data can change the direction, and a pointing after it has been published."""
         if not (self._put_out and self._put_out[-1].time_ns >= sample.time_ns):
             return False
         return self._tracks.covers_mount(sample.time_ns + sample.reach_ns)
@@ -122,7 +123,7 @@ class TargetAnswers:
         outcome.targets.append(found)
 
     def _direction(self, sample: TargetSample, state: CalibrationState) -> TargetEstimate | Refusal:
-        """The direction of a target, or why there is no pointing for it."""
+        """Return the direction of a target, or the reason why there is no pointing for it."""
         beside = self._beside(sample.time_ns)
         tracks, nodes = self._tracks, sample.nodes
         ship, encoder = tracks.ship_at(sample.time_ns), tracks.encoder_at(sample.time_ns)
@@ -131,7 +132,7 @@ class TargetAnswers:
         if ship is None:
             return Refusal(Reason.GAP, "no attitudes of the ship on both sides of it")
         if beside is None:
-            return Refusal(Reason.GAP, "no pointing was put out on both sides of it")
+            return Refusal(Reason.GAP, "no pointing was published on both sides of it")
         point_m = sample.point_m
         if nodes is not None:
             moments_ns = [time_ns for time_ns, _ in nodes.moments(sample.time_ns)]
@@ -161,7 +162,7 @@ class TargetAnswers:
         return self._directions.estimate(sample, point_m, due, pointing, status, text)
 
     def _beside(self, time_ns: int) -> tuple[DuePointing, DuePointing] | None:
-        """The last pointing that was put out up to a moment, and the first from then on; None where one is missing."""
+        """Return the last published pointing up to a time and the first from then on; None if one is missing."""
         before = [due for due in self._put_out if due.time_ns <= time_ns]
         after = [due for due in self._put_out if due.time_ns >= time_ns]
         if not (before and after):
@@ -171,11 +172,11 @@ class TargetAnswers:
 
 
 class TargetOutput:
-    """Makes the directions of targets by the pointing at the middle of their exposure.
+    """Computes directions of targets from the pointing at the middle of their exposure.
 
     Args:
-        config: the node's parameters.
-        filter_: the filter of that configuration.
+        config: parameters of the node.
+        filter_: filter of that configuration.
     """
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
@@ -190,14 +191,15 @@ class TargetOutput:
         )
 
     def way_m(self, sample: TargetSample, turned_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
-        """Where a target that keeps its direction is on the detector while the main frame turns, m, shape (m, 2).
+        """Return the detector path of a target with constant direction while the main frame turns, m, shape (m, 2).
 
-        A target whose direction turns steadily leaves the same mean, but for the product of its turn and the mount's.
+        A target whose direction turns steadily gives the same mean, except for the product of its rotation and the
+        mount's.
 
         Args:
             sample: its image.
-            turned_nm: horizon from main frame at m moments, shape (m, 3, 3).
-            middle_nm: the same at the middle, where the target is where it was found, shape (3, 3).
+            turned_nm: horizon from main frame at m times, shape (m, 3, 3).
+            middle_nm: the same at the middle, where the target is at its image point, shape (3, 3).
         """
         camera = self._detector.camera
         rotation_mv = rotation_main_from_detector(sample.detector_rotation)
@@ -213,15 +215,15 @@ class TargetOutput:
         status: Status,
         text: str,
     ) -> TargetEstimate:
-        """The direction of a target.
+        """Return the direction of a target.
 
         Args:
             sample: its image.
-            point_m: where it stood on the detector at the middle of the exposure, shape (2,).
-            due: what the pointing of that moment rests on.
-            pointing: of that moment.
-            status: what it is worth.
-            text: why it is not VALID.
+            point_m: detector point at the middle of the exposure, shape (2,).
+            due: inputs of the pointing at that time.
+            pointing: pointing at that time.
+            status: status of the direction.
+            text: reason if it is not VALID.
         """
         seen = seen_direction(
             self._detector, point_m, sample.sigma_m, sample.detector_rotation, pointing.rotation_nm
@@ -242,9 +244,9 @@ class TargetOutput:
     def _position(
         self, sample: TargetSample, due: DuePointing, pointing: PointingEstimate, seen: SeenDirection
     ) -> tuple[FloatArray, FloatArray]:
-        """Place of a target from the ship's antenna, m, and its covariance, m².
+        """Return the position of a target from the ship's antenna, m, and its covariance, m².
 
-        Ship, lever and air are in the pointing already, so its states and those of the place have one covariance.
+        Ship, lever and air are states of the pointing, so the position uses their joint covariance.
         """
         model, ship = self._filter.model, due.ship
         state = self._filter.predicted(pointing.state, sample.time_ns, ship.slow_covariance_n)
@@ -262,7 +264,7 @@ class TargetOutput:
         turning = chain_rows(model)
         by_state_n = np.zeros((3, model.size))
         by_state_n[:, turning] = by_turn_n @ pointing.by_error_n
-        # The ship's error and her time turn the lever; the deformation and the axes behind it do not.
+        # The ship's error and time offset rotate the lever; deformation and axis errors do not.
         of_ship = np.r_[SHIP, AXES.stop : len(turning)]
         by_state_n[:, turning[of_ship]] += lever_by_turn_n @ pointing.by_error_n[:, of_ship]
         if "lever" in model.slices:
@@ -270,7 +272,7 @@ class TargetOutput:
         if "refraction" in model.slices:
             by_state_n[:, model.slices["refraction"]] = place.by_coefficient_n[:, None]
 
-        # What the pointing has beside the states: the noise of encoders and ship, doubt and dispute.
+        # Covariance of the pointing besides the states: noise of encoders and ship, unconfirmed steps, separations.
         of_states_n = pointing.by_error_n @ state.covariance[np.ix_(turning, turning)] @ pointing.by_error_n.T
         beside_n = pointing.covariance_n - of_states_n
         by_ship_noise_n = by_turn_n + lever_by_turn_n
@@ -286,7 +288,7 @@ class TargetOutput:
 
 
 def no_direction(sample: TargetSample, text: str) -> TargetEstimate:
-    """No direction is claimed."""
+    """Return an INVALID direction."""
     unknown, unknown_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
     return TargetEstimate(
         time_ns=sample.time_ns,

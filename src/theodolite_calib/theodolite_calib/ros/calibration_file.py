@@ -1,4 +1,4 @@
-"""The saved calibration as a file: YAML that people can read, written atomically, with a version."""
+"""File of the saved calibration: readable YAML, written atomically, with a version."""
 
 import re
 from typing import Any
@@ -14,7 +14,7 @@ _FOCAL_LENGTH = "focal_length"
 _OF_CAMERA = re.compile(r"(telescopes\..+\.(?:azimuth|elevation|roll))_arcsec")
 
 _HALF_TURN = np.pi * (1.0 + 1e-12)
-"""Rounded: a camera may look backward."""
+"""Half a turn with margin for rounding: a camera may look backward."""
 
 
 def _key(name: str) -> str:
@@ -34,7 +34,7 @@ def _document(prior: CalibrationPrior) -> dict[str, Any]:
         "values": _human(prior.names, prior.values),
         "sigma": _human(prior.names, sigma),
         "covariance_note": "of the values in their order, in rad and m: g, c, I and the parallelism belong together; "
-        "where a sigma is 0 the configuration rules",
+        "where a sigma is 0 the configured value applies",
         "covariance": prior.covariance.tolist(),
     }
 
@@ -44,7 +44,7 @@ def _human(names: tuple[str, ...], values: FloatArray) -> dict[str, float]:
 
 
 def _prior(document: dict[str, Any]) -> CalibrationPrior:
-    """What the document says; a ValueError names the section that cannot be used."""
+    """Return the content of the document; a ValueError names the section that cannot be used."""
     names = section(document, "values", _names)
     covariance = section(document, "covariance", lambda rows: joint_covariance(rows, len(names)))
     said = np.diagonal(covariance) > 0.0
@@ -59,13 +59,13 @@ def _prior(document: dict[str, Any]) -> CalibrationPrior:
 
 
 def _names(given: dict[str, Any]) -> tuple[str, ...]:
-    """What is saved: the constants that always are, and the angles of cameras, in the order of the file."""
+    """Return the saved names: the constants, and the angles of cameras, in the order of the file."""
     found = map(_OF_CAMERA.fullmatch, map(str, given.keys()))
     return (*SAVED_NAMES, *(match[1] for match in found if match is not None))
 
 
 def _values(given: dict[str, Any], names: tuple[str, ...], said: NDArray[np.bool_]) -> FloatArray:
-    """The values; of a focal length without a sigma the file says nothing, and it may be 0."""
+    """Return the values; a focal length without a sigma is not given and may be 0."""
     numbers = finite_numbers({key: given[key] for key in map(_key, names)})
     key_of_length = _key(_FOCAL_LENGTH)
     focal_length_m, is_said = numbers[key_of_length], said[names.index(_FOCAL_LENGTH)]
@@ -79,4 +79,4 @@ def _values(given: dict[str, Any], names: tuple[str, ...], said: NDArray[np.bool
 
 
 CALIBRATION_FILE = SavedFormat("optical_axis calibration", 1, "calibration", _document, _prior)
-"""How a calibration is saved."""
+"""Format of a saved calibration."""

@@ -1,4 +1,4 @@
-"""From ship_msgs/TargetDirection to the direction of a theodolite: for the node ``triangulation`` and for bags."""
+"""Conversion of ship_msgs/TargetDirection to a theodolite's direction, for the node ``triangulation`` and for bags."""
 
 import math
 from typing import Any
@@ -15,13 +15,13 @@ from theodolite_calib.target.common_moments import DirectionSample
 
 _NORM_TOLERANCE = 1e-3
 _LEAST_SHARE = 1e-9
-"""Of the variance one way across a direction, that the other way: what has less cannot be weighed."""
+"""Minimum ratio of the two variances across a direction; a smaller one cannot be weighted."""
 
 
 def direction(
     message: Any, station: str, receive_ns: int, horizon: str = FRAME_NAMES.horizon
 ) -> ReadMessage[DirectionSample]:
-    """A direction, or that the theodolite claims none.
+    """Read a direction, or an INVALID report of the theodolite.
 
     Args:
         message: TargetDirection.
@@ -33,7 +33,7 @@ def direction(
         Refused: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    # A place by several theodolites is in another frame: it is no direction.
+    # A position from several theodolites is in another frame: it is no direction.
     frame(message.header.frame_id, horizon)
     if message.status not in list(Status):
         expected = ", ".join(status.name for status in Status)
@@ -46,12 +46,12 @@ def direction(
             raise Refused(Reason.UNITS, f"norm of direction is {norm:.6g}: expected 1")
         covariance_enu = angular_covariance(message.direction_covariance, "direction_covariance")
         if covariance_enu is None:
-            raise Refused(Reason.BAD_COVARIANCE, "direction_covariance is not given: the place has no covariance then")
+            raise Refused(Reason.BAD_COVARIANCE, "direction_covariance is not given: required for the position")
         vector, covariance_n = ENU_FROM_HORIZON.T @ direction_enu / norm, horizon_covariance(covariance_enu)
         across = np.linalg.svd(vector[None])[2][1:]
         least, greatest = np.linalg.eigvalsh(across @ covariance_n @ across.T).tolist()
         if not least > _LEAST_SHARE * greatest:
-            raise Refused(Reason.BAD_COVARIANCE, "direction_covariance holds no error one way across the direction")
+            raise Refused(Reason.BAD_COVARIANCE, "direction_covariance is singular across the direction")
     return ReadMessage(
         DirectionSample(
             time_ns=time_ns,

@@ -1,4 +1,4 @@
-"""From messages to the core's structs: axes, units and checks. Reads attributes only, so any message class will do."""
+"""Conversion of messages to the core's structs: axes, units and checks. Any message class is accepted."""
 
 import math
 from typing import Any
@@ -45,19 +45,19 @@ from theodolite_calib.measured.samples import (
 )
 
 MOST_LIGHTS = 100
-"""Of one image; what comes after them is not looked at, so that no message can hold up the node."""
+"""Maximum number of beacons of one image; the rest are ignored, so that no message can delay the node."""
 
 ENCODER_INVALID = 1
 _LARGEST_DETECTOR_M = 0.5
-"""No detector is larger: more are millimetres or pixels."""
+"""Largest coordinate on a detector, m: larger values are millimetres or pixels."""
 LONGEST_TARGET_ID = 100
-"""Characters of a target's name; what comes after them is cut."""
+"""Maximum number of characters of a target's name; the rest is cut."""
 _LONGEST_RANGE_M = 1e6
-"""No target is seen from further away through the air; what is not in it, as a satellite, has no range here."""
+"""Largest range of a target through the air, m; targets outside it, such as satellites, have no range here."""
 
 
 def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[EncoderSample]:
-    """``theodolite/encoder`` → both angles; their range is judged by the core.
+    """Read ``theodolite/encoder``: both angles; their range is checked by the core.
 
     Raises:
         Refused: with the reason.
@@ -74,7 +74,7 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMes
 
 
 def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[ShipSample]:
-    """``ship/attitude`` → attitude with the part of its error that lasts.
+    """Read ``ship/attitude``: attitude with the correlated part of its error.
 
     Raises:
         Refused: with the reason.
@@ -82,13 +82,13 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.ship.frame_id)
     if message.status == Status.INVALID:
-        raise Refused(Reason.GAP, "the source itself says INVALID")
+        raise Refused(Reason.GAP, "the source reports INVALID")
     if message.status not in list(Status):
         raise Refused(Reason.UNITS, f"status {message.status} is unknown: expected VALID, COASTING or DEGRADED")
     rotation_nd = rotation_from_quaternion(unit_quaternion(message.orientation))
     total_n = _ship_covariance(message, rotation_nd)
     rate = message.angular_velocity
-    # NaN: the source knows no rate.
+    # NaN: the source has no rate.
     rate_known = not all(math.isnan(value) for value in (rate.x, rate.y, rate.z))
     rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
     if total_n is None:
@@ -100,7 +100,7 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
 
 
 def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[ShipSample]:
-    """``ins/imu`` → attitude and rate; their errors are those of the configuration.
+    """Read ``ins/imu``: attitude and rate; their errors are those of the configuration.
 
     Raises:
         Refused: with the reason.
@@ -111,7 +111,7 @@ def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Re
 
 
 def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> ReadMessage[BaselineSample]:
-    """``beacon/<id>/baseline`` → vector with what is new in its error; one without the least fix with the refusal.
+    """Read ``beacon/<id>/baseline``: vector with its white error; below the least fix with a rejection.
 
     Raises:
         Refused: with the reason.
@@ -127,7 +127,7 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
 
 
 def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
-    """``beacon/<id>/imu`` → attitude of the drone; its errors are those of the configuration.
+    """Read ``beacon/<id>/imu``: attitude of the drone; its errors are those of the configuration.
 
     Raises:
         Refused: with the reason.
@@ -139,7 +139,7 @@ def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadM
 
 
 def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[Exposure]:
-    """``theodolite/beacons`` → lights on the detector; one that cannot be read is left out by name.
+    """Read ``theodolite/beacons``: beacons on the detector; an unreadable one is rejected by name.
 
     Raises:
         Refused: with the reason.
@@ -161,14 +161,14 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMe
             lights[sighting.beacon_id], sigma_known = light
             known &= sigma_known
     if len(message.beacons) > MOST_LIGHTS:
-        text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are looked at"
+        text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are used"
         refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
     return ReadMessage(Exposure(time_ns, ordered, exposure_s), known, tuple(refused), empty=not lights)
 
 
 def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[TargetSample]:
-    """``theodolite/target`` → image of a target on the main detector.
+    """Read ``theodolite/target``: image of a target on the main detector.
 
     Raises:
         Refused: with the reason.
@@ -199,7 +199,7 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
 
 
 def _length(value: float, what: str) -> float:
-    """A length above zero, m; NaN where it is not given, which NaN means."""
+    """Return a length above zero, m; NaN if the message gives NaN, for not given."""
     if math.isnan(value):
         return math.nan
     finite_numbers(what, value)
@@ -216,7 +216,7 @@ def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig
 
 
 def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool]:
-    """A light, and whether the message says how well it was seen."""
+    """Return a beacon, and True if the message states its sigma."""
     name = sighting.beacon_id
     if name not in config.beacons:
         expected = ", ".join(sorted(config.beacons)) or "none: beacons.<id> is empty"
@@ -232,7 +232,7 @@ def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> t
 
 
 def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None:
-    """Total covariance of the rotation vector in n, rad²; None where the message gives none."""
+    """Return the total covariance of the rotation vector in n, rad²; None if the message gives none."""
     rotation_enu = covariance_3x3(message.rotation_covariance, "rotation_covariance")
     if rotation_enu is not None:
         total_n = horizon_covariance(rotation_enu)
@@ -249,7 +249,7 @@ def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None
 
 
 def without_white(total_n: FloatArray, white_sigma_arcsec: float) -> FloatArray:
-    """What is left of covariances when the noise of each sample is taken out; nothing of it negative, (N, 3, 3)."""
+    """Return covariances without the white noise of each sample, with negative variances set to zero, (N, 3, 3)."""
     values, vectors = np.linalg.eigh(total_n)
     left = np.maximum(values - (white_sigma_arcsec * ARCSEC) ** 2, 0.0)
     slow_n: FloatArray = (vectors * left[:, None, :]) @ vectors.swapaxes(1, 2)
@@ -257,6 +257,6 @@ def without_white(total_n: FloatArray, white_sigma_arcsec: float) -> FloatArray:
 
 
 def _ins_covariance(config: OpticalAxisConfig) -> FloatArray:
-    """The INS's own, where a source gives none."""
+    """Return the covariance of the INS, for a source that gives none."""
     tilt, heading = config.ins.tilt_sigma_arcsec * ARCSEC, config.ins.heading_sigma_arcsec * ARCSEC
     return np.diag([tilt**2, heading**2, tilt**2])

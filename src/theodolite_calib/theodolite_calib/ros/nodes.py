@@ -1,4 +1,4 @@
-"""The executables ``optical_axis`` and ``triangulation``: each runs its node until it is told to stop."""
+"""Executables ``optical_axis`` and ``triangulation``: each runs its node until it is stopped."""
 
 from ship_node.live.start import start_node
 

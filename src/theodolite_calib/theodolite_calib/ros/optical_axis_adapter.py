@@ -1,4 +1,4 @@
-"""The node ``optical_axis``: which topic feeds which method of its core, what a pointing becomes, its diagnostics."""
+"""Adapter of the node ``optical_axis``: topics and methods of its core, messages of a pointing, diagnostics."""
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
@@ -71,7 +71,7 @@ INTEGRITY_TOPIC = "theodolite/integrity"
 TARGET_IMAGE_TOPIC = "theodolite/target"
 
 _STREAM_THERE_S = 3.0
-"""Age of the last reading of the encoders, or attitude of the ship, up to which they are there, s."""
+"""Maximum age of the last encoder reading, or ship's attitude, for the stream to count as present, s."""
 _LIGHTS_OF_A_POINTING = 2
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
@@ -79,7 +79,7 @@ _SHIP = {
     "ship/attitude": ("ship_msgs/msg/ShipAttitude", messages_in.ship_attitude),
     "ins/imu": (_IMU_TYPE, messages_in.ins_attitude),
 }
-"""Where the ship's attitude may come from: type and reader."""
+"""Sources of the ship's attitude: type and reader."""
 
 _LEVELS = {
     Status.VALID: Level.OK,
@@ -97,12 +97,12 @@ _BY = {
 
 
 class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
-    """The theodolite's optical axis from lights on drones, encoders and the ship's attitude, with its error budget.
+    """Optical axis of the theodolite from beacons on drones, encoders and the ship's attitude, with its error budget.
 
     Args:
         config: the node's parameters.
-        factory: makes the messages.
-        files: where the saved calibration is read and written.
+        factory: creates the messages.
+        files: reads and writes the saved calibration.
 
     Raises:
         BadInput: the calibration file cannot be read.
@@ -151,17 +151,17 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
     def _pointing_messages(self, estimate: PointingEstimate) -> list[Published]:
-        """Return what is published of one pointing."""
+        """Return the messages of one pointing."""
         messages = pointing_messages(self.factory, self._lever, estimate, self.config.frames)
         return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
 
     def _calibration_to_save(self) -> CalibrationPrior | None:
-        """Return what the estimator of now has learnt."""
+        """Return the calibration of the present estimator."""
         core: OpticalAxisCore = self.core
         return core.calibration_to_save()
 
     def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> OpticalAxisCore:
-        """The estimator; one that tells pointings again is made only where that is asked for."""
+        """Return the estimator; a subclass returns one that smooths the pointings."""
         return OpticalAxisCore(config, watch)
 
     def table(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
@@ -198,7 +198,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus, continuous=ATTITUDE)
 
     def _star_feeds(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
-        """Stars in cameras on the theodolite, and what tells where they stand in the sky."""
+        """Yield the inputs of star cameras on the theodolite, and of position and air for the sky model."""
         assert self._sky is not None
         for id_, camera in config.telescopes.items():
             topic = InputTopic(
@@ -218,7 +218,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     def _read_ships(
         self, messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig
     ) -> Sequence[ReadMessage[Any] | None]:
-        """Attitudes of the ship, of which the core is told before their turn."""
+        """Read attitudes of the ship and announce them to the core."""
         readings = rows_in.ship_attitudes(messages, receive_ns, config)
         self.core.expect_ships([reading.value for reading in readings if reading is not None])
         return readings
@@ -226,7 +226,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :class:`DeferringAdapter`; the directions of targets come first.
 
-        A direction is the answer to its image, with nothing compared: there is no innovation of it.
+        A direction has no innovation: nothing was compared with its image.
         """
         published: list[Published] = []
         for target in outcome.targets:
@@ -241,13 +241,13 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
-        """ship_msgs/Innovation of a light that had no part in its exposure, under its name; of a star as everywhere."""
+        """Return ship_msgs/Innovation of a beacon rejected within its exposure, by name; of a star as elsewhere."""
         if source != "lights":
             return super().left_out_message(source, time_ns, name, refusal)
         return refused_input(self.factory, f"light.{name}", time_ns, refusal)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
-        """Budget and errors of the latest pointing and advice for the drones, once each; what the filter knows."""
+        """Return budget and errors of the latest pointing, advice for the drones, and the calibration."""
         factory, estimate, published = self.factory, self.budget_due, []
         if estimate is not None:
             sources = self.core.filter.model.sources
@@ -268,17 +268,17 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
 
     @property
     def there_for_s(self) -> Mapping[str, float]:
-        """See :class:`RecoveringAdapter`; lights are there as long as they make the mode."""
+        """See :class:`RecoveringAdapter`; beacons count as present as long as they determine the mode."""
         return {ENCODER: _STREAM_THERE_S, SHIP: _STREAM_THERE_S, BEACON: self.config.lights_recent_s}
 
     def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
-        """See :class:`RecoveringAdapter`; no pointing is VALID by an attitude of the ship that is DEGRADED."""
+        """See :class:`RecoveringAdapter`; a DEGRADED attitude of the ship gives no VALID pointing."""
         if isinstance(value, ShipSample):
             return () if value.status is Status.DEGRADED else (SHIP,)
         return super().sources_of_message(feed, value)
 
     def sources_of_decision(self, decision: ExposureDecision) -> Iterable[str]:
-        """See :class:`RecoveringAdapter`: the lights that have all they need."""
+        """See :class:`RecoveringAdapter`: the beacons with complete data."""
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return ()
@@ -286,7 +286,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return [BEACON + light.beacon_id for light in exposure.lights if light.beacon_id not in lacking]
 
     def may_be_valid(self, there: Set[str]) -> bool:
-        """See :class:`RecoveringAdapter`: with encoders, ship and two lights."""
+        """See :class:`RecoveringAdapter`: with encoders, ship and two beacons."""
         lights = sum(source.startswith(BEACON) for source in there)
         return {ENCODER, SHIP} <= there and lights >= _LIGHTS_OF_A_POINTING
 
@@ -295,18 +295,18 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         if TOGETHER in displaced:
             return (
                 "if the ship's antenna, the telescope or an encoder was remounted, set lever, telescope or axes to "
-                "what they are now and ~/reset; otherwise check the encoders' cables, the RTK base and ship/attitude"
+                "their new values and ~/reset; otherwise check the encoders' cables, the RTK base and ship/attitude"
             )
         drones = ", ".join(f"beacons.{source.removeprefix(BEACON)}.light" for source in sorted(displaced))
         return f"if an antenna or light was remounted, set {drones} and ~/reset; otherwise check the RTK receiver"
 
     def before_adoption(self) -> list[Published]:
-        """See :class:`RecoveringAdapter`: all pointings that are due are by the estimator that ends."""
+        """See :class:`RecoveringAdapter`: all pending pointings are those of the estimator that ends."""
         self._make_due()
         return []
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """The pointing, the calibration, lights in conflict with the rest, verdicts."""
+        """Return the status of pointing, calibration, beacon conflicts, innovation diagnosis, recovery and clocks."""
         return [
             pointing_status(self.latest, self.clock_jumps),
             calibration_status(self.core.calibration(), self.saved_remarks()),
@@ -319,7 +319,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
 
 
 def calibration_message(factory: MessageFactory, values: Calibration, now_ns: int) -> Any:
-    """ship_msgs/TheodoliteCalibration, stamped with the last sighting, or now where there was none."""
+    """Return ship_msgs/TheodoliteCalibration, stamped with the last sighting, or the current time before the first."""
     return factory.encoded(
         "ship_msgs/msg/TheodoliteCalibration",
         header={"stamp": values.time_ns or now_ns, "frame_id": BASE_FRAME},
@@ -334,7 +334,7 @@ def calibration_message(factory: MessageFactory, values: Calibration, now_ns: in
 
 
 def pointing_status(estimate: PointingEstimate | None, clock_jumps: int) -> DiagnosticStatus:
-    """State of the published pointing."""
+    """Return the status of the published pointing."""
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:
         return DiagnosticStatus("pointing", Level.WARN, "no reading of the encoders yet", values)
@@ -351,7 +351,7 @@ def pointing_status(estimate: PointingEstimate | None, clock_jumps: int) -> Diag
 
 
 def calibration_status(calibration: Calibration, messages: list[str]) -> DiagnosticStatus:
-    """State of the calibration: what was said of a saved one, and what the sightings leave open."""
+    """Return the status of the calibration: remarks about a saved one, and unobservable combinations."""
     values = {"sightings": str(calibration.sighting_count)}
     if calibration.sighting_count:
         values["residual RMS (arcsec)"] = f"{calibration.residual_rms / ARCSEC:.2f}"

@@ -1,7 +1,7 @@
-"""What pointings become: ship_msgs/OpticalAxisPointing, and the main frame on /tf; what is told of one now and then.
+"""Messages of pointings: ship_msgs/OpticalAxisPointing, the main frame on /tf, and the slow topics of one pointing.
 
-One function says what stands in which field. Its values are numbers for the one pointing that a live node has at a
-time, and columns of numbers for the many of a block, which become rows of bytes together.
+One function fills the fields: with numbers for the single pointing of a live node, with columns of numbers for the many
+of a batch, which become rows of bytes together.
 """
 
 import math
@@ -39,7 +39,7 @@ _TELESCOPE_ANGLES = "telescope_azimuth", "telescope_elevation", "telescope_rotat
 
 
 class PointingNumbers(NamedTuple):
-    """What is published of N pointings, whatever states they rest on; see :class:`PointingRun`."""
+    """Published numbers of N pointings, from any states; see :class:`PointingSeries`."""
 
     time_ns: StampArray
     rotation_nm: FloatArray
@@ -52,12 +52,12 @@ class PointingNumbers(NamedTuple):
 
     @classmethod
     def of(cls, runs: Sequence[PointingRun]) -> "PointingNumbers":
-        """The numbers of several runs, one after another."""
+        """Return the numbers of several series, one after another."""
         return cls(*joined(runs, cls._fields))
 
     @classmethod
     def of_one(cls, estimate: PointingEstimate) -> "PointingNumbers":
-        """The numbers of one pointing."""
+        """Return the numbers of one pointing."""
         return cls(
             time_ns=np.array([estimate.time_ns]),
             rotation_nm=estimate.rotation_nm[None],
@@ -70,22 +70,22 @@ class PointingNumbers(NamedTuple):
         )
 
     def some(self, places: NDArray[np.int64]) -> "PointingNumbers":
-        """Some of them."""
+        """Return the numbers of a subset."""
         return self if len(places) == len(self.time_ns) else PointingNumbers(*(chosen(each, places) for each in self))
 
 
 def pointing_messages(
     factory: MessageFactory, lever: Mapping[str, float], estimate: PointingEstimate, frames: FrameNames = FRAME_NAMES
 ) -> list[Published]:
-    """What one pointing becomes, as messages on their way out.
+    """Return the messages of one pointing.
 
-    Where no pointing is claimed the first is all NaN, and the second is not made.
+    If it is INVALID the first is all NaN, and the second is not made.
 
     Args:
-        factory: makes the messages.
-        lever: place of the theodolite in the deck, x forward, y left, z up, m.
+        factory: creates the messages.
+        lever: position of the theodolite in the deck, x forward, y left, z up, m.
         estimate: the pointing.
-        frames: names of those that the theodolite stands in.
+        frames: names of the frames of deck and horizon.
     """
     pointing, in_deck = PointingNumbers.of_one(estimate), math.isfinite(estimate.rotation_dm[0, 0])
     return [
@@ -95,7 +95,7 @@ def pointing_messages(
 
 
 def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> Published:
-    """What a pointing that is told again, by later sightings too, becomes: the first of those messages alone."""
+    """Return the message of a smoothed pointing: the first of those of :func:`pointing_messages`."""
     pointing = PointingNumbers.of_one(estimate)
     _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, as_numbers, FRAME_NAMES))
     return SMOOTHED_POINTING_TOPIC, factory.encoded(type_name, **fields)
@@ -104,7 +104,7 @@ def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> Pu
 def pointing_rows(
     factory: MessageFactory, lever: Mapping[str, float], pointings: PointingNumbers, frames: FrameNames = FRAME_NAMES
 ) -> Iterator[PublishedRows]:
-    """What N pointings become; the messages of one are in the same order as by :func:`pointing_messages`."""
+    """Yield the messages of N pointings; those of one are in the order of :func:`pointing_messages`."""
     in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
     claimed = [status is not Status.INVALID for status in pointings.status]
     kinds = zip(claimed, in_deck, strict=True)
@@ -116,7 +116,7 @@ def pointing_rows(
 def _messages(
     pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[..., list[Any]], frames: FrameNames
 ) -> MessageFields:
-    """Topic, type and fields of each message of pointings that are alike; ``in_deck`` where they know of the deck."""
+    """Yield topic, type and fields of each message of pointings of one kind; ``in_deck`` if they have the deck."""
     of_main = angles(pointings.rotation_nm)
     covariances = angle_covariances(pointings.covariance_n, of_main, SINGULAR_ELEVATION)
     time_ns, mode, status, light_count = values_of(
@@ -148,7 +148,7 @@ def _messages(
         parent, translation = frames.deck, lever
         rotations = quaternions(FLU_FROM_DEVICE @ pointings.rotation_dm @ FLU_FROM_DEVICE.T)
     else:
-        # The INS alone: its attitude is not that of the deck's frame, and nobody may publish that one at all.
+        # The INS alone: its attitude is not that of the deck's frame, which must not be published then.
         parent, translation = frames.horizon, ZERO_VECTOR
         rotations = quaternions(ENU_FROM_HORIZON @ pointings.rotation_nm @ FLU_FROM_DEVICE.T)
     (quaternion,) = values_of(rotations)
@@ -161,13 +161,13 @@ def _messages(
 
 
 def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:
-    """ship_msgs/ErrorBudget of a published pointing; ``sources`` name the parts of its covariance."""
+    """Return ship_msgs/ErrorBudget of a published pointing; ``sources`` name the parts of its covariance."""
     parts_n, covariance_n = estimate.parts_n, estimate.covariance_n
     return error_budget(factory, "optical_axis", estimate.time_ns, MAIN_FRAME, sources, parts_n, covariance_n)
 
 
 def error_arcsec(factory: MessageFactory, estimate: PointingEstimate) -> Any:
-    """ship_msgs/PointingErrorArcsec: predicted sigmas; an estimator never sees the truth, so errors are NaN."""
+    """Return ship_msgs/PointingErrorArcsec: predicted sigmas; the errors are NaN because no truth is available."""
     azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
     sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, azimuth, elevation))) / ARCSEC
     unknown = float("nan")

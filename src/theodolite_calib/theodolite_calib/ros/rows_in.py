@@ -1,7 +1,7 @@
-"""From the messages of a block to the core's structs: those that are read in the usual way, all of them at once.
+"""Conversion of the messages of a batch to the core's structs: all regular messages at once.
 
-Each becomes, to the last bit, what :mod:`theodolite_calib.ros.messages_in` makes of it. None stands for one that is to
-be read there by itself.
+Each result is, to the last bit, that of :mod:`theodolite_calib.ros.messages_in`. None stands for a message that must be
+read there by itself.
 """
 
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ from theodolite_calib.ros.messages_in import ENCODER_INVALID, without_white
 
 
 def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
-    """``theodolite/encoder``; see :func:`theodolite_calib.ros.messages_in.encoder`."""
+    """Read ``theodolite/encoder``; see :func:`theodolite_calib.ros.messages_in.encoder`."""
     numbers = messages.numbers
     times_ns, good = stamps(numbers, receive_ns)
     angles = np.stack([numbers["azimuth"], numbers["elevation"]], axis=1)
@@ -49,7 +49,7 @@ def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfi
 
 
 def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
-    """``ship/attitude`` with rates and covariances; see :func:`theodolite_calib.ros.messages_in.ship_attitude`."""
+    """Read ``ship/attitude`` with rates and covariances; see :func:`theodolite_calib.ros.messages_in.ship_attitude`."""
     numbers = messages.numbers
     times_ns, timely = stamps(numbers, receive_ns)
     quaternions, of_norm_1 = unit_quaternions(numbers)
@@ -68,7 +68,7 @@ def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxi
 
 
 def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconConfig) -> ReadRows:
-    """``beacon/<id>/imu``; see :func:`theodolite_calib.ros.messages_in.drone_attitude`."""
+    """Read ``beacon/<id>/imu``; see :func:`theodolite_calib.ros.messages_in.drone_attitude`."""
     times_ns, timely = stamps(messages.numbers, receive_ns)
     quaternions, given = imu_quaternions(messages.numbers, beacon.imu.accept_unset_covariance)
     good = timely & given

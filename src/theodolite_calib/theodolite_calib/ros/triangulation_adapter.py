@@ -1,4 +1,4 @@
-"""The node ``triangulation``: which topic is of which theodolite, what a place becomes, its diagnostics."""
+"""Adapter of the node ``triangulation``: topics of the theodolites, messages of a position, diagnostics."""
 
 import functools
 import math
@@ -23,7 +23,7 @@ POSITION_TOPIC, INNOVATION_TOPIC = "target/position", "target/innovation"
 ORIGIN_FRAME = "triangulation_origin"
 
 _SILENT_NS = 10_000_000_000
-"""A place put out longer ago than this says nothing of now, ns."""
+"""Age of the last position above which it is no longer reported as current, ns."""
 
 _LEVELS = {
     Status.VALID: Level.OK,
@@ -34,12 +34,12 @@ _LEVELS = {
 
 
 class TriangulationAdapter(ReportingAdapter):
-    """The places of targets by the directions in which several theodolites see them.
+    """Positions of targets from the directions of several theodolites.
 
     Args:
-        config: the node's parameters.
-        factory: makes the messages.
-        files: none is used.
+        config: parameters of the node.
+        factory: creates the messages.
+        files: unused.
     """
 
     node_name: ClassVar[str] = "triangulation"
@@ -47,7 +47,7 @@ class TriangulationAdapter(ReportingAdapter):
     services: ClassVar[tuple[str, ...]] = ("reset",)
     main_topic: ClassVar[str] = POSITION_TOPIC
     innovation_topic: ClassVar[str] = INNOVATION_TOPIC
-    reset_text: ClassVar[str] = "all directions are forgotten"
+    reset_text: ClassVar[str] = "all directions are discarded"
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(POSITION_TOPIC, TARGET_TYPE),
         OutputTopic(INNOVATION_TOPIC, INNOVATION_TYPE),
@@ -56,7 +56,7 @@ class TriangulationAdapter(ReportingAdapter):
 
     def __init__(self, config: TriangulationConfig, factory: MessageFactory, files: Files = DISK) -> None:
         if len(config.stations) < 2:
-            self.start_warnings = (f"stations has {len(config.stations)}: a place takes two theodolites or more",)
+            self.start_warnings = (f"stations has {len(config.stations)}: a position needs two theodolites or more",)
         self._told_ns: int | None = None
         super().__init__(config, TriangulationCore(config), factory, functools.partial(place_messages, factory))
 
@@ -74,11 +74,11 @@ class TriangulationAdapter(ReportingAdapter):
         return super().published(outcome, now_ns, waiting_ns)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
-        """Nothing: a place has no budget beside its covariance."""
+        """Return nothing: a position has no budget besides its covariance."""
         return []
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """The last place."""
+        """Return the status of the last position."""
         return [self._position_status(waiting_ns)]
 
     def _position_status(self, waiting_ns: int) -> DiagnosticStatus:
@@ -87,7 +87,7 @@ class TriangulationAdapter(ReportingAdapter):
         if last is None or self._told_ns is None:
             return DiagnosticStatus("position", Level.OK, "none yet", values)
         if waiting_ns - self._told_ns > _SILENT_NS:
-            # Nobody may have a target in view.
+            # No theodolite may have a target in view.
             text = f"none for {(waiting_ns - self._told_ns) * 1e-9:.0f} s, {last.status.name} before"
             return DiagnosticStatus("position", Level.OK, text, values)
         values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
@@ -100,7 +100,7 @@ class TriangulationAdapter(ReportingAdapter):
 
 
 def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[Published]:
-    """What a place becomes: ship_msgs/TargetDirection without a direction; where none is claimed also why."""
+    """Return the messages of a position: ship_msgs/TargetDirection without a direction; if INVALID also the reason."""
     unknown = np.full(3, np.nan)
     told = TargetEstimate(
         time_ns=estimate.time_ns,

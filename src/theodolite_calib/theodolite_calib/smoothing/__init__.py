@@ -1,4 +1,4 @@
-"""Smoothing: what later sightings tell of the pointing at earlier moments (Rauch, Tung and Striebel).
+"""Smoothing: pointings at earlier times, improved by later sightings (Rauch, Tung and Striebel).
 
 No ROS, no files.
 """

@@ -1,9 +1,9 @@
-"""The states that turn the main axis at moments between two sightings, and how they go together with those at the next.
+"""Axis states at times between two sightings, and their covariance with the states at the next sighting.
 
-Between two sightings the states die out and come anew as :class:`CalibrationFilter` predicts them. The ship's error
-has a size of its own at each moment, as the messages state it: where that differs by much from what was stated at the
-sighting before, some of the error is gone and something new has come (:func:`ship_error_steps`). A moment and the
-sighting after it then share of what is new no more than the smaller of both, as much of that as lasts in between.
+Between two sightings the states are predicted as by :class:`CalibrationFilter`. The ship's error has its own covariance
+at each time, as the messages state it. If that differs by much from the covariance stated at the sighting before, part
+of the old error is removed and a new error is added (:func:`ship_error_steps`). The new errors at a time and at the
+sighting after it have at most the smaller of both covariances in common, reduced by the decay in between.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,33 +19,33 @@ from theodolite_calib.filter.model import ShipErrorStep, chain_rows, ship_error_
 from theodolite_calib.measured.samples import StampArray
 
 AxisAnchor = Anchor[FloatArray | None]
-"""An estimate with the stated covariance that the ship's error follows from it on, rad², shape (3, 3)."""
+"""Estimate with the stated covariance of the ship's error from it on, rad², shape (3, 3)."""
 
 
 class Between:
-    """Predicts the states that turn the main axis, and the parallelism of the calibration telescope.
+    """Predictor of the states that turn the main axis, and of the parallelism of the calibration telescope.
 
     Args:
-        filter_: the filter and its model.
-        stated_n: covariance of the ship's error as stated at N moments, rad², shape (N, 3, 3); None where none is.
+        filter_: filter with its model.
+        stated_n: returns the stated covariance of the ship's error at N times, rad², shape (N, 3, 3); None if none is.
 
     Attributes:
-        rows: where the r states are that are told, shape (r,).
+        rows: indices of the r predicted states, shape (r,).
     """
 
     knows_before_the_first = True
-    """Errors that only die out are, before the first sighting, what they may be at any moment."""
+    """True: errors without a measurement have their prior at any time before the first sighting."""
 
     def __init__(
         self, filter_: CalibrationFilter, stated_n: Callable[[Sequence[int]], FloatArray | None]
     ) -> None:
         self._model, self._ship, self._stated_n = filter_.model, filter_.ship_error, stated_n
         self.rows = np.concatenate([chain_rows(self._model), self._model.rows("parallelism")])
-        # The ship's error stands first among all states, and so among those that are told.
+        # The ship's error is the first of all states, and so of the predicted ones.
         assert self._ship.columns == SHIP
 
     def cross_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
-        """See :meth:`ship_estimation.backward_chain.Between.cross_to`."""
+        """See :meth:`ship_estimation.rts_smoother.StatePredictor.cross_to`."""
         assert anchor.time_ns is not None
         assert later.time_ns is not None
         decay, _ = self._model.transition(max(later.time_ns - anchor.time_ns, 0) * 1e-9)
@@ -55,14 +55,14 @@ class Between:
     def at(
         self, anchor: AxisAnchor, times_ns: Sequence[int], later: AxisAnchor | None
     ) -> tuple[Known, FloatArray | None]:
-        """The states in :attr:`rows`; see :meth:`ship_estimation.backward_chain.Between.at`."""
+        """Return the states in :attr:`state_indices`; see ``StatePredictor.estimates_at`` of the smoother."""
         moments_ns, step = np.array(times_ns), self._step_at(anchor, times_ns)
         wide = self._with_all(anchor, moments_ns)
         known = _stepped(Known(self._means(anchor, moments_ns), wide[:, :, self.rows]), step)
         if later is None:
             return known, None
         assert later.time_ns is not None
-        # A moment before a jump may be later than the estimate that is opened by it.
+        # A time before a jump may be later than the estimate whose covariance the jump inflates.
         together_ns = np.minimum(moments_ns, later.time_ns)
         if np.any(together_ns < moments_ns):
             wide = self._with_all(anchor, together_ns) * self._decay(moments_ns - together_ns)[:, self.rows, None]
@@ -77,14 +77,14 @@ class Between:
         return known, cross
 
     def _means(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
-        """What is told of N moments as it is expected, before anything happens, shape (N, r)."""
+        """Return the expected states at N times, before any step of the ship's error, shape (N, r)."""
         mean, decay = anchor.known.mean, self._decay(_since_ns(anchor, moments_ns))
         means: FloatArray = (decay * mean)[:, self.rows]
         means[:, SHIP] = self._ship.later(mean[SHIP], decay[:, SHIP])
         return means
 
     def _with_all(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
-        """Covariance of what is told with all states at N moments, before anything happens, shape (N, r, n)."""
+        """Return the covariance of the predicted states with all states at N times, before any step, (N, r, n)."""
         since_s = _since_ns(anchor, moments_ns).astype(float) * 1e-9
         decay, noise = self._model.transition(since_s)
         wide: FloatArray = decay[:, self.rows, None] * anchor.known.covariance[self.rows] * decay[:, None, :]
@@ -94,20 +94,20 @@ class Between:
         return wide
 
     def _decay(self, some_ns: StampArray) -> FloatArray:
-        """What N times, ns, leave of all states, shape (N, n)."""
+        """Return the decay factors of all states over N times, ns, shape (N, n)."""
         return self._model.transition(some_ns.astype(float) * 1e-9)[0]
 
     def _step_at(self, anchor: AxisAnchor, times_ns: Sequence[int]) -> ShipErrorStep | None:
-        """What happens to the ship's error at N moments."""
+        """Return the step of the ship's error at N times."""
         stated_n = self._stated_n(times_ns)
         return None if stated_n is None else ship_error_steps(anchor.given, stated_n)
 
     def _step_to(self, anchor: AxisAnchor, later: AxisAnchor) -> ShipErrorStep | None:
-        """What happens to the ship's error at the next sighting, as at one moment of one."""
+        """Return the step of the ship's error at the next sighting, as for one time."""
         return None if later.given is None else ship_error_steps(anchor.given, later.given[None])
 
     def _kept_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
-        """Share of each state that is left at the next sighting, shape (n,)."""
+        """Return the factor on each state that remains at the next sighting, shape (n,)."""
         kept, step = np.ones(self._model.size), self._step_to(anchor, later)
         if step is not None:
             kept[SHIP] = step.kept[0]
@@ -115,7 +115,7 @@ class Between:
 
 
 def _since_ns(anchor: AxisAnchor, moments_ns: StampArray) -> StampArray:
-    """Time since the anchor; before the first sighting no time passes, as the errors are what they may be."""
+    """Return the time since the anchor; zero before the first sighting, where the errors have their prior."""
     if anchor.time_ns is None:
         return np.zeros_like(moments_ns)
     since_ns: StampArray = np.maximum(moments_ns - anchor.time_ns, 0)
@@ -123,7 +123,7 @@ def _since_ns(anchor: AxisAnchor, moments_ns: StampArray) -> StampArray:
 
 
 def _stepped(known: Known, step: ShipErrorStep | None) -> Known:
-    """What is told, with what happens to the ship's error at each of N moments; the argument is changed."""
+    """Apply the steps of the ship's error at N times; the argument is changed."""
     if step is not None:
         known.mean[:, SHIP] *= step.kept
         known.covariance[:, SHIP] *= step.kept[:, :, None]
@@ -133,7 +133,7 @@ def _stepped(known: Known, step: ShipErrorStep | None) -> Known:
 
 
 def _smaller(one: FloatArray, other: FloatArray) -> FloatArray:
-    """The largest covariance that is, along common axes, in both of two covariances, shape (3, 3).
+    """Return the largest covariance that is, along common axes, within both of two covariances, shape (3, 3).
 
     Example:
         >>> print(_smaller(np.diag([4.0, 1.0, 0.0]), np.diag([1.0, 9.0, 5.0])).round(12))
@@ -145,7 +145,7 @@ def _smaller(one: FloatArray, other: FloatArray) -> FloatArray:
     positive = values > 3.0 * np.finfo(float).eps * values[-1]
     root = vectors[:, positive] * np.sqrt(values[positive])
     to_unit = vectors[:, positive] / np.sqrt(values[positive])
-    # In the axes of the sum the two are shares that add up to one.
+    # In the axes of the sum the two are ratios that add up to one.
     shares, axes = np.linalg.eigh(to_unit.T @ one @ to_unit)
     along = root @ axes
     smaller: FloatArray = (along * np.clip(np.minimum(shares, 1.0 - shares), 0.0, None)) @ along.T

@@ -1,6 +1,6 @@
-"""The core of ``optical_axis`` that tells each pointing a second time, at the end, by what was sighted meanwhile.
+"""Core of ``optical_axis`` that publishes each pointing again at the end, improved by later sightings.
 
-What it tells at once is, to the last bit, what :class:`OpticalAxisCore` tells.
+Its real-time output is, to the last bit, that of :class:`OpticalAxisCore`.
 """
 
 from collections import deque
@@ -27,18 +27,18 @@ from theodolite_calib.smoothing.between import Between
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
 
 _AT_ONCE = 1000
-"""Pointings that are told again together."""
+"""Maximum number of pointings that are smoothed together."""
 
 _NO_PARTS = np.empty((0, 3, 3))
 
 
 class _RestsOn(NamedTuple):
-    """What a pointing that is smoothed rests on beside the states.
+    """Inputs of a smoothed pointing besides the states.
 
     Attributes:
-        sample: the reading of the encoders.
-        ship: of its moment.
-        disputed_n: what it adds to its covariance because sources are apart, rad², shape (3, 3).
+        sample: encoder reading.
+        ship: ship's attitude at its time.
+        disputed_n: covariance added by the solution separations, rad², shape (3, 3).
     """
 
     sample: EncoderSample
@@ -47,11 +47,11 @@ class _RestsOn(NamedTuple):
 
 
 class _ToldAtOnce(NamedTuple):
-    """A pointing as it was told at once.
+    """Pointing as published in real time.
 
     Attributes:
-        estimate: without the state that it rests on and without the parts of its covariance: many are kept.
-        rests_on: None where it is told again as it was: it was in doubt, or rests on stars alone.
+        estimate: without its state and without the covariance by source, because many are stored.
+        rests_on: inputs; None if it is not smoothed: it had an unresolved fault, or was from stars alone.
     """
 
     estimate: PointingEstimate
@@ -59,11 +59,11 @@ class _ToldAtOnce(NamedTuple):
 
 
 class SmoothingAxisCore(OpticalAxisCore):
-    """The estimator of the main optical axis, now and, at the end of all, once more with hindsight.
+    """Estimator of the main optical axis in real time and, at the end, once more smoothed.
 
     Args:
-        config: the node's parameters.
-        watch: the sky; None where no camera sees stars.
+        config: parameters of the node.
+        watch: sky model; None if no camera observes stars.
     """
 
     filter_class: ClassVar[type[CalibrationFilter]] = TracedFilter
@@ -72,7 +72,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         super().__init__(config, watch, self._take)
 
     def _begin(self) -> None:
-        """See :meth:`OpticalAxisCore._begin`; pointings published until then are not published again."""
+        """See :meth:`OpticalAxisCore._start_without_samples`; pointings until then are not published again."""
         super()._begin()
         self._told: deque[_ToldAtOnce] = deque()
         self._stated_n: dict[int, FloatArray] = {}
@@ -86,15 +86,15 @@ class SmoothingAxisCore(OpticalAxisCore):
         self._chain.between = self._between()
 
     def take_over_outputs(self, live: OpticalAxisCore) -> None:
-        """See :meth:`OpticalAxisCore.take_over_outputs`; what the other one put out is smoothed to its end."""
+        """See :meth:`OpticalAxisCore.take_over_outputs`; the outputs of the other estimator are smoothed to its end."""
         super().take_over_outputs(live)
         assert isinstance(live, SmoothingAxisCore)
         self._told = deque(_ToldAtOnce(_alone(estimate), None) for estimate in live.smoothed_to_the_end())
 
     def smoothed_to_the_end(self) -> Iterator[PointingEstimate]:
-        """All pointings once more, by all that was sighted, in the order of their stamps; nothing may come after it.
+        """Yield all pointings once more, smoothed by all sightings, in the order of their stamps; no input may follow.
 
-        Those that are not smoothed are as they were told at once.
+        Pointings that are not smoothed are as in real time.
         """
         self._take(self._shell.states_in_window())
         output = _SmoothedOutput(self.filter, self._between().rows)
@@ -112,7 +112,7 @@ class SmoothingAxisCore(OpticalAxisCore):
                 else:
                     yield output.again(estimate, rests_on, found)
 
-    # -- what is kept ---------------------------------------------------------------------------------------
+    # -- stored inputs --------------------------------------------------------------------------------------
 
     def _put_out(self, outcome: PointingOutcome, due: DuePointing, waiting_ns: int) -> None:
         before = len(outcome.estimates)
@@ -139,7 +139,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         return Between(self.filter, self._stated_at)
 
     def _stated_at(self, times_ns: Sequence[int]) -> FloatArray | None:
-        """The ship's error as stated at moments that are asked for; None where the configuration states it."""
+        """Return the stated covariance of the ship's error at requested times; None if the configuration states it."""
         if times_ns[0] not in self._stated_n:
             return None
         return np.array([self._stated_n[time_ns] for time_ns in times_ns])
@@ -151,25 +151,25 @@ class SmoothingAxisCore(OpticalAxisCore):
 
 
 class _SmoothedOutput:
-    """Makes pointings by states with hindsight, as :class:`CorrectedAxis` makes them by those at once.
+    """Computes pointings from smoothed states, as :class:`CorrectedAxis` does from real-time states.
 
     Args:
         filter_: the filter.
-        rows: where the states are that are known with hindsight.
+        rows: indices of the smoothed states.
     """
 
     def __init__(self, filter_: CalibrationFilter, rows: NDArray[np.intp]) -> None:
         self._filter, self._rows = filter_, rows
         self._blank = filter_.started(np.zeros(filter_.model.size), np.zeros_like(filter_.model.initial_parts()))
-        # What each source has in it is not carried back: one bears all of it.
+        # The smoother has no covariance by source: it is assigned to one source.
         self._source = filter_.model.sources.index(SOURCE_AXES)
 
     def again(self, told: PointingEstimate, rests_on: _RestsOn, known: Known) -> PointingEstimate:
-        """A pointing by the states of its own moment."""
+        """Return a pointing from the smoothed states at its own time."""
         sample, ship, disputed_n = rests_on
         mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.parts)
         mean[self._rows], parts[self._source, self._rows[:, None], self._rows] = known
-        # The ship's error is as the messages state it at the moment: nothing more happens to it.
+        # The ship's error is as the messages state it at that time: no further step.
         state = replace(
             self._blank, time_ns=told.time_ns, mean=mean, parts=parts, ship_steady_n=ship.slow_covariance_n
         )
@@ -182,7 +182,7 @@ class _SmoothedOutput:
             rotation_nm=rotation_nm,
             covariance_n=undisputed_n + disputed_n,
             undisputed_n=undisputed_n,
-            # Without lights the telescope's attitude is not told.
+            # Without beacons the telescope's attitude is not published.
             rotation_nt=np.where(np.isfinite(told.rotation_nt), rotation_nm @ corrected.rotation_mt, np.nan),
             by_error_n=axes.by_error_n[0],
             rotation_dm=told.rotation_dm if ship.chord_nd is None else ship.chord_nd.T @ rotation_nm,
@@ -190,12 +190,12 @@ class _SmoothedOutput:
 
 
 def _in_doubt(state: CalibrationState) -> bool:
-    """Whether lights or stars contradict encoders and ship, or one of these is excluded."""
+    """True if beacons or stars are inconsistent with encoders and ship, or one of these is excluded."""
     return bool(state.refusals) or state.trust.conflict is not None or bool(state.trust.excluded & CHAIN)
 
 
 def _alone(estimate: PointingEstimate) -> PointingEstimate:
-    """A pointing that holds neither states nor arrays of others."""
+    """Return a copy that holds neither states nor arrays of others."""
     return replace(
         estimate,
         rotation_nm=estimate.rotation_nm.copy(),

@@ -1,4 +1,4 @@
-"""The calibration filter, whose states tell how their estimate came about: what a smoother must know."""
+"""Calibration filter whose states record their last update, as a smoother needs it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,12 +17,12 @@ from theodolite_calib.measured.sighting import Sighting
 
 @dataclass(frozen=True)
 class TracedState(CalibrationState):
-    """A state with its last step.
+    """State with its last update.
 
     Attributes:
-        came: by the last sighting used, or the last jump; None before the first.
-        leads_back: of a state that was carried to a moment: whether prediction alone led there. Otherwise an estimate
-            without some source has taken the first place on the way.
+        came: update by the last accepted sighting or the last jump; None before the first.
+        leads_back: True for a propagated state that follows by prediction alone; False if a subfilter has become the
+            main filter since then.
     """
 
     came: Came | None = None
@@ -30,27 +30,27 @@ class TracedState(CalibrationState):
 
     @property
     def given(self) -> FloatArray | None:
-        """The stated covariance that the ship's error follows from it on, which prediction asks for."""
+        """Stated covariance of the ship's error from this state on, an input of the prediction."""
         return self.ship_steady_n
 
 
 class TracedFilter(CalibrationFilter):
-    """The steps from state to state as :class:`CalibrationFilter` makes them, to the last bit; states are traced."""
+    """Steps of :class:`CalibrationFilter`, to the last bit; the states record their updates."""
 
     def started(self, mean: FloatArray, parts: FloatArray) -> TracedState:
-        """See :meth:`CalibrationFilter.started`."""
+        """See :meth:`CalibrationFilter.initial_state_from`."""
         return TracedState(**vars(super().started(mean, parts)))
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
-        """See :meth:`CalibrationFilter.predicted`."""
+        """See :meth:`CalibrationFilter.propagate`."""
         return replace(super().predicted(state, time_ns, ship_now_n), **_of_trace(leads_back=True))
 
     def without(self, state: CalibrationState, source: str) -> CalibrationState:
-        """See :meth:`CalibrationFilter.without`."""
+        """See :meth:`CalibrationFilter.exclude_source`."""
         return replace(super().without(state, source), **_of_trace(leads_back=False))
 
     def opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
-        """See :meth:`CalibrationFilter.opened`: by the jump an error comes to the state."""
+        """See :meth:`CalibrationFilter.inflate_covariance`: the jump adds an error to the state."""
         after = super().opened(state, jump)
         both = Known(after.mean, after.covariance)
         jumped_ns = jump.time_ns if isinstance(jump, EncoderJump) else None
@@ -59,19 +59,19 @@ class TracedFilter(CalibrationFilter):
     def used(
         self, state: CalibrationState, sighting: Sighting, comparison: Comparison
     ) -> tuple[CalibrationState, Comparison]:
-        """See :meth:`CalibrationFilter.used`."""
+        """See :meth:`CalibrationFilter.update_by_beacons`."""
         after, compared = super().used(state, sighting, comparison)
         return _learnt(state, after), compared
 
     def used_stars(
         self, state: CalibrationState, exposure: StarExposure, comparison: StarComparison
     ) -> CalibrationState:
-        """See :meth:`CalibrationFilter.used_stars`."""
+        """See :meth:`CalibrationFilter.update_by_stars`."""
         return _learnt(state, super().used_stars(state, exposure, comparison))
 
 
 def _learnt(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
-    """The state after a sighting; of sources that are excluded the prediction has been forgotten."""
+    """Record the update by a sighting; with excluded sources it is no update of the prediction."""
     assert isinstance(predicted, TracedState)
     is_update = predicted.leads_back and not predicted.trust.excluded & CHAIN
     before = Known(predicted.mean, predicted.covariance)
@@ -79,5 +79,5 @@ def _learnt(predicted: CalibrationState, after: CalibrationState) -> Calibration
 
 
 def _of_trace(**values: Any) -> Mapping[str, Any]:
-    """Fields of a :class:`TracedState`: the base class, whose methods are typed for its own, does not know them."""
+    """Return fields of a :class:`TracedState`, which the types of the base class's methods do not include."""
     return values

@@ -1,5 +1,5 @@
-"""The target: its direction by an image on the main detector and the pointing, its place by a range or by several.
+"""Targets: direction from an image on the main detector and the pointing; position from a range or several directions.
 
-The room knows no ROS, no files and no clock. ``direction`` and ``triangulation`` are pure functions; ``placing`` is the
-core of the node ``triangulation``. It may import ``lights`` and ``measured``.
+The room has no ROS, files or clock. ``direction`` and ``triangulation`` are pure functions; ``triangulation_core`` is
+the core of the node ``triangulation``. It may import ``lights`` and ``measured``.
 """

@@ -1,8 +1,8 @@
-"""Directions of one target by several theodolites, brought to common moments: the one way of command and node.
+"""Directions to one target from several theodolites, interpolated to common times; used by command and node.
 
-A place is made at each stamp of the theodolite that leads there: the first, by name (the node) or in the order of the
-file (the command), that sees the target at that moment. The directions of the others are interpolated to it, but never
-across a moment at which a theodolite says that it sees nothing (INVALID).
+A position is computed at each stamp of the leading theodolite: the first, by name (the node) or in the order of the
+file (the command), that has a direction at that time. The directions of the others are interpolated to it, but never
+across a time at which a theodolite reports INVALID.
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ from theodolite_calib.target.triangulation import Station, StationDirection, Tri
 
 @dataclass(frozen=True)
 class DirectionSample(VectorSample):
-    """A direction as a theodolite told it; its unit vector in the horizon of its place is ``vector``, shape (3,).
+    """Direction published by a theodolite; its unit vector in the local horizon is ``vector``, shape (3,).
 
     Attributes:
         source: ``station.<name>`` of the theodolite.
-        target_id: of the target.
-        covariance_n: of its total error, rad², zero along it, shape (3, 3).
-        status: what the theodolite says that it is worth; INVALID: there is no direction.
+        target_id: id of the target.
+        covariance_n: covariance of its total error, rad², zero along it, shape (3, 3).
+        status: status stated by the theodolite; INVALID: there is no direction.
     """
 
     source: str
@@ -36,12 +36,12 @@ class DirectionSample(VectorSample):
     status: Status
 
     def content(self) -> bytes:
-        """All values as bytes."""
+        """Return all values as bytes."""
         return self.vector.tobytes() + self.covariance_n.tobytes() + bytes([self.status])
 
 
 class _DirectionTrack(VectorTrack[DirectionSample]):
-    """Directions of one theodolite; INVALID ones are kept, for nothing is interpolated across them."""
+    """Directions of one theodolite; INVALID ones are kept, because nothing is interpolated across them."""
 
     def _interval(self, time_ns: int) -> tuple[int, float] | None:
         interval = super()._interval(time_ns)
@@ -57,11 +57,11 @@ class _DirectionTrack(VectorTrack[DirectionSample]):
 
 
 class SeenByStation:
-    """The directions of one theodolite to one target.
+    """Directions of one theodolite to one target.
 
     Args:
-        station: where it stands.
-        max_gap_s: directions further apart are not joined.
+        station: position of the theodolite.
+        max_gap_s: maximum interval of directions that are interpolated.
     """
 
     def __init__(self, station: Station, max_gap_s: float) -> None:
@@ -69,23 +69,23 @@ class SeenByStation:
         self.track = _DirectionTrack(round(max_gap_s * SECOND_NS))
 
     def sees(self, time_ns: int) -> bool:
-        """Whether there is a direction at a moment: not in a gap, beside an INVALID one, before the first or later."""
+        """True if there is a direction at a time: within the track, not in a gap, not next to an INVALID one."""
         return self.track.at(time_ns) is not None
 
     def at(self, time_ns: int) -> tuple[StationDirection, Status] | None:
-        """The direction at a moment, with the worse status of its neighbours; None where it is not seen."""
+        """Return the direction at a time, with the worse status of its neighbours; None if there is none."""
         found = self.track.at(time_ns)
         if found is None:
             return None
         near = self._neighbours(time_ns)
-        # Errors of neighbours are alike for the most part: no averaging makes the direction better.
+        # Errors of neighbours are mostly common: averaging does not reduce them.
         worst = max((sample.covariance_n for sample in near), key=np.trace)
         direction_n = found.vector / np.linalg.norm(found.vector)
         seen = StationDirection(self.station, direction_n, worst + found.error_covariance)
         return seen, max(sample.status for sample in near)
 
     def _neighbours(self, time_ns: int) -> list[DirectionSample]:
-        """The sample at a moment, or those before and after it."""
+        """Return the sample at a time, or those before and after it."""
         before = self.track.last_before(time_ns)
         assert before is not None
         if before.time_ns == time_ns:
@@ -95,13 +95,13 @@ class SeenByStation:
 
 @dataclass(frozen=True)
 class PlacedTarget:
-    """The target at one moment.
+    """Target at one time.
 
     Attributes:
-        time_ns: the moment.
-        place: in the common frame, with the test of its residuals; or why there is none.
-        stations: the theodolites that saw it then.
-        status: the worst of their directions.
+        time_ns: the time.
+        place: position in the common frame, with the test of its residuals; or the rejection.
+        stations: theodolites with a direction at that time.
+        status: worst status of their directions.
     """
 
     time_ns: int
@@ -111,12 +111,12 @@ class PlacedTarget:
 
 
 def leads(number: int, time_ns: int, seen_by: Sequence[SeenByStation]) -> bool:
-    """Whether a theodolite sees the target at a moment, and none of those before it in ``seen_by`` does."""
+    """True if a theodolite has a direction at a time, and none of those before it in ``seen_by`` has."""
     return seen_by[number].sees(time_ns) and not any(before.sees(time_ns) for before in seen_by[:number])
 
 
 def placed_at(time_ns: int, seen_by: Sequence[SeenByStation], config: PlacingConfig) -> PlacedTarget:
-    """The target at a moment by all that see it then."""
+    """Return the target at a time from all directions at that time."""
     seen = [found for found in (one.at(time_ns) for one in seen_by) if found is not None]
     directions = [direction for direction, _ in seen]
     return PlacedTarget(

@@ -1,6 +1,6 @@
-"""How places of targets are made of directions: the theodolites, the common frame, the air, what must fit.
+"""Parameters of triangulation: theodolites, common frame, refraction and gate.
 
-The command ``triangulate`` and the node ``triangulation`` have these parameters by the same names.
+The command ``triangulate`` and the node ``triangulation`` use these parameters by the same names.
 """
 
 import re
@@ -21,7 +21,7 @@ _RELATIVE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 @dataclass(frozen=True, kw_only=True)
 class PositionConfig:
-    """A place on WGS 84."""
+    """Position on WGS 84."""
 
     latitude_deg: float = parameter(doc="geodetic latitude", unit="deg", minimum=-90.0, maximum=90.0)
     longitude_deg: float = parameter(doc="longitude, East positive", unit="deg", minimum=-180.0, maximum=360.0)
@@ -29,25 +29,25 @@ class PositionConfig:
 
     @property
     def position(self) -> GeodeticPosition:
-        """The place."""
+        """Geodetic position."""
         latitude, longitude = np.deg2rad([self.latitude_deg, self.longitude_deg]).tolist()
         return GeodeticPosition(latitude, longitude, self.height_m)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StationPlaceConfig(PositionConfig):
-    """Where a theodolite stands: its centre, and how well that is known. It stands still on the Earth."""
+    """Position of a theodolite's centre, and its error. The theodolite is fixed to the Earth."""
 
-    sigma_m: float = parameter(0.05, doc="error of the place, each axis", unit="m", minimum=0.0, maximum=1000.0)
+    sigma_m: float = parameter(0.05, doc="error of the position, each axis", unit="m", minimum=0.0, maximum=1000.0)
 
     def station(self, name: str) -> Station:
-        """The theodolite of a name that stands there."""
+        """Return the theodolite of a name at this position."""
         return Station(name, self.position, self.sigma_m)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefractionConfig:
-    """How the air bends light on its way to the target: it is raised by k times distance over twice Earth's radius."""
+    """Refraction on the path to the target: it raises the target by k times distance over twice the Earth's radius."""
 
     coefficient: float = parameter(
         0.13, doc="coefficient k of terrestrial refraction", minimum=-5.0, maximum=5.0, live=True
@@ -57,26 +57,26 @@ class RefractionConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacingConfig:
-    """What the command and the node have in common, beside the theodolites."""
+    """Parameters common to the command and the node, except the theodolites."""
 
     origin: PositionConfig = parameter(doc="origin of the common frame: East, North, Up there")
     refraction: RefractionConfig = section(RefractionConfig)
     max_gap_s: float = parameter(
-        1.0, doc="a theodolite's directions further apart in time are not joined", unit="s", minimum=0.001, maximum=60.0
+        1.0, doc="directions further apart in time are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )
     gate_probability: float = parameter(
-        0.999, doc="share of right sets of directions that fit one another", minimum=0.5, maximum=0.999999, live=True
+        0.999, doc="probability that consistent directions are accepted", minimum=0.5, maximum=0.999999, live=True
     )
 
     @property
     def air(self) -> Air:
-        """The air on the way to the target."""
+        """Refraction on the path to the target."""
         return Air(self.refraction.coefficient, self.refraction.sigma)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LiveStationConfig(StationPlaceConfig):
-    """One theodolite that the node hears."""
+    """One theodolite of the node."""
 
     topic: str = parameter("", doc=f"relative name of the topic of its directions; empty for <id>/{DIRECTION_TOPIC}")
 
@@ -85,10 +85,10 @@ class LiveStationConfig(StationPlaceConfig):
 class TriangulationConfig(PlacingConfig):
     """All parameters of the node ``triangulation``."""
 
-    stations: dict[str, LiveStationConfig] = mapping_of("theodolites that stand still on the Earth, by name")
+    stations: dict[str, LiveStationConfig] = mapping_of("theodolites fixed to the Earth, by name")
     lag_s: float = parameter(
         2.0,
-        doc="directions wait for a theodolite that reports on the target until its next report is so long overdue",
+        doc="directions wait for the next report of each theodolite until it is overdue by this time",
         unit="s",
         minimum=0.0,
         maximum=60.0,
@@ -112,14 +112,14 @@ class TriangulationConfig(PlacingConfig):
             if station.topic and not _RELATIVE_NAME.fullmatch(station.topic):
                 raise ParameterError(
                     f"parameter '{parameter_name}' = {station.topic}: expected a relative name, such as "
-                    f"west/{DIRECTION_TOPIC}; remap it at the start where it is elsewhere",
+                    f"west/{DIRECTION_TOPIC}; remap it at the start if it differs",
                     parameter_name,
                     value=station.topic,
                 )
             topic = self.topic_of(name)
             if topic in taken:
                 raise ParameterError(
-                    f"parameter '{parameter_name}': {topic} is that of '{taken[topic]}' already: each theodolite has "
+                    f"parameter '{parameter_name}': {topic} is already used by '{taken[topic]}': each theodolite needs "
                     "its own",
                     parameter_name,
                     value=station.topic,
@@ -127,5 +127,5 @@ class TriangulationConfig(PlacingConfig):
             taken[topic] = name
 
     def topic_of(self, name: str) -> str:
-        """The topic of a theodolite's directions."""
+        """Return the topic of a theodolite's directions."""
         return self.stations[name].topic or f"{name}/{DIRECTION_TOPIC}"

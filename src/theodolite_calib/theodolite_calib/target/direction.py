@@ -1,12 +1,13 @@
-"""From the image of a target on the main detector to its direction in the horizon, and with a range to its place.
+"""Direction of a target in the horizon from its image on the main detector, and with a range its position.
 
-A target at (x, z) on the detector, whose own frame v is the main frame m turned about the main axis by ρ, is seen along
+A target at (x, z) on the detector, whose own frame v is the main frame m rotated about the main axis by ρ, appears
+along
 
     u = rotation_nm · R(0, 0, ρ) · V,   V ∝ [f, -(z - z0), -(x - x0)]
 
 The image rotation ω of the main axis is in rotation_nm already ([W18] (24); docs/explanation/theodolite.md). u is the
-direction in which the light arrives: what the air bends on the way is in it, and is taken out where a range makes a
-place of it. All vectors are in n, the horizon (North, Up, East).
+direction of the arriving light: refraction is in it, and is corrected if a range gives a position. All vectors are in
+n, the horizon (North, Up, East).
 """
 
 from dataclasses import dataclass
@@ -24,11 +25,11 @@ class MainDetector:
     """Geometry of the detector in the main tube.
 
     Attributes:
-        focal_length_m: of the main tube.
+        focal_length_m: focal length of the main tube.
         principal_point_m: detector point (x0, z0) of the main axis, shape (2,).
         focal_length_sigma_m: standard deviation of the focal length.
-        principal_sigma_m: of each coordinate of the principal point.
-        rotation_sigma: of the rotation of the detector, rad.
+        principal_sigma_m: standard deviation of each coordinate of the principal point.
+        rotation_sigma: standard deviation of the rotation of the detector, rad.
     """
 
     focal_length_m: float
@@ -39,19 +40,19 @@ class MainDetector:
 
     @property
     def camera(self) -> Camera:
-        """The same as the camera of the lights' detector."""
+        """Same geometry as a camera of the beacons' detector."""
         return Camera(self.focal_length_m, self.focal_length_sigma_m, self.principal_point_m)
 
 
 @dataclass(frozen=True)
 class SeenDirection:
-    """The direction of a target.
+    """Observed direction of a target.
 
     Attributes:
         direction_n: unit vector, shape (3,).
-        by_turn_n: its change by a rotation vector of the main frame in n, rad per rad, shape (3, 3).
-        image_covariance_n: of the error by the detector: image, focal length, principal point and rotation, rad²,
-            shape (3, 3).
+        by_turn_n: derivative by a rotation vector of the main frame in n, rad per rad, shape (3, 3).
+        image_covariance_n: covariance of the error by the detector: image, focal length, principal point and rotation,
+            rad², shape (3, 3).
     """
 
     direction_n: FloatArray
@@ -59,20 +60,20 @@ class SeenDirection:
     image_covariance_n: FloatArray
 
     def covariance_n(self, pointing_n: FloatArray) -> FloatArray:
-        """Of the total error, rad², shape (3, 3), by the covariance of the main frame's rotation vector, (3, 3)."""
+        """Return the covariance of the total error, rad², from that of the main frame's rotation vector."""
         covariance: FloatArray = self.by_turn_n @ pointing_n @ self.by_turn_n.T + self.image_covariance_n
         return covariance
 
 
 def rotation_main_from_detector(detector_rotation: float) -> FloatArray:
-    """R(0, 0, ρ), main frame from detector, shape (3, 3)."""
+    """Return R(0, 0, ρ), main frame from detector, shape (3, 3)."""
     return rotation_from_angles(0.0, 0.0, float(detector_rotation))
 
 
 def seen_direction(
     detector: MainDetector, point_m: FloatArray, sigma_m: float, detector_rotation: float, rotation_nm: FloatArray
 ) -> SeenDirection:
-    """The direction of a target by its image.
+    """Return the direction of a target from its image.
 
     Args:
         detector: its geometry.
@@ -96,7 +97,7 @@ def seen_direction(
 
 
 def direction_angles(direction_n: FloatArray, covariance_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Azimuth in [0, 2 pi) and elevation, shape (2,), of a unit vector, and their covariance, rad², shape (2, 2).
+    """Return azimuth in [0, 2 pi) and elevation, shape (2,), of a unit vector, and their covariance, rad², (2, 2).
 
     The covariance is NaN within 0.1° of the zenith and the nadir.
     """
@@ -114,13 +115,13 @@ def direction_angles(direction_n: FloatArray, covariance_n: FloatArray) -> tuple
 
 @dataclass(frozen=True)
 class RangedPlace:
-    """The place of a target by its direction and a range.
+    """Position of a target from its direction and a range.
 
     Attributes:
         path_n: from the theodolite's centre, m, shape (3,).
-        by_direction_n: its change by that of the direction, m/rad, shape (3, 3).
-        by_range_n: its change by the range, m/m, shape (3,).
-        by_coefficient_n: its change by the coefficient k of terrestrial refraction, m, shape (3,).
+        by_direction_n: derivative by the direction, m/rad, shape (3, 3).
+        by_range_n: derivative by the range, m/m, shape (3,).
+        by_coefficient_n: derivative by the coefficient k of terrestrial refraction, m, shape (3,).
     """
 
     path_n: FloatArray
@@ -130,10 +131,10 @@ class RangedPlace:
 
 
 def ranged_place(direction_n: FloatArray, range_m: float, coefficient: float) -> RangedPlace:
-    """The place of a target seen along a direction, which the air has raised by k · (horizontal distance) / (2 R).
+    """Return the position of a target in a direction raised by refraction, k · (horizontal distance) / (2 R).
 
     Args:
-        direction_n: unit vector in which it is seen, shape (3,).
+        direction_n: observed unit vector, shape (3,).
         range_m: distance.
         coefficient: k.
     """
@@ -141,7 +142,7 @@ def ranged_place(direction_n: FloatArray, range_m: float, coefficient: float) ->
     horizontal = float(np.hypot(north, east))
     if horizontal == 0.0:
         return RangedPlace(range_m * direction_n, range_m * np.eye(3), direction_n, np.zeros(3))
-    # Turned towards the nadir about the horizontal axis to the left of the line: at the zenith nothing bends.
+    # Rotated towards the nadir about the horizontal axis to the left of the line: no refraction at the zenith.
     upward_n = np.array([-up * north / horizontal, horizontal, -up * east / horizontal])
     raised = coefficient * range_m * horizontal / (2.0 * EARTH_RADIUS_M)
     lowered_n = np.cos(raised) * direction_n - np.sin(raised) * upward_n

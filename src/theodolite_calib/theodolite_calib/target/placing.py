@@ -1,14 +1,13 @@
-"""The core of the node ``triangulation``: places of targets as the directions of the theodolites come.
+"""Core of the node ``triangulation``: positions of targets from the directions of several theodolites.
 
-Each direction is answered once: where its theodolite leads (:mod:`theodolite_calib.target.common_moments`) by a place
-at its stamp, or by none, with the reason. It waits until the other theodolites that report on the target have reported
-on that moment, or their next report is ``lag_s`` overdue. The places of one target are put out in the order of their
+Each direction is answered once: if its theodolite leads (:mod:`theodolite_calib.target.common_times`), by a position at
+its stamp or by none, with the reason. It waits until the other theodolites that report on the target have reported on
+that time, or their next report is ``lag_s`` overdue. Positions of one target are published in the order of their
 stamps.
 
-A theodolite that has told of a moment is taken to have told of all before it: where its messages overtake one another,
-the older one may come after the place of its time, and is refused as LATE. To wait the whole ``lag_s`` for each would
-make every place that late. Star sensors are joined by the same rule
-(:class:`ship_attitude_star.star_attitude.core.JointWindow`).
+Reports of a theodolite are expected in order. If its messages overtake one another, the older one may come after the
+position of its time, and is rejected as LATE. Waiting the whole ``lag_s`` for each would delay every position by that
+time. Star sensors are combined by the same rule (:class:`ship_attitude_star.star_attitude.core.JointWindow`).
 """
 
 from dataclasses import dataclass, field
@@ -24,29 +23,29 @@ from theodolite_calib.target.config import TriangulationConfig
 from theodolite_calib.target.triangulation import Station, TriangulatedPlace
 
 MOST_TARGETS = 100
-"""Targets that are followed at a time: their names come from outside. Of more, the one heard of longest ago is
-forgotten, and its directions that wait get no place."""
+"""Maximum number of targets, whose names come from outside. Beyond it the one received longest ago is dropped, and its
+pending directions get no position."""
 
 MOST_WAITING = 1000
-"""Directions to one target that wait at a time; of a flood the oldest are answered by what is there."""
+"""Maximum number of pending directions to one target; beyond it the oldest are answered without waiting."""
 
-_LATE = Refusal(Reason.LATE, "the places of its time were put out, or its target forgotten, before it came")
+_LATE = Refusal(Reason.LATE, "later positions were published, or its target dropped, before it came")
 
 
 @dataclass(frozen=True)
 class PlaceEstimate:
-    """The place of a target at one moment, or that none is claimed.
+    """Position of a target at one time, or INVALID.
 
     Attributes:
-        time_ns: the stamp of the direction that it answers.
-        target_id: of the target.
-        position_n: in the common frame, m, shape (3,); NaN where none is claimed.
-        covariance_n: of its total error, m², shape (3, 3); NaN likewise.
-        status: what it is worth.
-        text: why it is not VALID.
-        stations: the theodolites that saw the target then.
-        compared: the place with the residuals of the directions; None where there is none to compare with.
-        refusal: why no place is claimed; None where one is.
+        time_ns: stamp of the direction that it answers.
+        target_id: id of the target.
+        position_n: in the common frame, m, shape (3,); NaN if INVALID.
+        covariance_n: covariance of its total error, m², shape (3, 3); NaN if INVALID.
+        status: status of the position.
+        text: reason if it is not VALID.
+        stations: theodolites with a direction at that time.
+        compared: position with the residuals of the directions; None if there is none.
+        refusal: reason for INVALID; None if there is a position.
     """
 
     time_ns: int
@@ -61,17 +60,17 @@ class PlaceEstimate:
 
 
 PlacingOutcome = Outcome[Decision[Measurement], PlaceEstimate]
-"""Places are its estimates; of single directions nothing is decided."""
+"""Outcome whose estimates are positions; there are no decisions about single directions."""
 
 
 @dataclass
 class _Reports:
-    """Times of one theodolite's reports on a target, INVALID ones among them.
+    """Times of one theodolite's reports on a target, INVALID ones included.
 
     Attributes:
         newest_ns: latest stamp; 0 before the first.
         interval_ns: between the latest two stamps; 0 before the second.
-        received_ns: time of waiting at which the last one came.
+        received_ns: time of reception of the last one.
     """
 
     newest_ns: int = 0
@@ -79,7 +78,7 @@ class _Reports:
     received_ns: int = 0
 
     def add(self, time_ns: int, waiting_ns: int) -> bool:
-        """Record a report; False if it is not later than those before it, which tells of no time to come."""
+        """Record a report; False if it is not later than those before it."""
         if time_ns <= self.newest_ns:
             return False
         self.interval_ns = time_ns - self.newest_ns if self.newest_ns else 0
@@ -89,14 +88,13 @@ class _Reports:
 
 @dataclass
 class _Target:
-    """What is known of one target.
+    """Directions to one target.
 
     Attributes:
         seen_by: its directions by each theodolite, in their order.
-        reports: the times of each theodolite's reports, in the same order.
-        waiting: (stamp, number of the theodolite) of each direction that is not answered → when it came.
-        done_ns: the last stamp that was answered, of it or of a target that was forgotten before it was heard of: that
-            may have been the same one.
+        reports: times of each theodolite's reports, in the same order.
+        waiting: (stamp, number of the theodolite) of each pending direction → time of reception.
+        done_ns: last stamp that was answered, of this target or of a dropped one, which may have been the same.
     """
 
     seen_by: list[SeenByStation]
@@ -106,10 +104,10 @@ class _Target:
 
 
 class TriangulationCore:
-    """Places of targets by the directions of several theodolites.
+    """Positions of targets from the directions of several theodolites.
 
     Args:
-        config: the node's parameters.
+        config: parameters of the node.
     """
 
     def __init__(self, config: TriangulationConfig) -> None:
@@ -121,24 +119,24 @@ class TriangulationCore:
         self.reset()
 
     def reset(self, clock_jumped: bool = False) -> list[str]:
-        """Forget all directions."""
+        """Discard all directions."""
         self._targets: dict[str, _Target] = {}
         self._forgotten_ns = 0
         self._contradictions.forget()
         return []
 
     def step_time_base(self, _step_ns: int, _state: None) -> None:
-        """Forget all directions: their clocks have stepped."""
+        """Discard all directions after a step of the clocks."""
         self.reset()
 
     def reconfigure(self, config: TriangulationConfig) -> None:
-        """Go on with other noise and another gate."""
+        """Apply other noise and another gate."""
         self.config = config
 
     def add_direction(self, sample: DirectionSample, waiting_ns: int) -> PlacingOutcome:
-        """A direction of one theodolite to one target, or that it claims none.
+        """Add a direction of one theodolite to one target, or its INVALID report.
 
-        One that is late or a duplicate answers no other and forgets no target.
+        A late or duplicate one triggers no answer and drops no target.
         """
         outcome, number = PlacingOutcome(), self._numbers[sample.source]
         target = self._targets.get(sample.target_id)
@@ -148,7 +146,7 @@ class TriangulationCore:
                 return outcome
             target = self._begin(sample.target_id, outcome)
         if target.reports[number].add(sample.time_ns, waiting_ns):
-            # Of the targets the first one is forgotten first.
+            # The first target in the order is dropped first.
             self._targets[sample.target_id] = self._targets.pop(sample.target_id)
         outcome.refusal = self._take(target, number, sample, waiting_ns)
         if outcome.refusal is None or outcome.refusal.reason not in (Reason.DUPLICATE, Reason.LATE):
@@ -156,18 +154,18 @@ class TriangulationCore:
         return outcome
 
     def contest(self, source: str, text: str) -> None:
-        """Set that two publishers send as a source; an empty text ends it."""
+        """Set that two publishers send on one source; an empty text ends it."""
         self._contradictions.contest(source, 0, text)
 
     def tick(self, now_ns: int, waiting_ns: int) -> PlacingOutcome:
-        """Answer what has waited long enough."""
+        """Answer directions that have waited long enough."""
         outcome = PlacingOutcome()
         for target_id, target in self._targets.items():
             self._answer(target_id, target, waiting_ns, outcome)
         return outcome
 
     def _begin(self, target_id: str, outcome: PlacingOutcome) -> _Target:
-        """Return a target that was not heard of; where it is one too many another one is forgotten."""
+        """Add a target and return it; at the maximum number another one is dropped."""
         if len(self._targets) >= MOST_TARGETS:
             self._forget(next(iter(self._targets)), outcome)
         seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
@@ -176,9 +174,9 @@ class TriangulationCore:
         return target
 
     def _forget(self, target_id: str, outcome: PlacingOutcome) -> None:
-        """Forget a target; its directions that wait are answered, and no later place of it is stamped before them."""
+        """Drop a target; its pending directions are answered, and no later position of it gets an earlier stamp."""
         target = self._targets.pop(target_id)
-        refusal = Refusal(Reason.OVERFLOW, f"more than {MOST_TARGETS} targets: '{target_id}' is forgotten")
+        refusal = Refusal(Reason.OVERFLOW, f"more than {MOST_TARGETS} targets: '{target_id}' is dropped")
         for time_ns, number in sorted(target.waiting):
             target.done_ns = time_ns
             if leads(number, time_ns, target.seen_by):
@@ -197,10 +195,10 @@ class TriangulationCore:
         if sample.status is Status.INVALID:
             track.insert(sample)
             target.waiting.pop(key, None)
-            # No place is asked for at its stamp, with which old ones would be forgotten.
+            # No position is computed at its stamp, which would drop old samples.
             oldest_ns = min([time_ns for time_ns, _ in target.waiting], default=sample.time_ns)
             track.drop_before(min(oldest_ns, sample.time_ns - self._lag_ns))
-            return refusal or Refusal(Reason.GAP, "the theodolite itself says INVALID")
+            return refusal or Refusal(Reason.GAP, "the theodolite reports INVALID")
         if sample.time_ns <= target.done_ns:
             return refusal or _LATE
         track.insert(sample)
@@ -208,7 +206,7 @@ class TriangulationCore:
         return refusal
 
     def _answer(self, target_id: str, target: _Target, waiting_ns: int, outcome: PlacingOutcome) -> None:
-        """Answer the directions that wait for nothing more, in the order of their stamps."""
+        """Answer the directions that need not wait any longer, in the order of their stamps."""
         for time_ns, number in sorted(target.waiting):
             overflows = len(target.waiting) > MOST_WAITING
             if not overflows and self._waits(target, time_ns, number, waiting_ns):
@@ -221,10 +219,10 @@ class TriangulationCore:
                 seen.track.drop_before(time_ns)
 
     def _waits(self, target: _Target, time_ns: int, number: int, waiting_ns: int) -> bool:
-        """True while a theodolite that reports on the target may still report on the moment of a waiting direction.
+        """True while a theodolite that reports on the target may still report on the time of a pending direction.
 
         The next report is expected one interval after the last. While a theodolite has sent one report only, its
-        interval is taken to be that of the theodolite that waits.
+        interval is taken to be that of the waiting theodolite.
         """
         max_gap_ns, came_ns = round(self.config.max_gap_s * SECOND_NS), target.waiting[time_ns, number]
         for reports in target.reports:
@@ -260,7 +258,7 @@ class TriangulationCore:
         )
 
     def _doubt(self, time_ns: int, stations: tuple[str, ...]) -> str:
-        """Why the directions of some theodolites are in doubt; empty where they are not."""
+        """Return the text of conflicting directions of some theodolites; empty if there are none."""
         sources = {f"station.{name}" for name in stations}
         return self._contradictions.text(sources & self._contradictions.at(time_ns).keys())
 
@@ -268,7 +266,7 @@ class TriangulationCore:
 def _no_place(
     target_id: str, time_ns: int, stations: tuple[str, ...], compared: TriangulatedPlace | None, refusal: Refusal
 ) -> PlaceEstimate:
-    """No place is claimed."""
+    """Return an INVALID position."""
     unknown, unknown_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
     return PlaceEstimate(
         time_ns, target_id, unknown, unknown_covariance, Status.INVALID, refusal.text, stations, compared, refusal

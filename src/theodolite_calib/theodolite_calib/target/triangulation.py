@@ -1,14 +1,14 @@
-"""The place of a target by the directions in which several theodolites see it at one moment: weighted least squares.
+"""Position of a target from the simultaneous directions of several theodolites: weighted least squares.
 
-The place is in the common frame: (North, Up, East) from a stated origin, m. Each theodolite's directions are in the
-horizon of its own place, which on the curved Earth is another one: 50 m apart 1.6", 1 km apart 32". Each direction is
-raised by the air, k · (horizontal distance) / (2 R), as :mod:`theodolite_calib.lights.line_of_sight` has it.
+The position is in the common frame: (North, Up, East) from a stated origin, m. Each theodolite's directions are in its
+local horizon, which differs on the curved Earth: by 1.6" at 50 m, by 32" at 1 km. Each direction is raised by
+refraction, k · (horizontal distance) / (2 R), as in :mod:`theodolite_calib.lights.line_of_sight`.
 
-The errors of the theodolites' directions and places are taken as independent of one another, that of k as common to
-all. Theodolites that share one attitude of a ship share its error, which no residual shows.
+The errors of the theodolites' directions and positions are treated as independent of one another, that of k as common
+to all. Theodolites that use one ship's attitude share its error, which no residual shows.
 
-The theodolites stand still on the Earth. On a ship under way their places are others at each moment: she carries all of
-them along, and no residual shows that.
+The theodolites must be fixed to the Earth. On a moving ship their positions change together, and no residual shows
+that.
 """
 
 from collections.abc import Sequence
@@ -26,20 +26,21 @@ from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
 _STEPS = 20
 _SMALL_STEP_M = 1e-5
 _LEAST_ANGLE = 1e-4
-"""Directions that are parallel within this, rad, meet nowhere: the place would be known to a ten thousandth at best."""
+"""Angle between directions below which they are parallel, rad: the position would be known to a ten thousandth at
+best."""
 _WORST_DISTANCE = 0.15
-"""Standard deviation of a distance over it: beyond, the place is no longer normally distributed as its covariance says,
-for its distance goes as one over the angle between the lines of sight, which is too uncertain."""
+"""Maximum ratio of the standard deviation of a distance to the distance. Beyond it the position is not normally
+distributed, because the distance goes as one over the uncertain angle between the lines of sight."""
 
 
 @dataclass(frozen=True)
 class Station:
-    """Where a theodolite stands.
+    """Position of a theodolite.
 
     Attributes:
-        name: of the theodolite.
-        place: of its centre, on WGS 84.
-        sigma_m: error of the place, each axis.
+        name: name of the theodolite.
+        place: its centre, on WGS 84.
+        sigma_m: error of the position, each axis.
     """
 
     name: str
@@ -49,12 +50,12 @@ class Station:
 
 @dataclass(frozen=True)
 class StationDirection:
-    """A target as one theodolite sees it.
+    """Direction of a target from one theodolite.
 
     Attributes:
         station: the theodolite.
-        direction_n: unit vector in the horizon of its place, shape (3,).
-        covariance_n: of its total error, rad², zero along it, shape (3, 3).
+        direction_n: unit vector in the horizon of its position, shape (3,).
+        covariance_n: covariance of its total error, rad², zero along it, shape (3, 3).
     """
 
     station: Station
@@ -64,7 +65,7 @@ class StationDirection:
 
 @dataclass(frozen=True)
 class Air:
-    """The coefficient k of terrestrial refraction, and its standard deviation, common to all directions."""
+    """Coefficient k of terrestrial refraction, and its standard deviation, common to all directions."""
 
     coefficient: float
     sigma: float
@@ -72,16 +73,16 @@ class Air:
 
 @dataclass(frozen=True)
 class TriangulatedPlace:
-    """The place of a target.
+    """Position of a target.
 
     Attributes:
         position_n: in the common frame, m, shape (3,).
-        covariance_n: of its total error, m², shape (3, 3).
-        residual: measured minus seen from there, across each direction (two for each theodolite), rad, shape (2 N,).
-        sigma: their predicted standard deviations by the directions' own errors, rad, shape (2 N,).
-        chi_square: of all residuals together.
-        gate: that it must not exceed.
-        refusal: why the directions do not fit one another; None where they do.
+        covariance_n: covariance of its total error, m², shape (3, 3).
+        residual: measured minus predicted, across each direction (two for each theodolite), rad, shape (2 N,).
+        sigma: their predicted standard deviations from the directions' own errors, rad, shape (2 N,).
+        chi_square: chi-square of all residuals together.
+        gate: threshold of the chi-square.
+        refusal: rejection if the directions are inconsistent; None if they are consistent.
     """
 
     position_n: FloatArray
@@ -96,21 +97,21 @@ class TriangulatedPlace:
 def triangulated(
     origin: GeodeticPosition, directions: Sequence[StationDirection], air: Air, gate_probability: float = 0.999
 ) -> TriangulatedPlace | Refusal:
-    """The place of a target by the directions of two theodolites or more.
+    """Triangulate a target from the directions of two theodolites or more.
 
     Args:
-        origin: of the common frame.
-        directions: of one moment.
-        air: on the way to the target.
-        gate_probability: share of right sets of directions that pass the test of their residuals.
+        origin: origin of the common frame.
+        directions: simultaneous directions.
+        air: refraction on the path to the target.
+        gate_probability: probability that consistent directions pass the test of their residuals.
 
     Returns:
-        The place, with a refusal in it where the directions do not fit one another; or the refusal where they give no
-        place at all: fewer than two, parallel ones, lines that meet behind a theodolite, or so nearly parallel ones
-        that they do not tell how far the place is.
+        Position, with a rejection in it if the directions are inconsistent; or the rejection if they give no position:
+            fewer than two, parallel ones, lines that meet behind a theodolite, or so nearly parallel ones that the
+            distance is unknown.
     """
     if len(directions) < 2:
-        return Refusal(Reason.GAP, f"{len(directions)} theodolite sees the target: a place takes two or more")
+        return Refusal(Reason.GAP, f"{len(directions)} theodolite sees the target: a position needs two or more")
     numbers = [value for each in directions for value in (*each.direction_n, *each.covariance_n.ravel())]
     if not np.all(np.isfinite(numbers)):
         return Refusal(Reason.NON_FINITE, "a direction holds NaN or infinity")
@@ -120,7 +121,7 @@ def triangulated(
     found = _nearest(lines)
     if found is None:
         names = ", ".join(line.name for line in lines)
-        return Refusal(Reason.GATE, f"the directions of {names} are parallel: they meet nowhere")
+        return Refusal(Reason.GATE, f"the directions of {names} are parallel: no intersection")
     for _ in range(_STEPS):
         behind = [line.name for line in lines if not line.measured_n @ (found - line.foot_n) > 0.0]
         if behind:
@@ -140,7 +141,7 @@ def triangulated(
     gate = chi_square_gate(gate_probability, len(residual) - 3)
     refusal = None
     if not chi_square <= gate:
-        text = f"the directions do not fit one another: chi-square {chi_square:.1f}, {gate:.1f} at most"
+        text = f"the directions are inconsistent: chi-square {chi_square:.1f} exceeds {gate:.1f}"
         refusal = Refusal(Reason.GATE, text)
     sigma = np.sqrt(np.diagonal(noise))
     return TriangulatedPlace(found, covariance_n, residual, sigma, chi_square, gate, refusal)
@@ -148,7 +149,7 @@ def triangulated(
 
 @dataclass(frozen=True)
 class _Line:
-    """A direction in the common frame: from the theodolite's foot, with two axes across it and its own Up."""
+    """Direction in the common frame: from the theodolite's foot, with two axes across it and its own Up."""
 
     name: str
     foot_n: FloatArray
@@ -175,7 +176,7 @@ class _Line:
         )
 
     def seen_from(self, place_n: FloatArray, coefficient: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where a place is seen, unit vector, with its change by the place (3, 3) and by k (3,)."""
+        """Return the unit vector to a position, with its derivatives by the position (3, 3) and by k (3,)."""
         path_n = place_n - self.foot_n
         distance_m = float(np.linalg.norm(path_n))
         # Raised by k h / (2 R) with h the horizontal distance: that is k d / (2 R) times Up, across the line.
@@ -188,7 +189,7 @@ class _Line:
 
 
 def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
-    """The place nearest to all lines; None where they are parallel."""
+    """Return the point nearest to all lines; None if they are parallel."""
     normal = sum(line.across.T @ line.across for line in lines)
     values = np.linalg.eigvalsh(normal)
     if not values[0] > len(lines) * (0.5 * _LEAST_ANGLE) ** 2:
@@ -198,21 +199,21 @@ def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
 
 
 def _unknown_distance(lines: Sequence[_Line], place_n: FloatArray, covariance_n: FloatArray) -> Refusal | None:
-    """Why a place is not told, where its distance from a theodolite is hardly known; None where it is."""
+    """Return the rejection of a position whose distance from a theodolite is too uncertain; None if it is not."""
     for line in lines:
         path_n = place_n - line.foot_n
         distance_m = float(np.linalg.norm(path_n))
         variance_m2 = float(path_n @ covariance_n @ path_n) / distance_m**2
         if not variance_m2 <= (_WORST_DISTANCE * distance_m) ** 2:
             sigma_m = float(np.sqrt(variance_m2)) if variance_m2 >= 0.0 else float("nan")
-            text = f"the distance from {line.name}, {distance_m:.3g} m, is told to {sigma_m:.2g} m (1 sigma), "
-            text += f"{_WORST_DISTANCE:g} of it at most: set the theodolites further apart, or measure a range"
+            text = f"the distance from {line.name}, {distance_m:.3g} m, has sigma {sigma_m:.2g} m, more than "
+            text += f"{_WORST_DISTANCE:g} of it: set the theodolites further apart, or measure a range"
             return Refusal(Reason.GATE, text)
     return None
 
 
 def _compared(lines: Sequence[_Line], place_n: FloatArray, air: Air) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (2 N,), their change by the place (2 N, 3) and their covariance (2 N, 2 N)."""
+    """Return residuals (2 N,), their derivative by the position (2 N, 3) and their covariance (2 N, 2 N)."""
     residuals, jacobians, by_k = [], [], []
     noise = np.zeros((2 * len(lines), 2 * len(lines)))
     for number, line in enumerate(lines):

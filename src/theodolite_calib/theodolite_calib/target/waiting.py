@@ -1,6 +1,6 @@
-"""Images of targets on their way to a direction: each waits until the pointing at both its sides was put out.
+"""Pending images of targets: each waits until the pointings before and after it have been published.
 
-An image touches nothing else: the pointings, and all that they rest on, are to the last bit what they are without it.
+Images affect nothing else: the pointings and their inputs are, to the last bit, the same without them.
 """
 
 from collections import deque
@@ -9,19 +9,19 @@ from ship_estimation.refusals import Contradictions, Refusal, same_stamp
 from theodolite_calib.measured.samples import TargetSample
 
 MOST_WAITING = 1000
-"""Images that wait at a time; of a flood the oldest are refused."""
+"""Maximum number of pending images; beyond it the oldest are rejected."""
 
 _MOST_ANSWERED = 5000
-"""Answered images that are remembered, so that the same one again is told; a second of data has fewer."""
+"""Maximum number of answered images that are stored to detect repetitions; a second of data has fewer."""
 
 _Key = tuple[int, str]
 
 
 class WaitingTargets:
-    """The images of one run that wait, and those that were answered not long ago.
+    """Pending images of one run, and those answered recently.
 
     Args:
-        contradictions: of their source.
+        contradictions: stamp conflicts of their source.
     """
 
     def __init__(self, contradictions: Contradictions) -> None:
@@ -34,7 +34,7 @@ class WaitingTargets:
         return len(self._waiting)
 
     def add(self, sample: TargetSample, waiting_ns: int) -> Refusal | None:
-        """Take an image that came at a time of waiting; what is refused of it, or of the one whose place it takes."""
+        """Add an image; return its rejection, or that of the image it replaces."""
         key = sample.time_ns, sample.target_id
         waits = self._waiting.get(key)
         known = waits[0] if waits is not None else self._answered.get(key)
@@ -48,16 +48,16 @@ class WaitingTargets:
         return None
 
     def overflowing(self) -> list[TargetSample]:
-        """The oldest images, where too many wait: they wait no longer."""
+        """Remove and return the oldest images if too many are pending."""
         keys = sorted(self._waiting)[: max(len(self._waiting) - MOST_WAITING, 0)]
         return [self._waiting.pop(key)[0] for key in keys]
 
     def waiting(self) -> list[tuple[TargetSample, int]]:
-        """The images that wait, in the order of their stamps, each with the time of waiting at which it came."""
+        """Return the pending images in the order of their stamps, each with its time of reception."""
         return [self._waiting[key] for key in sorted(self._waiting)]
 
     def answered(self, sample: TargetSample) -> None:
-        """An image got its direction, or was refused, and waits no longer."""
+        """Mark an image as answered, by a direction or a rejection."""
         key = sample.time_ns, sample.target_id
         del self._waiting[key]
         self._answered[key] = sample
@@ -66,8 +66,8 @@ class WaitingTargets:
             del self._answered[self._order.popleft()]
 
     def doubt(self, time_ns: int) -> str:
-        """Why images of a moment are in doubt: their source has said different things of one; empty where it has not.
+        """Return the reason why images of a time are unreliable: their source sent conflicting ones; else empty.
 
-        Of all targets alike, for names come from outside and could be any number.
+        It applies to all targets together, because their names come from outside and could be any number.
         """
         return self._contradictions.text(self._contradictions.at(time_ns))

@@ -1,4 +1,4 @@
-"""The command ``triangulate``: what several theodolites recorded of a target, and the places that follow from it.
+"""Command ``triangulate``: recorded directions of several theodolites to a target, and the positions that follow.
 
-Knows bags, the reader of directions (``ros``) and the room ``target``, no filter and no node.
+It uses bags, the reader of directions (``ros``) and the room ``target``, but no filter and no node.
 """

@@ -1,4 +1,4 @@
-"""What the file of ``triangulate`` may say: as the node's parameters, with the bags in which the directions are."""
+"""File of ``triangulate``: the node's parameters, with the bags of the directions."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from theodolite_calib.target.config import DIRECTION_TOPIC, PlacingConfig, Stati
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedStationConfig(StationPlaceConfig):
-    """One theodolite: where it stands, and where its directions are."""
+    """One theodolite: its position, and the bag with its directions."""
 
     bag: str = parameter(doc="bag with its directions; a relative path starts at the file")
     topic: str = parameter(DIRECTION_TOPIC, doc="topic of ship_msgs/msg/TargetDirection in that bag")
@@ -16,6 +16,6 @@ class RecordedStationConfig(StationPlaceConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedTriangulationConfig(PlacingConfig):
-    """All that the file says."""
+    """All parameters of the file."""
 
     stations: dict[str, RecordedStationConfig] = mapping_of("theodolites by name, two or more")

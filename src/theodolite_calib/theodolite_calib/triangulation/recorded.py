@@ -1,4 +1,4 @@
-"""Directions of one target as several theodolites recorded them, and the places that follow."""
+"""Recorded directions of several theodolites to one target, and the positions that follow."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from theodolite_calib.triangulation.config import RecordedTriangulationConfig
 
 
 def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id: str) -> list[SeenByStation]:
-    """What each theodolite recorded of a target; a direction that cannot be used is left out.
+    """Return the recorded directions of each theodolite to a target; unusable ones are omitted.
 
     Of two with one stamp the first counts.
 
@@ -34,7 +34,7 @@ def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id
 
 
 def placed_targets(config: PlacingConfig, recorded: Sequence[SeenByStation]) -> Iterator[PlacedTarget]:
-    """The target at each stamp of a theodolite that leads there; where no other one sees it too there is no place."""
+    """Yield the target at each stamp of a leading theodolite; without a second direction there is no position."""
     stamps = [(time_ns, number) for number, seen in enumerate(recorded) for time_ns in seen.track.times_ns]
     for time_ns, number in sorted(stamps):
         if leads(number, time_ns, recorded):

@@ -1,4 +1,4 @@
-"""``triangulate``: the places of a target by what several theodolites recorded."""
+"""``triangulate``: positions of a target from the recorded directions of several theodolites."""
 
 import argparse
 import sys
@@ -23,10 +23,10 @@ COLUMNS = (
     *("utc", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"),
     *("cov_east_north_m2", "cov_east_up_m2", "cov_north_up_m2", "chi_square", "gate", "fits", "status", "stations"),
 )
-"""Of the table that is written."""
+"""Columns of the table that is written."""
 
 _EAST_NORTH_UP = [2, 0, 1]
-"""Order of these among (North, Up, East)."""
+"""Indices of East, North, Up in (North, Up, East)."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,23 +38,23 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="triangulate",
         example="./ros2run theodolite_calib triangulate stations.yaml --target buoy --out places.csv",
-        description="Places of a target [m, East, North, Up from a stated origin] with their covariance [m^2], by the "
-        "directions to it (theodolite/target_direction) that two or more theodolites recorded, at each stamp of the "
-        "first one in the file that sees it then.",
+        description="Positions of a target [m, East, North, Up from a stated origin] with covariance [m^2], from the "
+        "recorded directions to it (theodolite/target_direction) of two or more theodolites, at each stamp of the "
+        "first one in the file that sees it at that time.",
         epilog="the file, angles in degrees, lengths in metres:\n"
         "  origin: {latitude_deg: 31.9452, longitude_deg: 120.2931, height_m: 20.0}\n"
         "  stations:\n"
         "    east: {bag: east.mcap, latitude_deg: 31.9452, longitude_deg: 120.2931, height_m: 21.0, sigma_m: 0.05}\n"
         "    west: {bag: west.mcap, topic: /west/theodolite/target_direction, latitude_deg: ...}\n"
-        "  refraction: {coefficient: 0.13, sigma: 0.06}   of light on its way (k), the default\n"
+        "  refraction: {coefficient: 0.13, sigma: 0.06}   coefficient k of terrestrial refraction, the default\n"
         "  max_gap_s: 1.0, gate_probability: 0.999        the defaults\n"
         "columns written: " + ", ".join(COLUMNS) + "\n"
-        "status: the worst of the directions used (valid, coasting, degraded); fits: 1 where they fit one another\n"
-        "exit code: 0 written; 1 written, but some sets of directions do not fit one another; 2 bad input or usage; "
+        "status: the worst of the directions used (valid, coasting, degraded); fits: 1 if they are consistent\n"
+        "exit code: 0 written; 1 written, but some sets of directions are inconsistent; 2 bad input or usage; "
         "130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("stations", type=Path, metavar="STATIONS.yaml", help="theodolites, their places and bags")
+    parser.add_argument("stations", type=Path, metavar="STATIONS.yaml", help="theodolites, their positions and bags")
     parser.add_argument("--target", required=True, metavar="ID", help="target_id of the directions")
     parser.add_argument("--out", type=Path, required=True, metavar="PLACES.csv", help="table to write")
     add_force(parser)
@@ -67,27 +67,27 @@ def _run(options: argparse.Namespace) -> int:
     recorded = read_directions(options.stations.parent, config, options.target)
     found = list(placed_targets(config, recorded))
     placed = [(one, one.place) for one in found if isinstance(one.place, TriangulatedPlace)]
-    # Where one theodolite alone sees the target nothing is to be said.
+    # Times with one direction only are not reported.
     refused = [one.place for one in found if isinstance(one.place, Refusal) and len(one.stations) > 1]
     why = f", the first one because {refused[0].text}" if refused else ""
     if not placed:
         names = ", ".join(config.stations)
-        text = f"no place of '{options.target}': at no stamp of any of {names} did another see it and meet it"
+        text = f"no position of '{options.target}': no two directions of {names} at one time intersect"
         raise BadInput(f"{text} (max_gap_s = {config.max_gap_s:g}){why}", file=options.stations)
     write_csv(options.out, COLUMNS, _rows(placed))
     misfits = sum(place.refusal is not None for _, place in placed)
     sigma_m = np.sqrt(np.median([np.trace(place.covariance_n) for _, place in placed]))
     sys.stdout.write(
-        f"{options.out}: {len(placed)} places of '{options.target}', error {sigma_m:.3g} m (1 sigma in space, median), "
-        f"{misfits} whose directions do not fit one another\n"
+        f"{options.out}: {len(placed)} positions of '{options.target}', error {sigma_m:.3g} m (1 sigma in space, "
+        f"median), {misfits} with inconsistent directions\n"
     )
     if refused:
-        sys.stdout.write(f"at {len(refused)} moments more the directions give no place{why}\n")
+        sys.stdout.write(f"at {len(refused)} further times the directions give no position{why}\n")
     return EXIT_BOUND_NOT_MET if misfits else EXIT_DONE
 
 
 def _configuration(path: Path) -> RecordedTriangulationConfig:
-    """The checked file.
+    """Return the checked file.
 
     Raises:
         BadInput: names file, line, key, value and what was expected.
@@ -98,12 +98,12 @@ def _configuration(path: Path) -> RecordedTriangulationConfig:
     except ParameterError as problem:
         raise file.error(problem) from problem
     if len(config.stations) < 2:
-        raise BadInput(f"'stations' has {len(config.stations)}: a place takes two theodolites or more", file=path)
+        raise BadInput(f"'stations' has {len(config.stations)}: a position needs two theodolites or more", file=path)
     return config
 
 
 def _rows(placed: Sequence[tuple[PlacedTarget, TriangulatedPlace]]) -> Iterator[list[str | float | int]]:
-    """The rows of the table."""
+    """Yield the rows of the table."""
     for one, found in placed:
         place = found.position_n[_EAST_NORTH_UP]
         covariance = found.covariance_n[np.ix_(_EAST_NORTH_UP, _EAST_NORTH_UP)]
