@@ -24,7 +24,7 @@ def see(inputs: ContestedInputs, first: int, count: int, off_deg: float) -> list
 def test_the_values_tell_two_streams_and_that_there_is_one_again() -> None:
     inputs = ContestedInputs({"ins/imu": ATTITUDE})
     assert see(inputs, 0, 100, 0.5) == [WINDOW - 1]
-    assert inputs.text("ins/imu") == "two streams alternate on ins/imu, 0.5° apart: end one of its two publishers"
+    assert inputs.text("ins/imu") == "two streams alternate on ins/imu, 0.5° apart: stop one of its two publishers"
     assert len(see(inputs, 100, 100, 0.0)) == 1
     assert inputs.text("ins/imu") == ""
 

@@ -205,7 +205,7 @@ def test_a_reset_and_a_jump_of_the_clock_forget_what_was_put_out(adapter: TinyAd
     adapter.handle(FAST, message(), NOW_NS)
     assert adapter.clock_jumped_back(NOW_NS - S) == []
     assert (adapter.latest, adapter.budget_due, adapter.clock_jumps) == (None, None, 1)
-    assert adapter.service("reset", NOW_NS) == (True, "the filter starts anew")
+    assert adapter.service("reset", NOW_NS) == (True, "the filter was reset")
     assert adapter.core.calls[-2:] == [("reset", True), ("reset", False)]
 
 
@@ -264,7 +264,7 @@ def test_a_source_that_is_off_is_read_and_counted_and_the_core_never_hears_of_it
     assert unread.reason == Reason.UNITS
     assert adapter.core.calls == [config]
     assert health(adapter, JUDGED) == (31, 0, 31, {"units": 31, "off": 30})
-    assert off_text(adapter) == [(1, "taken out by sources_off: device")]
+    assert off_text(adapter) == [(1, "switched off by sources_off: device")]
 
 
 def test_what_people_took_out_is_no_run_of_refusals(adapter: TinyAdapter) -> None:
@@ -272,7 +272,7 @@ def test_what_people_took_out_is_no_run_of_refusals(adapter: TinyAdapter) -> Non
     for number in range(30):
         adapter.handle(JUDGED, message(), NOW_NS + number * S // 10)
     (status,) = [s for s in adapter.health.statuses(NOW_NS + 3 * S) if s.name == f"input {JUDGED}"]
-    assert (status.level, status.message) == (Level.WARN, "refused, off: taken out by sources_off")
+    assert (status.level, status.message) == (Level.WARN, "rejected, off: switched off by sources_off")
 
 
 def test_a_source_taken_back_is_used_from_its_next_message(adapter: TinyAdapter) -> None:
@@ -286,7 +286,7 @@ def test_a_source_taken_back_is_used_from_its_next_message(adapter: TinyAdapter)
 
 
 @pytest.mark.parametrize(
-    ("source", "said"), [("camera", "expected some of device"), ("fast", "'fast' cannot be taken out")]
+    ("source", "said"), [("camera", "expected some of device"), ("fast", "'fast' cannot be switched off")]
 )
 def test_a_source_that_cannot_be_taken_out_is_refused_live_and_at_the_start(
     adapter: TinyAdapter, source: str, said: str

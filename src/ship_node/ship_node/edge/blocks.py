@@ -60,8 +60,7 @@ class AheadCore(Protocol[SamplesAhead]):
         ...
 
     def end_ahead(self, ahead: SamplesAhead) -> Any:
-        """Finish a committed batch; return the outcome of its last sample if that needed special treatment, else None.
-        """
+        """Finish a committed batch; return the outcome of its last sample if that needed special treatment."""
         ...
 
     def estimates_ahead(self, ahead: SamplesAhead) -> list[tuple[slice, Any]]:

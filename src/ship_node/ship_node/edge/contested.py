@@ -90,7 +90,7 @@ class ContestedInputs:
     def restart(self) -> None:
         """Reset the value checks: the clock went back, or the node was reset."""
         self._streams = {topic: InterleavedStreams(kind.least) for topic, kind in self._continuous.items()}
-        # Of each topic with two streams, the stamp of its newest value, and the time of waiting when that was seen.
+        # For each topic with two streams: stamp of its newest value, and timeout-clock time at which that was found.
         self._newest: dict[str, tuple[int | None, int]] = {}
 
     def end_silent(self, waiting_ns: int) -> list[str]:
@@ -126,7 +126,7 @@ class ContestedInputs:
         if topic in self._named or streams is None or not streams.distance:
             return self._named.get(topic, "")
         apart = self._continuous[topic].words(streams.distance)
-        return f"two streams alternate on {topic}, {apart}: end one of its two publishers"
+        return f"two streams alternate on {topic}, {apart}: stop one of its two publishers"
 
     def see(self, topic: str, time_ns: int, value: Any) -> bool:
         """Add a value of a topic; return True if the text may have changed."""

@@ -182,10 +182,10 @@ class InputHealthBook(InputRecords):
             publishers = self._publishers.get(topic)
             waited_s = (waiting_ns - (self.start_ns or 0)) * 1e-9
             if publishers:
-                hint = f"{publishers} publisher(s) but no message for {waited_s:.0f} s: QoS mismatch, or it is silent"
+                hint = f"{publishers} publisher(s) but no message for {waited_s:.0f} s: QoS mismatch, or none is sent"
             else:
                 hint = f"no message for {waited_s:.0f} s since the start"
-                hint += ": nobody publishes it" if publishers == 0 else ""
+                hint += ": no publisher" if publishers == 0 else ""
             if record.input.required:
                 verdicts.append((Level.ERROR, f"required: {hint}"))
             elif (publishers and not record.input.at_times) or record.input.named:
@@ -217,12 +217,12 @@ def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     if last is None or record.last_refusal_ns is None:
         return []
     if record.future_in_a_row >= FUTURE_ERROR:
-        return [(Level.ERROR, f"clock offset: {record.future_in_a_row} in a row from the future; {last.text}")]
+        return [(Level.ERROR, f"clock offset: {record.future_in_a_row} stamps in a row in the future; {last.text}")]
     if record.refused_in_a_row >= REFUSALS_WARN:
         level = Level.ERROR if record.refused_in_a_row >= REFUSALS_ERROR else Level.WARN
-        return [(level, f"{record.refused_in_a_row} refused in a row, last {last.reason.word}: {last.text}")]
+        return [(level, f"{record.refused_in_a_row} rejected in a row, last {last.reason.word}: {last.text}")]
     if waiting_ns - record.last_refusal_ns <= REFUSAL_SHOWN_NS and last.reason not in _EXPECTED_REASONS:
-        return [(Level.WARN, f"refused, {last.reason.word}: {last.text}")]
+        return [(Level.WARN, f"rejected, {last.reason.word}: {last.text}")]
     return []
 
 
@@ -243,4 +243,4 @@ def _judge_silence(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     if silence_ns <= (WATCHDOG_NS if math.isnan(record.mean_period_ns) else expected_ns):
         return []
     level = Level.ERROR if record.input.required and silence_ns > SILENCE_ERROR_NS else Level.WARN
-    return [(level, f"silent for {silence_ns * 1e-9:.1f} s")]
+    return [(level, f"no data for {silence_ns * 1e-9:.1f} s")]

@@ -118,7 +118,7 @@ class InputRecord:
         """Count a rejected message; the delay of a late one is added to the histogram."""
         self.rejected += 1
         self.reasons[refusal.reason] += 1
-        # A source that people have taken out may be as good as ever: that is no run of refusals.
+        # A source that is switched off may be good: its messages do not count as consecutive rejections.
         self.refused_in_a_row += refusal.reason is not Reason.OFF
         self.future_in_a_row = self.future_in_a_row + 1 if refusal.reason is Reason.FUTURE else 0
         self.last_refusal_ns, self.last_refusal = waiting_ns, refusal
@@ -168,7 +168,7 @@ class InputRecord:
         if not self._latencies_ns:
             return math.nan
         ordered, middle = sorted(self._latencies_ns), len(self._latencies_ns) // 2
-        # The two in the middle, or the one twice.
+        # The two middle values, which are equal for an odd number.
         return 0.5 * (ordered[middle] + ordered[~middle]) * 1e-9
 
     def age_s(self, now_ns: int) -> float:

@@ -79,7 +79,7 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
         frame(first.header.frame_id, config.frame_id)
         covariance = covariance_3x3(first.orientation_covariance, "orientation_covariance")
     except Refused:
-        # The first one will be refused by itself.
+        # The first message is rejected by ins_sample, with its reason.
         numbers, covariance = numbers[:0], None
     times_ns, timely = stamps(numbers, receive_ns)
     quaternions, of_norm_1 = imu_quaternions(numbers, config.accept_unset_covariance)

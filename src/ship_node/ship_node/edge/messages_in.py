@@ -160,7 +160,7 @@ def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
     if norm < LEAST_QUATERNION_NORM:
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
-        # Whose squares are infinite is told all the same.
+        # hypot avoids the overflow of squares.
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {math.hypot(*numbers):.6g}: expected 1")
     return np.array(numbers) / norm
 
@@ -225,7 +225,7 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
     variances = numbers[::4]
     if min(variances) < 0.0:
         raise Refused(Reason.BAD_COVARIANCE, f"holds a negative variance: {min(variances):.6g}")
-    # Measured in sigmas, so that a small axis is judged as strictly as a large one.
+    # Relative to the sigmas, so that small and large axes are checked equally.
     first, second, third = map(math.sqrt, variances)
     limits = first * second, first * third, second * third
     above, below = (numbers[1], numbers[2], numbers[5]), (numbers[3], numbers[6], numbers[7])
@@ -271,7 +271,7 @@ def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray) -> Floa
         text = f"is not positive semidefinite: eigenvalue {eigenvalues[0]:.3g} of correlations"
         raise Refused(Reason.BAD_COVARIANCE, text)
     if eigenvalues[0] < 0.0:
-        # Rounded numbers are let in, but no filter may meet a negative variance.
+        # Rounding errors are accepted, but no filter may receive a negative variance.
         correlation = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
         symmetric = 0.5 * limit * (correlation + correlation.T)
     return symmetric
@@ -285,7 +285,7 @@ def ship_rate(angular_velocity: Any) -> FloatArray:
     """
     rate_ros = finite_vector(angular_velocity, "angular_velocity")
     if np.max(np.abs(rate_ros)) > LARGEST_RATE:
-        raise Refused(Reason.UNITS, f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
+        raise Refused(Reason.UNITS, f"angular_velocity {rate_ros.tolist()}: too large for a ship in rad/s")
     return rate_ros
 
 
@@ -301,7 +301,7 @@ def imu_quaternion(message: Any, accept_unset_covariance: bool) -> FloatArray:
     """
     if message.orientation_covariance[0] == NOT_GIVEN and not accept_unset_covariance:
         text = "orientation_covariance[0] is -1: no orientation is given (sensor_msgs/Imu)"
-        raise Refused(Reason.NOT_GIVEN, f"{text}; if the driver gives one all the same, set accept_unset_covariance")
+        raise Refused(Reason.NOT_GIVEN, f"{text}; if the driver gives one nevertheless, set accept_unset_covariance")
     return unit_quaternion(message.orientation)
 
 

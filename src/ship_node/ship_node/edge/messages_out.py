@@ -97,7 +97,7 @@ def diagnostic_array(
     data = bytearray(b"".join([HEADER, struct.pack("<iI", *stamp), cdr_text(""), _count(len(told))]))
     end = len(data)
     for status, name, _ in told:
-        # The level, a byte, stands right behind the last text, which is not filled up then.
+        # The level, one byte, follows the last text directly, without padding.
         data[end:] = bytes([status.level])
         data += bytes(-len(data) % 4)
         parts = [cdr_text(name), cdr_text(status.message), cdr_text(hardware_id), _count(len(status.values))]
@@ -122,9 +122,9 @@ def judged_input(factory: MessageFactory, source: str, decision: Decision[Any]) 
     if decision.accepted and not decision.measurement.covariance_known:
         reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
     if decision.revised:
-        verdict = "now used" if decision.accepted else f"now refused: {reason.word}"
-        reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
-    # Of layouts made once; a text with numbers would make a new one each time.
+        verdict = "now accepted" if decision.accepted else f"now rejected: {reason.word}"
+        reason, text = Reason.REVISED, f"re-evaluated after a late measurement, {verdict} {text}".rstrip()
+    # Layouts are cached; a text with numbers would need a new one each time.
     make = factory.make if text else factory.encoded
     return make(
         INNOVATION_TYPE,
@@ -241,13 +241,13 @@ def integrity(
 def integrity_status(report: IntegrityReport | None, quantities: Sequence[str]) -> DiagnosticStatus:
     """Return the status with the protection levels of the last output; ``report`` is None before the first."""
     if report is None:
-        return DiagnosticStatus("integrity", Level.OK, "nothing put out yet")
+        return DiagnosticStatus("integrity", Level.OK, "no output yet")
     levels = {f"{name} (″)": f"{level / ARCSEC:.1f}" for name, level in zip(quantities, report.level, strict=True)}
-    values = {**levels, "made by": report.dominant or "all sources right"}
+    values = {**levels, "made by": report.dominant or "no fault"}
     if report.excluded:
         seconds = [f"{name} for {(report.time_ns - since_ns) * 1e-9:.0f} s" for name, since_ns in report.excluded]
         return DiagnosticStatus("integrity", Level.WARN, f"excluded: {', '.join(seconds)}", values)
-    why = "too few sources check one another, they contradict one another, or a jump is not confirmed yet"
+    why = "too few redundant sources, contradicting sources, or an unconfirmed jump"
     words = {
         IntegrityState.MET: (Level.OK, "every protection level is within its alert limit"),
         IntegrityState.EXCEEDED: (Level.WARN, "a protection level is above its alert limit"),

@@ -39,7 +39,7 @@ SHOWS_SOURCE = frozenset({
 _RECOVERY = "recovery"
 """Name of the failed part if a second estimator cannot be started, evaluated or given an input."""
 
-_REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; what was learnt since then may be wrong"
+_REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; the state learned since then may be wrong"
 
 
 class RecoveringAdapter(BlockAdapter):
@@ -164,7 +164,7 @@ class RecoveringAdapter(BlockAdapter):
             try:
                 published += self._look(now_ns, waiting_ns)
             except Exception as error:
-                # The outputs of the estimator that is in use go out all the same.
+                # The outputs of the current estimator are published nevertheless.
                 published.append(self.failed(_RECOVERY, now_ns, failure(error)))
         return published
 
@@ -211,7 +211,7 @@ class RecoveringAdapter(BlockAdapter):
         self.core = candidate.core
         self.recovery.note_adoption(waiting_ns)
         self._adopted_ns = waiting_ns
-        # What was published of the estimator before does not hold for the next output.
+        # The published levels, conflicts and diagnoses belong to the replaced estimator.
         self.told_levels = ToldLevels()
         self.conflicts.clear()
         self.verdicts.clear()
@@ -282,7 +282,7 @@ class RecoveringAdapter(BlockAdapter):
         displaced, excluded = self.recovery.displaced, sorted(self.core.excluded)
         if displaced:
             moved = ", ".join(f"{name} by {moved_rad / ARCSEC:.0f}″" for name, moved_rad in sorted(displaced.items()))
-            return f"moved and not moved back: {moved}; {self.remedy(displaced)}"
+            return f"shifted and not returned: {moved}; {self.remedy(displaced)}"
         if excluded:
             return f"excluded: {', '.join(excluded)}"
         return "the status is worse than the inputs allow"

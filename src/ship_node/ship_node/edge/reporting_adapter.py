@@ -41,12 +41,12 @@ OWN_OUTPUTS = (
 )
 """Output topics that every node has for its own state."""
 
-_TAKEN_OUT = Refusal(Reason.OFF, "taken out by sources_off")
+_TAKEN_OUT = Refusal(Reason.OFF, "switched off by sources_off")
 _SLOW_TOPICS = "slow topics"
 _OF_ATTITUDE = (3, 3)
 """Shape of the covariance of an attitude's innovation."""
 _STARS = "star."
-_LEAP_SECOND = "a leap second is inserted: UTC gives two seconds the same number, and this may be the wrong one"
+_LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
 _LONGEST_QUESTION_NS = 60_000_000_000
 """Maximum age of the state before a possible time step to which the core may be reset, ns."""
 _STEP_SHOWN_NS = 60_000_000_000
@@ -137,7 +137,7 @@ class ReportingAdapter(ABC):
     integrity_frame: str = ""
     always_in: ClassVar[tuple[str, ...]] = ()
     """Sources without which there is no output: they cannot be switched off."""
-    reset_text: ClassVar[str] = "the filter starts anew"
+    reset_text: ClassVar[str] = "the filter was reset"
     start_warnings: tuple[str, ...] = ()
 
     def __init__(
@@ -161,7 +161,7 @@ class ReportingAdapter(ABC):
             self.start_warnings = (*self.start_warnings, f"{saved.unreadable}; the filter starts as configured")
         self.clock_jumps = 0
         self.time_base = TimeBase()
-        # The core's state when some input's clock was first seen to have moved, and when that was.
+        # State of the core when an input's clock was first found to have moved, and the timeout-clock time of that.
         self._unstepped: tuple[Any, int] | None = None
         self._stepped_at_ns = 0
         self.latest: Any = None
@@ -201,14 +201,14 @@ class ReportingAdapter(ABC):
         told = Refusal(refusal.reason, f"{name}: {refusal.text}")
         return messages_out.refused_input(self.factory, source, time_ns, told)
 
-    # -- what the shell and the replay call -----------------------------------------------------------------
+    # -- called by the node runtime and the replay ----------------------------------------------------------
 
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """See :class:`ship_node.edge.adapter.Adapter`."""
         waiting_ns = receive_ns if waiting_ns is None else waiting_ns
         feed = self.feeds[topic]
         is_off = self.is_off(topic)
-        # As without its topic, a source that is off begins nothing.
+        # A source that is off does not start the core, as if it had no topic.
         if self.saved is not None and self.saved.is_due and not is_off:
             self.saved.start(receive_ns)
         reading: ReadMessage[Any] | None = None
@@ -225,12 +225,12 @@ class ReportingAdapter(ABC):
             reason = refused.refusal.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
             if reading is None and reason is Reason.FUTURE and not is_off:
-                # One that is ahead of the node's clock may show a step of all clocks.
+                # A stamp ahead of the node's clock may reveal a step of all clocks.
                 self.check_clock(feed, time_ns, receive_ns, waiting_ns)
             self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.refusal)
             return [self.refused(feed.source, time_ns, refused.refusal)]
         except Exception:
-            # The message came all the same; what was raised is told by the shell.
+            # The message has arrived nevertheless; the node runtime reports the exception.
             self.health.arrived(topic, waiting_ns)
             raise
         return self.told(feed, reading, outcome, receive_ns, waiting_ns)
@@ -320,7 +320,7 @@ class ReportingAdapter(ABC):
             try:
                 published += self._slow_topics(now_ns, waiting_ns)
             except Exception as error:
-                # An INVALID of this very tick must go out nevertheless.
+                # An INVALID output of this tick must be published nevertheless.
                 published.append(self.failed(_SLOW_TOPICS, now_ns, failure(error)))
         return published
 
@@ -334,7 +334,7 @@ class ReportingAdapter(ABC):
             self.health.cut_behind(topic, count, text, waiting_ns)
             published.append(self.refused(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
-        self.told_levels = ToldLevels()  # the levels published before do not hold for the next output
+        self.told_levels = ToldLevels()  # those published before do not apply to the next output
         self._invalid_due_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
@@ -445,8 +445,8 @@ class ReportingAdapter(ABC):
         for source in config.sources_off:
             if source in self.always_in:
                 reason = (
-                    f"'{source}' cannot be taken out: without it there is no output. To try that, stop what publishes "
-                    f"{topics[source]}; to use another device, remap {topics[source]} at the start"
+                    f"'{source}' cannot be switched off: without it there is no output. To test that, stop the "
+                    f"publisher of {topics[source]}; to use another device, remap {topics[source]} at the start"
                 )
             elif source not in topics:
                 names = ", ".join(name for name in topics if name not in self.always_in)
@@ -459,7 +459,7 @@ class ReportingAdapter(ABC):
     def _off_statuses(self) -> list[DiagnosticStatus]:
         """Return a status with the sources that are switched off; none if all are on."""
         names = [feed.source for topic, feed in self.feeds.items() if topic in self._topics_off]
-        text = f"taken out by sources_off: {', '.join(names)}"
+        text = f"switched off by sources_off: {', '.join(names)}"
         return [DiagnosticStatus("sources off", messages_out.Level.WARN, text)] if names else []
 
     def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[Published]:
@@ -490,14 +490,14 @@ class ReportingAdapter(ABC):
         """Save what the core has learned, once a period, while the output is VALID and undisputed."""
         if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
             return
-        # A source in conflict, or excluded, may have led the state astray before it was refused.
+        # A source in conflict or excluded may have biased the state before its rejection.
         in_doubt = self.conflicts or (self.told_levels.report is not None and self.told_levels.report.excluded)
         if self.latest is not None and self.latest.status is Status.VALID and not in_doubt:
             self.saved.save_by_itself()
 
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         published = self.own_slow_topics(now_ns)
-        self.budget_due = None  # no estimate has its budget told twice
+        self.budget_due = None  # each budget is published once
         messages, statuses = self.health.told(self.factory, now_ns, waiting_ns)
         published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
         statuses += [*self.own_statuses(waiting_ns), *self._off_statuses()]
@@ -508,7 +508,7 @@ class ReportingAdapter(ABC):
     def levels_before(self, estimate: Any) -> list[Published]:
         """Return the protection levels of an output if the published ones do not cover it."""
         told, checked_by, directions = self.told_levels, self.checked_by(estimate), self.directions(estimate)
-        # Asked for each output, and so no more than this.
+        # Runs for every output: the fast check comes first.
         if told.state is estimate.state and told.checked_by == checked_by:
             one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
             if told.covered(*one):
@@ -560,7 +560,7 @@ class ReportingAdapter(ABC):
         """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
         state = getattr(self.core, "state", None)
         if self._unstepped is not None and waiting_ns - self._unstepped[1] <= _LONGEST_QUESTION_NS:
-            # Some messages of after the step may have been taken for late ones of before it.
+            # Messages after the step may have been used as late ones from before it.
             state = self._unstepped[0]
         self._unstepped = None
         self.core.step_time_base(step_ns, state)

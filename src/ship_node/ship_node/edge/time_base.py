@@ -161,7 +161,7 @@ class TimeBase:
         clock.period_ns += (interval_ns - clock.period_ns) / (8.0 if clock.period_ns else 1.0)
         nothing_moves = self._candidate is None and self._computer is None and not (clock.moved_ns or clock.alone_ns)
         if nothing_moves and abs(offset_ns - clock.level_ns) < _LEAST_MOVE_NS:
-            # Nearly all messages go this way.
+            # This is the case for nearly all messages.
             clock.level_ns = offset_ns
             if stamp_ns > clock.newest_ns:
                 clock.newest_ns = stamp_ns
@@ -252,13 +252,13 @@ class TimeBase:
         if abs(moved_ns) < _LEAST_MOVE_NS:
             return False
         if abs(moved_ns) < _SMALL_STEP_NS and clock.came_back_ns is not None:
-            # Messages that are repeated later, or in disorder, look like a clock that steps to and fro.
+            # Repeated or unordered messages look like a clock that steps back and forth.
             if waiting_ns - clock.came_back_ns <= _STEADY_AFTER_NS:
                 return False
             clock.came_back_ns = None
         is_future = stamp_ns > receive_ns + _AHEAD_NS
         if clock.moved_ns and _are_equal(moved_ns, clock.moved_ns):
-            # One that is ahead of others is not used as long as they are there; the node's clock may refuse it anyway.
+            # A clock ahead of the others is not used while they are present; the node's clock may reject it anyway.
             keeps = moved_ns > _LONGEST_DELAY_NS and not is_future and self._has_unmoved_other(clock, waiting_ns)
             if not keeps and waiting_ns - clock.moved_since_ns > _OWN_CLOCK_AFTER_NS:
                 clock.alone_ns += moved_ns

@@ -56,7 +56,7 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
         groups: see :func:`ship_estimation.verdicts.clock_verdicts`.
     """
     told = clock_verdicts(model, mean, groups)
-    return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within what is configured")
+    return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within configured limits")
 
 
 def _status(source: str, verdict: SourceVerdict) -> DiagnosticStatus:
