@@ -335,9 +335,9 @@ def test_what_is_known_better_stays_and_people_are_told_why(tmp_path: Path) -> N
     better = known_better(path)
     run = drive(adapter, voyage())
     assert path.read_bytes() == better
-    (notice,) = [text for text in run.adapter.notices if "not saved by itself" in text]
+    (notice,) = [text for text in run.adapter.notices if "not saved automatically" in text]
     assert str(path) in notice
-    assert "better; ~/save_alignment replaces it" in notice
+    assert "; ~/save_alignment replaces it" in notice
     level, text = alignment_text(run.adapter, run.now_ns)
     assert (level, notice in text) == (1, True)
     assert run.adapter.service("save_alignment", run.now_ns).success
@@ -388,4 +388,4 @@ def test_a_disk_that_takes_nothing_is_told_once_and_told_again_when_it_does(tmp_
     (tmp_path / "folder").unlink()
     drive(adapter, halves[1][len(halves[0]) :])
     assert path.exists()
-    assert adapter.notices[-1] == f"alignment is saved again by itself to {path}"
+    assert adapter.notices[-1] == f"alignment is saved automatically again to {path}"

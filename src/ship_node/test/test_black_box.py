@@ -50,7 +50,7 @@ EVENTS: list[Event] = [
     Tick(),
     ClockJumpedBack(),
     ClockStepped(-300_000_000_123),
-    Contested("ins/imu", "two publishers send on ins/imu: /a and /b; end all but one"),
+    Contested("ins/imu", "two publishers send on ins/imu: /a and /b; stop all but one"),
     ParametersChanged({"gate.probability": 0.1 + 0.2, "offsets_s": [1e-300, 2.0]}, None),
     ParametersChanged({"gate.count": 13}, "not wanted"),
     ChangeRefused({"gate.probability": 1.5, "frame_id": "ins"}, "out of range"),
@@ -76,7 +76,7 @@ def test_events_come_back_as_they_were(event: Event) -> None:
 
 @pytest.mark.parametrize("text", ["", "7", "[]", "{}", '{"event": "dance"}', '{"event": "tick", "x": 1}', "{no json"])
 def test_what_is_no_event_is_bad_input(text: str) -> None:
-    with pytest.raises(BadInput, match="is no event of a black box"):
+    with pytest.raises(BadInput, match="is not an event of a black box"):
         event_from_text(text)
 
 
@@ -261,7 +261,7 @@ def test_after_a_full_disk_the_box_goes_on_in_a_new_file(tmp_path: Path, monkeyp
     box.put("ins/imu", b"after", 3 * SECOND_NS)
     box.close()
     assert [line.partition(": ")[0] for line in lines] == [
-        f"black box {tmp_path}/box.mcap", f"black box goes on in {tmp_path}/box.part2.mcap"
+        f"black box {tmp_path}/box.mcap", f"black box continues in {tmp_path}/box.part2.mcap"
     ]  # fmt: skip
     assert "1003 entries lost: the disk was slow or full" in box.status().message
     with read_bag(tmp_path / "box.mcap") as bag:

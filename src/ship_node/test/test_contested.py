@@ -7,7 +7,7 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import exp_rotation
 from ship_node.edge.contested import ATTITUDE, ContestedInputs
 
-NAMES = "two publishers send on ins/imu: /a and /b; end all but one"
+NAMES = "two publishers send on ins/imu: /a and /b; stop all but one"
 
 
 def see(inputs: ContestedInputs, first: int, count: int, off_deg: float) -> list[int]:

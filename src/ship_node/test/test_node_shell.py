@@ -45,7 +45,7 @@ def test_help_shows_topics_and_parameters_with_units():
         ),
         (["--ros-args", "-p", "gate.bias_deg:=.nan"], "relay: parameter 'gate.bias_deg' must be finite, got nan"),
         (["--ros-args", "--params-file", "absent.yaml"], "relay: absent.yaml: cannot be read: No such file"),
-        (["bag.mcap"], "relay: unknown argument 'bag.mcap': parameters go behind --ros-args, see --help"),
+        (["bag.mcap"], "relay: unknown argument 'bag.mcap': parameters follow --ros-args, see --help"),
     ],
 )
 def test_bad_start_exits_2_with_one_line(arguments, line):
@@ -120,7 +120,7 @@ def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged
     last = ["-p", "qos_overrides./absent.subscription.depth:=1"]
     with subprocess.Popen([*RELAY, *arguments, *last], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        warning = f"{other}: nothing in it is for node '/aurora/relay', its sections are '/**/radar'"
+        warning = f"{other}: no section is for node '/aurora/relay', its sections are '/**/radar'"
         assert warning in process.stderr.readline()
         assert "clock: system time; black box: none" in process.stderr.readline()
         assert "names no topic and policy" in process.stderr.readline()

@@ -134,7 +134,7 @@ def test_mend_12_a_device_with_nothing_but_defaults_is_not_dropped_silently():
 
 def test_mend_12_a_file_about_other_nodes_is_a_warning():
     text = "/**/star_attitude: {ros__parameters: {x: 1}}\n/ship: {ros__parameters: {x: 1}}\n"
-    said = f"nothing in it is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
+    said = f"no section is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
     assert misfit(text, AURORA) == f"configuration: {said}"
     with pytest.raises(BadInput, match="no section for node 'ship_attitude'"):
         read(text, AURORA)

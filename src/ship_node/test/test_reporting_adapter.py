@@ -315,7 +315,7 @@ def test_a_node_that_is_behind_claims_nothing_and_says_why_until_it_keeps_up(ada
     assert health(adapter, FAST) == (320, 0, 320, {"behind": 320})
     statuses = {status.name: status for status in adapter.health.statuses(NOW_NS)}
     assert statuses[f"input {FAST}"].level is Level.WARN
-    assert "refused, behind: 320 messages cut" in statuses[f"input {FAST}"].message
+    assert "rejected, behind: 320 messages cut" in statuses[f"input {FAST}"].message
 
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
     assert adapter.handle(FAST, message(), NOW_NS + 1) == []

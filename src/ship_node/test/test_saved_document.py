@@ -275,7 +275,7 @@ def test_a_good_file_that_cannot_be_read_at_the_start_stays_and_is_told_until_it
     disk.number = 0
     saved.save_by_itself()
     assert saved.unreadable == ""
-    assert "knows angle better" in saved.trouble
+    assert "has a smaller sigma of angle" in saved.trouble
     assert path.read_text() == WRITTEN
     saved.save()
     assert STARTS.load(path) == Content(7, 2.0)
@@ -304,4 +304,4 @@ def test_a_file_that_is_mended_while_the_node_runs_is_told_of_no_more(tmp_path):
     path.write_text(WRITTEN)
     saved.save_by_itself()
     assert saved.unreadable == ""
-    assert "knows angle better" in saved.trouble
+    assert "has a smaller sigma of angle" in saved.trouble
