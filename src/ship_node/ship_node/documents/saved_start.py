@@ -190,7 +190,7 @@ class SavedStart(Generic[Prior]):
             reason = str(error)
             if number is not None and number not in _NEVER_READABLE:
                 self._is_in_the_way = True
-                self.unreadable = f"{reason}; not saved automatically until it is readable; ~/save_alignment replaces it"
+                self.unreadable = f"{reason}; not saved automatically until readable; ~/save_alignment replaces it"
                 return None, None
         try:
             self.unreadable = f"{reason}; set aside as {self._files.set_aside(path)}"
