@@ -1,4 +1,4 @@
-"""``info``: what a bag holds, and the suite file attached to it."""
+"""``info``: content of a bag, and the suite file attached to it."""
 
 import argparse
 import json
@@ -23,7 +23,7 @@ counted. With --suite it writes the configuration of the suite that is attached 
 _EPILOG = "exit code: 0 said or written, also of a damaged bag; 2 bad input or usage, with one line that says which"
 _STDOUT = "-"
 _LONGEST_ENTRY = 200
-"""Of metadata that is shown: rosbag2 puts the whole description of its file into one entry."""
+"""Maximum length of a metadata entry that is shown: rosbag2 puts a description of its file into one entry."""
 
 _ROLES = {SUITE_ATTACHMENT: "the suite's configuration", SCENARIO_ATTACHMENT: "the scenario of a simulated bag"}
 
@@ -120,7 +120,7 @@ def _topic_table(content: BagContent) -> Iterator[str]:
 
 
 def _times(topic: TopicContent, start_ns: int | None) -> tuple[str, str, str]:
-    """Rate, first and last time as a person reads them."""
+    """Return rate, first and last time as texts."""
     rate = "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}"
     if start_ns is None or topic.first_ns is None or topic.last_ns is None:
         return rate, "-", "-"

@@ -1,4 +1,4 @@
-"""``play``: a bag's messages go out live, with its time on /clock."""
+"""``play``: publishes a bag's messages live, with its time on /clock."""
 
 import argparse
 import math

@@ -1,4 +1,4 @@
-"""``record``: live topics go into a crash-safe bag; what a crash left is made whole again."""
+"""``record``: records live topics into a crash-safe bag; recovers damaged bags."""
 
 import argparse
 import sys
@@ -92,7 +92,7 @@ def _run(parser: CommandParser, parsed: argparse.Namespace, ros_arguments: list[
 
 
 def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
-    """Recover each bag; one that cannot be does not keep the others from it."""
+    """Recover each bag; one that fails does not stop the others."""
     exit_code = EXIT_DONE
     for source in sources:
         try:

@@ -1,4 +1,4 @@
-"""Records live topics into a bag that survives a crash: each message as it came, flushed in short periods."""
+"""Recorder of live topics into a crash-safe bag: unchanged messages, flushed in short periods."""
 
 import time
 from collections import Counter, deque
@@ -33,10 +33,10 @@ _LONGEST_READING_NS = 5_000_000
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What is recorded and when it ends; see ``record --help``. Times are steady; None is without end.
+    """Content and end of a recording; see ``record --help``. Times are steady; None is without end.
 
-    Idle is the time since the last message that is an activity (:func:`is_activity`), or since the last of any kind
-    where only reports are recorded.
+    Idle is the time since the last message that is an activity (:func:`is_activity`), or since the last of any kind if
+    only reports are recorded.
     """
 
     topics: tuple[str, ...] = ()
@@ -46,14 +46,14 @@ class RecordOptions:
 
 
 class Recorder:
-    """Writes what the topics of a node's graph carry.
+    """Records the topics of a node's graph.
 
-    Log time is the node's clock at receipt — bag time with ``use_sim_time`` —, publish time the publisher's.
+    Log time is the node's clock at reception (bag time with ``use_sim_time``), publish time the publisher's.
 
     Args:
-        node: node that subscribes; :meth:`run` spins it.
-        bag: where it is written, crash-safe; :meth:`run` closes it.
-        options: what to record and when to end.
+        node: subscribing node; :meth:`run` spins it.
+        bag: crash-safe writer; :meth:`run` closes it.
+        options: content and end of the recording.
     """
 
     def __init__(self, node: Node, bag: BagWriter | FolderWriter, options: RecordOptions) -> None:
@@ -75,7 +75,7 @@ class Recorder:
 
     @property
     def unanswered(self) -> list[str]:
-        """Nodes that did not say their parameters."""
+        """Nodes that did not report their parameters."""
         return self._parameters.unanswered
 
     def stop(self) -> None:
@@ -86,7 +86,7 @@ class Recorder:
         """Record until the end, then finish the file.
 
         Raises:
-            BadInput: the disk is full or fails; the file is whole up to the last flush.
+            BadInput: the disk is full or fails; the file is complete up to the last flush.
         """
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
@@ -140,7 +140,7 @@ class Recorder:
         return idle_s is not None and last_s is not None and time.monotonic() - last_s >= idle_s
 
     def _drain(self, executor: SingleThreadedExecutor) -> None:
-        """Take what had arrived already when the end came."""
+        """Process the messages that had arrived before the end."""
         deadline_s = time.monotonic() + _DRAIN_S
         before = -1
         while before != sum(self.counts.values()) and time.monotonic() < deadline_s:
@@ -149,7 +149,7 @@ class Recorder:
                 executor.spin_once(timeout_sec=0.0)
 
     def _hear_out(self, executor: SingleThreadedExecutor) -> None:
-        """Wait a moment for nodes that are being asked for their parameters."""
+        """Wait a moment for the parameters of nodes that were requested."""
         deadline_s = time.monotonic() + _HEAR_OUT_S
         while self._parameters.pending and time.monotonic() < deadline_s:
             executor.spin_once(timeout_sec=_DISCOVERY_PERIOD_S)
@@ -226,7 +226,7 @@ class Recorder:
             self._say_step("the system clock", step_ns, clock_ns)
 
     def _say_step(self, clock: str, step_ns: int, now_ns: int) -> None:
-        """Tell it, and note it in the bag, where times after the step are the new ones."""
+        """Log a clock step and record it in the bag; later times are by the new clock."""
         self._step_count += 1
         self._say(f"{clock} stepped by {step_ns / NS_PER_S:+.3f} s to {utc_text(now_ns)}; recording goes on")
         entries = {"clock": clock, "step_ns": str(step_ns), "to_ns": str(now_ns)}
@@ -240,7 +240,7 @@ class Recorder:
 
 
 class ClockWatch:
-    """Tells steps of the system clock from its running, by the steady clock, which never steps.
+    """Detects steps of the system clock against the steady clock.
 
     A clock steps when it is set by hand, by NTP after a long outage, or back with a bag.
     """
@@ -249,12 +249,12 @@ class ClockWatch:
         self._offset_ns: int | None = None
 
     def look(self, steady_before_ns: int, clock_ns: int, steady_after_ns: int) -> int | None:
-        """Step of the clock since the last look, in nanoseconds; None where there was none.
+        """Return the step of the clock since the last call, ns; None if there was none.
 
         Args:
-            steady_before_ns: steady clock read before the clock, ...
-            clock_ns: the clock, ...
-            steady_after_ns: ... and after it: a process that was put to sleep in between has not seen a step.
+            steady_before_ns: steady clock read before the system clock.
+            clock_ns: system clock.
+            steady_after_ns: steady clock read after it; after a long pause in between the readings are not comparable.
         """
         if steady_after_ns - steady_before_ns > _LONGEST_READING_NS:
             return None

@@ -1,4 +1,4 @@
-"""rosbag2 folders and files that are no plain MCAP — sqlite3, or compressed — read by the library `rosbags`."""
+"""rosbag2 folders and files other than plain MCAP (sqlite3, or compressed), read by the library `rosbags`."""
 
 import shutil
 import tempfile
@@ -19,13 +19,13 @@ from ship_bags.stamps import NS_PER_S, utc_text
 
 _MOST_PLACES = 10_000
 _FRAME_HEAD_BYTES = 18
-"""Greatest length of the head of a zstd frame, which may state the size of its content."""
+"""Maximum length of the header of a zstd frame, which may state the size of its content."""
 _ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
 
 
 @dataclass
 class RosbagsFile(BagFile):
-    """A folder, or a file of sqlite3, by the reader of `rosbags`; each place is a span of log time."""
+    """Folder, or sqlite3 file, read by `rosbags`; each place is a range of log times."""
 
     reader: Reader = field(kw_only=True)
 
@@ -64,7 +64,7 @@ class RosbagsFile(BagFile):
 
 
 def open_with_rosbags(path: Path) -> RosbagsFile:
-    """Open a rosbag2 folder whose files are of sqlite3 or compressed, or one file of sqlite3.
+    """Open a rosbag2 folder with sqlite3 or compressed files, or one sqlite3 file.
 
     Raises:
         BadInput: it cannot be read.
@@ -86,7 +86,7 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
 
 
 def _check_room(path: Path) -> None:
-    """Refuse a folder whose compressed files say that they unfold to more than the disk for temporary files takes.
+    """Refuse a folder whose compressed files state a size larger than the free space for temporary files.
 
     Raises:
         BadInput: as above.
@@ -112,7 +112,7 @@ def _unfolded(data: bytes) -> bytes:
 
 
 def _described(connection: Connection) -> tuple[Schema, Channel]:
-    """Definition and topic of a connection, as records of MCAP; without a definition the suite's own is taken."""
+    """Return definition and topic of a connection as MCAP records; without a definition the suite's is used."""
     form, text = connection.msgdef
     schema = Schema(connection.id, text.encode(), _ENCODINGS.get(form, "ros2msg"), connection.msgtype)
     offers = getattr(connection.ext, "offered_qos_profiles", ())
@@ -122,7 +122,7 @@ def _described(connection: Connection) -> tuple[Schema, Channel]:
 
 
 def _places(file: RosbagsFile, start_ns: int, end_ns: int) -> Iterator[ChunkPlace]:
-    """Spans of log time of a second each, or longer ones where these would be too many."""
+    """Yield ranges of log times of a second each, or longer ones if they would be too many."""
     if not (has_time_of_stamps(start_ns) and has_time_of_stamps(end_ns)):
         file.note(f"{file.path.name}: it has log times that no stamp can carry: it is not read")
         return
