@@ -123,7 +123,7 @@ def _step(field: FieldType, definitions: Definitions, many: bool) -> _Step | Non
         elif len(values) != field.length:
             raise TypeError(f"{len(values)} elements: expected {field.length}")
         if add_element is None and many:
-            # An array of numbers has one column, as wide as itself.
+            # An array of n numbers is one column of width n.
             numbers.append(np.transpose(values))
         elif add_element is None:
             numbers.extend(values.tolist() if isinstance(values, np.ndarray) else values)

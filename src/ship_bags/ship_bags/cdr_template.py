@@ -163,7 +163,7 @@ class CdrTemplate:
         rows = np.frombuffer(data, dtype=np.uint8).reshape(-1, self.size)
         others = np.flatnonzero(~self.fitting(rows))
         if others.size:
-            raise ValueError(f"message {others[0]} is no {self.type_name} of this layout")
+            raise ValueError(f"message {others[0]} is not a {self.type_name} of this layout")
         return rows.view(self.dtype)[:, 0]
 
     def fitting(self, rows: np.ndarray) -> np.ndarray:
@@ -270,7 +270,7 @@ class _Walk:
             self._constant(struct.pack("<I", len(content)) + content, _LENGTH_BYTES)
             return lambda _data: text
         readers = list(self.message(element, name + ".").items())
-        # Who asks for a part of a vector asks for all of them.
+        # A reader of one component of a vector usually reads all of them.
         return lambda data: SimpleNamespace(**{field: read(data) for field, read in readers})
 
     def _number(self, code: str, name: str) -> _Reader:
@@ -280,7 +280,7 @@ class _Walk:
 
     def _numbers(self, code: str, name: str, count: int) -> _Reader:
         if count == 0:
-            # Nothing is aligned for elements that are not there.
+            # An empty sequence has no alignment.
             return lambda _data: np.empty(0, dtype="<" + code)
         offset, dtype = self._place(code, name, count), np.dtype("<" + code)
         return lambda data: np.frombuffer(data, dtype, count, offset)

@@ -117,12 +117,12 @@ def _nobody_reads() -> bool:
     try:
         stdout = sys.stdout.fileno()
     except OSError:
-        return False  # no file, but what a test captures
+        return False  # not a file, as in a test
     watch = select.poll()
     watch.register(stdout, 0)
     if not any(event & select.POLLERR for _, event in watch.poll(0)):
         return False
-    # Python flushes it once more at the exit, and would complain.
+    # Python flushes it once more at the exit, which would raise.
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stdout)
     os.close(nowhere)

@@ -136,11 +136,11 @@ def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
     if not differences and all(parts.keys() <= ours.fielddefs.keys() for parts in parsed.values()):
         return BagTypes(ours, {}, unreadable)
     store = Typestore()
-    # Those that are as ours come first: another one's strange idea of a part must not cost them.
+    # Types equal to the suite's come first, so that a differing definition of a shared part does not affect them.
     for type_name in sorted(parsed, key=differences.__contains__):
         try:
             store.register(parsed[type_name])
-        except Exception as problem:  # noqa: PERF203 - a bag may define anything: the store fails over it in any way
+        except Exception as problem:  # noqa: PERF203 - the store may raise anything for a bag's definition
             unreadable[type_name] = f"its definition contradicts those of other topics: {problem}"
             differences.pop(type_name, None)
     return BagTypes(store, differences, unreadable)
@@ -175,7 +175,7 @@ def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
     """Return one line per field that differs (name, type or order) between a bag's definition and the suite's."""
     their_fields, our_fields = dict(theirs), dict(ours)
     lines = [f"{type_name}.{name} is missing in the bag" for name in our_fields if name not in their_fields]
-    lines += [f"{type_name}.{name} is unknown here" for name in their_fields if name not in our_fields]
+    lines += [f"{type_name}.{name} is unknown to this suite" for name in their_fields if name not in our_fields]
     lines += [
         f"{type_name}.{name} is {_type_text(their_fields[name])} in the bag and {_type_text(our_fields[name])} here"
         for name in our_fields
@@ -183,7 +183,7 @@ def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
     ]
     if not lines and list(their_fields) != list(our_fields):
         moved = next(name for name, other in zip(their_fields, our_fields, strict=True) if name != other)
-        lines.append(f"{type_name}.{moved} stands at another place in the bag")
+        lines.append(f"{type_name}.{moved} has another position in the bag")
     return lines
 
 
@@ -262,7 +262,7 @@ def _definition_text(type_name: str) -> str:
 
 
 def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
-    # Comments of a definition cost the parser as much as its fields do; lines may end as on Windows.
+    # Comments take the parser as long as fields; lines may end as on Windows.
     lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
     text = "".join(f"{line}\n" for line in lines)
     if len(text) > LARGEST_DEFINITION_CHARACTERS:
@@ -271,7 +271,7 @@ def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
     try:
         return get_types_from_msg(text, type_name)
     except Exception as problem:
-        # Any text may stand there: the parser fails over it in any way.
+        # The text is untrusted: the parser may raise anything.
         raise BadInput(f"definition of {type_name} cannot be parsed: {problem}", file=source) from problem
 
 

@@ -39,15 +39,15 @@ _FORMULA_BEGINS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "�
 """Characters that start a formula in a spreadsheet."""
 
 _REASONS = {
-    errno.EBUSY: "another program writes it",
-    errno.ELOOP: "it is a link: take it away",
-    errno.EEXIST: "it is there and no regular file: take it away",
+    errno.EBUSY: "another program is writing it",
+    errno.ELOOP: "it is a link: remove it",
+    errno.EEXIST: "it exists and is not a regular file: remove it",
 }
 
 
 def add_force(parser: "argparse.ArgumentParser") -> None:
     """Add the option ``--force``, which :func:`check_file` and :func:`check_folder` need."""
-    parser.add_argument("--force", action="store_true", help="write over files that are there")
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
 def check_file(path: Path, force: bool) -> None:
@@ -107,7 +107,7 @@ def open_new(path: Path) -> BinaryIO:
     try:
         _hold(number)
         if os.fstat(number).st_nlink == 0:
-            # Another program took this part for one that a killed program had left, and removed it.
+            # Another program has removed this part as a leftover of a killed program.
             raise _refusal(errno.EBUSY, path)
         return os.fdopen(number, "wb")
     except OSError:
@@ -157,7 +157,7 @@ def csv_text(text: str) -> str:
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> Path:
     """Write a table; return its path."""
-    import csv  # only tables need it
+    import csv  # needed for tables only
 
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
@@ -211,7 +211,7 @@ def _check_name(path: Path, force: bool) -> None:
     if not path.is_file():
         raise BadInput(f"is {_kind(path)}: expected a file", file=path)
     if not force:
-        raise BadInput("is there already: --force writes over it", file=path)
+        raise BadInput("already exists: use --force to overwrite", file=path)
 
 
 def _kind(path: Path) -> str:
@@ -256,7 +256,7 @@ def _hold(number: int) -> None:
     except BlockingIOError:
         raise
     except OSError:
-        # Some disks know no locks: there the exclusive opening must be enough.
+        # Some file systems have no locks: the exclusive opening must suffice.
         return
 
 
@@ -268,5 +268,5 @@ def _text(value: Any) -> Any:
     """Return a number with five decimals, the same on every computer, for a table; a text as text."""
     if not isinstance(value, (float, np.floating)):
         return csv_text(value) if isinstance(value, str) else value
-    # Adding zero takes the sign from a negative number that was rounded to zero.
+    # Adding zero removes the sign of a negative number rounded to zero.
     return "" if np.isnan(value) else f"{round(float(value), 5) + 0.0:.5f}"

@@ -174,7 +174,7 @@ def sections_text(nodes: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _text(source: Path | str) -> tuple[str, str]:
-    # A text, as an attachment of a bag, is never taken for the name of a file: it would read any file there is.
+    # A text, as an attachment of a bag, is never used as a file name: it could name any file.
     if isinstance(source, str):
         return "configuration", source
     try:
@@ -192,7 +192,7 @@ def _refuse_alias(name: str, root: yaml.Node) -> None:
     while waiting:
         node = waiting.pop()
         if id(node) in seen:
-            reason = "the value here is used again by an alias: ROS reads none, write it out"
+            reason = "the value here is used again by an alias, which ROS cannot read: write it out"
             raise BadInput(reason, file=name, line=node.start_mark.line + 1)
         seen.add(id(node))
         if isinstance(node, yaml.MappingNode):
@@ -205,15 +205,15 @@ def _sections(name: str, node: yaml.Node, path: str, path_line: int = 1) -> Iter
     has_parameters = False
     for key, line, value in _entries(name, node, path or "the file"):
         if has_parameters:
-            reason = f"'{key}' stands behind '{PARAMETERS_KEY}' of '{path}', where ROS reads none: put it before that"
+            reason = f"'{key}' follows '{PARAMETERS_KEY}' of '{path}', where ROS ignores it: put it in front"
             raise BadInput(reason, file=name, line=line)
         if key == PARAMETERS_KEY:
             has_parameters = True
             if not path:
-                raise BadInput(f"'{PARAMETERS_KEY}' must stand below the name of a node", file=name, line=line)
+                raise BadInput(f"'{PARAMETERS_KEY}' must be below the name of a node", file=name, line=line)
             yield Section(_node_name(name, path_line, path), dict(_parameters(name, value, "")), path_line)
         else:
-            # Names are put together as rcl does: a slash between them unless the first one ends with it.
+            # Names are joined as rcl does: by a slash unless the first one ends with it.
             joined = f"{path}{'' if not path or path.endswith('/') else '/'}{key}"
             yield from _sections(name, value, joined, line)
 
@@ -224,7 +224,7 @@ def _node_name(name: str, line: int, path: str) -> str:
     for part in full[1:].split("/"):
         if part not in ("*", "**") and not _NAME.fullmatch(part):
             raise BadInput(
-                f"section '{path}' is no name of a node: expected letters, digits and _ between single "
+                f"section '{path}' is not a node name: expected letters, digits and _ between single "
                 "slashes, or * for any one part and ** for any number of them",
                 file=name, line=line,
             )
@@ -235,8 +235,8 @@ def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, 
     for key, line, value in _entries(name, node, prefix.rstrip(".") or PARAMETERS_KEY):
         if isinstance(value, yaml.MappingNode):
             if prefix and not value.value:
-                # rcl drops it: a device with nothing but defaults would not be there, and nobody would say so.
-                reason = f"group '{prefix}{key}' is empty: give it a parameter, or take it out"
+                # rcl drops it silently: a device with only defaults would be missing.
+                reason = f"group '{prefix}{key}' is empty: give it a parameter, or remove it"
                 raise BadInput(reason, file=name, line=line)
             yield from _parameters(name, value, f"{prefix}{key}.")
         else:
@@ -254,7 +254,7 @@ def _entries(name: str, node: yaml.Node, what: str) -> Iterator[tuple[str, int, 
         if not isinstance(key, yaml.ScalarNode):
             raise BadInput(f"{what}: {_kind(key)} cannot be a name", file=name, line=line)
         if key.value in seen:
-            raise BadInput(f"'{key.value}' was given before, in line {seen[key.value]}", file=name, line=line)
+            raise BadInput(f"'{key.value}' is given twice, first in line {seen[key.value]}", file=name, line=line)
         seen[key.value] = line
         yield key.value, line, value
 

@@ -96,7 +96,7 @@ def current_names() -> TopicNames:
 
 def use_names(names: TopicNames) -> None:
     """Apply names from now on, for all threads of the process."""
-    global _names  # noqa: PLW0603 - bags are read deep inside the commands, and in threads of theirs
+    global _names  # noqa: PLW0603 - bags are read deep inside the commands, and in their threads
     _names = names
 
 
@@ -203,7 +203,7 @@ def names_on_ship(source: Path | str) -> dict[str, str]:
         BadInput: the file cannot be read; an entry is wrong; or two entries contradict each other, although all nodes
             read the same bag.
     """
-    from ship_bags.parameter_yaml import merged, read_sections  # most commands have no such file
+    from ship_bags.parameter_yaml import merged, read_sections  # needed for few commands
 
     name, sections = read_sections(source)
     found: dict[str, str] = {}

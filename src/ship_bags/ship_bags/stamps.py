@@ -82,7 +82,7 @@ def ns_from_utc_text(text: str) -> int:
     except ValueError:
         parts = None
     if parts is None:
-        raise ValueError(f"'{text}' is no time of UTC like 2026-06-01T20:00:30.5Z")
+        raise ValueError(f"'{text}' is not a UTC time like 2026-06-01T20:00:30.5Z")
     return int(moment.timestamp()) * NS_PER_S + int((parts[2] or "").ljust(9, "0"))
 
 

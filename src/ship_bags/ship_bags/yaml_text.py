@@ -16,7 +16,7 @@ MOST_NODES = 1_000_000
 
 _LONGEST_INTEGER = 30
 _FIRST_TOO_LARGE = 2**63
-_TOO_DEEP = "nested too deeply, or a group that holds itself by an alias"
+_TOO_DEEP = "nested too deeply, or a group that contains itself by an alias"
 
 
 class _DataLoader(yaml.SafeLoader):
@@ -33,7 +33,7 @@ class _DataLoader(yaml.SafeLoader):
 _DataLoader.add_constructor("tag:yaml.org,2002:int", _DataLoader.construct_yaml_int)
 
 
-# A node asks the same file twice while it starts: to check it before ROS reads it, and for the warnings about it.
+# A node parses the same file twice at its start: to check it before ROS reads it, and for the warnings about it.
 @functools.lru_cache(maxsize=1)
 def composed(name: str, text: str) -> yaml.Node | None:
     """Return the document of a text as YAML nodes with their lines; None if it is empty.
@@ -50,7 +50,7 @@ def composed(name: str, text: str) -> yaml.Node | None:
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         if root is not None and _size(root, {}, ()) > MOST_NODES:
-            raise BadInput(f"its aliases unfold to more than {MOST_NODES} values", file=name)
+            raise BadInput(f"its aliases expand to more than {MOST_NODES} values", file=name)
     except RecursionError as error:
         raise BadInput(_TOO_DEEP, file=name) from error
     except (yaml.YAMLError, ValueError) as error:
@@ -98,8 +98,8 @@ def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int
     elif isinstance(node, yaml.SequenceNode):
         children = node.value
     elif any("\ud800" <= character <= "\udfff" for character in node.value):
-        # An escape can give half of a character, which can be neither written nor shown.
-        raise ValueError(f"a character that is none, in line {node.start_mark.line + 1}")
+        # An escape can give half of a character, which cannot be encoded.
+        raise ValueError(f"an invalid character in line {node.start_mark.line + 1}")
     known[id(node)] = 1 + sum(_size(child, known, above) for child in children)
     return known[id(node)]
 

@@ -483,7 +483,7 @@ def test_a_topic_without_a_message_in_the_times_is_told_and_gets_no_file(tmp_pat
     arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out"), "--from", "2023-11-14T22:13:25Z"]
     for kind, suffix in SUFFIXES.items():
         assert main([*arguments, "--format", kind]) == 0
-        said = "nothing was logged between --from and --to, so no file is written, of 'early', 'first'"
+        said = "no message was logged between --from and --to, so no file is written, of 'early', 'first'"
         assert capsys.readouterr().err == f"export: {said}\n"
         assert [path.name for path in (tmp_path / "out").glob(f"*{suffix}*")] == [f"late{suffix}"]
     assert main([*arguments, "--topics", "early"]) == 2
@@ -496,7 +496,7 @@ def test_a_time_that_is_none_is_refused(text, imu_bag, tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
         main([str(imu_bag), "--out", str(tmp_path / "a.csv"), "--from", text])
     assert left.value.code == 2
-    assert f"'{text}' is no time of UTC like 2026-06-01T20:00:30.5Z" in capsys.readouterr().err
+    assert f"'{text}' is not a UTC time like 2026-06-01T20:00:30.5Z" in capsys.readouterr().err
 
 
 def test_a_time_is_exact_to_the_nanosecond(tmp_path):
@@ -559,12 +559,12 @@ def test_the_slash_in_front_of_a_topic_may_be_there_or_not(imu_bag, tmp_path):
 def test_what_is_there_is_not_written_over_unless_told(imu_bag, tmp_path, capsys):
     out = tmp_path / "a.csv"
     out.write_text("precious")
-    assert "is there already: --force writes over it" in refusal([imu_bag, "--out", out], capsys)
+    assert "already exists: use --force to overwrite" in refusal([imu_bag, "--out", out], capsys)
     assert out.read_text() == "precious"
     assert main([str(imu_bag), "--out", str(out), "--force"]) == 0
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "ins.imu.csv").write_text("precious")
-    assert "ins.imu.csv: is there already" in refusal([imu_bag, "--out", tmp_path / "folder"], capsys)
+    assert "ins.imu.csv: already exists" in refusal([imu_bag, "--out", tmp_path / "folder"], capsys)
 
 
 def test_one_file_cannot_take_two_topics(tmp_path, capsys):

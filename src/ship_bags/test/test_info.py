@@ -41,7 +41,7 @@ def test_a_bag_of_the_repository(capsys):
     assert "attached: suite.yaml" in text
     assert "attached: scenario.yaml, 1538 bytes, the scenario of a simulated bag" in text
     assert "metadata: simulation: seed=1" in text
-    assert text.splitlines()[-1] == "whole: footer, index and checksums are in order"
+    assert text.splitlines()[-1] == "complete: footer, index and checksums are valid"
 
 
 def test_what_is_said_as_json_are_the_same_numbers(capsys):
@@ -131,7 +131,7 @@ def test_the_suite_file_comes_out_byte_for_byte(tmp_path, capfdbinary):
 def test_a_suite_file_writes_over_nothing_unless_told(tmp_path, capsys):
     (tmp_path / "out.yaml").write_text("precious")
     line = refusal([DEMO, "--suite", tmp_path / "out.yaml"], capsys)
-    assert line.endswith("out.yaml: is there already: --force writes over it")
+    assert line.endswith("out.yaml: already exists: use --force to overwrite")
     assert (tmp_path / "out.yaml").read_text() == "precious"
     assert main([str(DEMO), "--suite", str(tmp_path / "out.yaml"), "--force"]) == 0
     assert "ship_attitude" in (tmp_path / "out.yaml").read_text()

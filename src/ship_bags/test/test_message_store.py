@@ -141,8 +141,8 @@ def test_the_same_definitions_need_no_store_of_their_own():
     [
         (("float64 w", "float32 w"), "geometry_msgs/msg/Quaternion.w is float32 in the bag and float64 here"),
         (("string frame_id", "string frame"), "std_msgs/msg/Header.frame_id is missing in the bag"),
-        (("string frame_id", "string frame_id\nuint8 more"), "std_msgs/msg/Header.more is unknown here"),
-        (("float64 x\nfloat64 y", "float64 y\nfloat64 x"), "Quaternion.y stands at another place in the bag"),
+        (("string frame_id", "string frame_id\nuint8 more"), "std_msgs/msg/Header.more is unknown to this suite"),
+        (("float64 x\nfloat64 y", "float64 y\nfloat64 x"), "Quaternion.y has another position in the bag"),
         (("float64[9] linear", "float64[] linear"), "is float64[] in the bag and float64[9] here"),
     ],
 )

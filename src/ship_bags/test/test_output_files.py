@@ -93,7 +93,7 @@ class TestPart:
 
 def test_mend_25_two_writers_of_one_name_do_not_meet(tmp_path):
     part = tmp_path / "out.part"
-    with open_new(part), pytest.raises(OSError, match=r"out\.part: another program writes it") as caught:
+    with open_new(part), pytest.raises(OSError, match=r"out\.part: another program is writing it") as caught:
         open_new(part)
     assert caught.value.errno == errno.EBUSY
 

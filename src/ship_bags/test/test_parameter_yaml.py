@@ -42,14 +42,14 @@ _SHARED = "  ros__parameters: {use_sim_time: false}\n"
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (f"/**:\n{_SHARED}{_SECTION}", ":3: 'ship_attitude' stands behind 'ros__parameters' of '/**'"),
-        (f"ns:\n{_SHARED}  deeper: {{x: {{ros__parameters: {{a: 1}}}}}}\n", ":3: 'deeper' stands behind"),
+        (f"/**:\n{_SHARED}{_SECTION}", ":3: 'ship_attitude' follows 'ros__parameters' of '/**'"),
+        (f"ns:\n{_SHARED}  deeper: {{x: {{ros__parameters: {{a: 1}}}}}}\n", ":3: 'deeper' follows"),
         ("x:\n  ros__parameters: {a: &p 1, b: *p}\n", ":2: the value here is used again by an alias"),
         ("x:\n  ros__parameters:\n", ":2: ros__parameters: expected 'name: value' entries, got nothing"),
-        ("x:\n  ros__parameters: {a: 1}\n  other: 3\n", ":3: 'other' stands behind 'ros__parameters' of 'x'"),
+        ("x:\n  ros__parameters: {a: 1}\n  other: 3\n", ":3: 'other' follows 'ros__parameters' of 'x'"),
         ("x:\n  other: 3\n", ":2: x/other: expected 'name: value' entries"),
         ("x:\n  ros__parameters: {a: }\n", ":2: parameter 'a' has no value"),
-        ("12:\n  ros__parameters: {a: 1}\n", ":1: section '12' is no name of a node"),
+        ("12:\n  ros__parameters: {a: 1}\n", ":1: section '12' is not a node name"),
         (f"/**:\n{_SECTION}{_SHARED}", ""),
         (f"/**:\n{_SHARED}ship_attitude:\n  ros__parameters: {{a: 1}}\n", ""),
         ("a:\n  b:\n    c: {ros__parameters: {a: 1}}\n  d:\n    ros__parameters: {a: 1}\n", ""),
@@ -90,7 +90,7 @@ def test_a_file_is_refused_where_rcl_refuses_it(tmp_path, text, complaint):
             "a0: &a0 {x: 1}\n"
             + "".join(f"a{n}: &a{n} {{{', '.join(f'k{k}: *a{n - 1}' for k in range(9))}}}\n" for n in range(1, 12))
             + "ship: {ros__parameters: {x: *a11}}\n",
-            "configuration: its aliases unfold to more than 1000000 values",
+            "configuration: its aliases expand to more than 1000000 values",
         ),
     ],
     ids=["NUL", "digits", "hexadecimal", "65 bits", "nested list", "nested groups", "long", "aliases"],
@@ -142,9 +142,9 @@ def test_not_a_number_is_a_number():
     ("body", "line", "text"),
     [
         ("    a: 1\n    b: {c: 2\n", 5, "not YAML: expected ',' or '}'"),
-        ("    a: 1\n    a: 2\n", 4, "'a' was given before, in line 3"),
+        ("    a: 1\n    a: 2\n", 4, "'a' is given twice, first in line 3"),
         ("    a:\n", 3, "parameter 'a' has no value"),
-        ("    a: 1\n    b:\n      c: {}\n", 5, "group 'b.c' is empty: give it a parameter, or take it out"),
+        ("    a: 1\n    b:\n      c: {}\n", 5, "group 'b.c' is empty: give it a parameter, or remove it"),
         ("    a: [1, x]\n", 3, "parameter 'a' mixes int and str: all elements of a list must be of one type"),
         ("    a: [[1], [2]]\n", 3, "parameter 'a' is a list of lists: expected a plain list"),
         ("    a: [{b: 1}]\n", 3, "parameter 'a' is a list of groups: expected a plain list"),
@@ -166,14 +166,14 @@ def test_bad_files_are_refused_with_name_and_line(tmp_path, body, line, text):
     ("text", "complaint"),
     [
         ("\n", "configuration: empty: expected a section"),
-        ("ros__parameters:\n  a: 1\n", "configuration:1: 'ros__parameters' must stand below the name of a node"),
+        ("ros__parameters:\n  a: 1\n", "configuration:1: 'ros__parameters' must be below the name of a node"),
         ("ship:\n  lag_s: 2\n", "configuration:2: ship/lag_s: expected 'name: value' entries, got a single value (2)"),
         (
             "ship:\n  ros__parameters: {x: 1}\n/ship/:\n  ros__parameters: {x: 2}\n",
-            "configuration:3: section '/ship/' is no name of a node",
+            "configuration:3: section '/ship/' is not a node name",
         ),
         ("a: \x00\n", "configuration: not YAML"),
-        ("ship:\n  ros__parameters: &a {b: *a}\n", "configuration: nested too deeply, or a group that holds itself"),
+        ("ship:\n  ros__parameters: &a {b: *a}\n", "configuration: nested too deeply, or a group that contains itself"),
     ],
 )
 def test_what_is_no_parameter_file(text, complaint):

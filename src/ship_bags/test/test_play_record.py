@@ -277,7 +277,7 @@ def test_mend_21_topics_that_nobody_wants_are_named_and_not_waited_for(live, tmp
     messages = []
     subscribe(live, "ins/imu", Imu, messages)
     said = live.play(tmp_path / "in.mcap", "--wait-timeout", "50")
-    assert "nobody takes /reference/gyro/imu; playing all the same" in said
+    assert "no subscriber of /reference/gyro/imu; playing nevertheless" in said
     assert "no match" not in said
     assert live.observer.spin_until(lambda: len(messages) == 10)
 
@@ -365,7 +365,7 @@ def test_a_type_that_is_not_installed_or_another_here_is_skipped_by_name(live, t
         writer.finish()
     player = live.start(*PLAY, str(tmp_path / "changed.mcap"), "--wait-timeout", "0")
     assert player.wait(30) == 2
-    assert "std_msgs/msg/Float64.value is unknown here" in player.log()
+    assert "std_msgs/msg/Float64.value is unknown to this suite" in player.log()
     assert "none of its topics can be played" in player.log()
 
 
@@ -401,7 +401,7 @@ def test_play_refuses_in_one_line(live, tmp_path, options, expected):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--out", "there.mcap"], "there.mcap: is there already: --force writes over it"),
+        (["--out", "there.mcap"], "there.mcap: already exists: use --force to overwrite"),
         (["--out", "absent/out.mcap"], "absent/out.mcap: cannot be written: there is no folder"),
         (["--out", "new.mcap", "--flush-period-s", "-1"], "argument --flush-period-s: -1 is not a positive number"),
         ([], "the following arguments are required: --out"),
@@ -427,7 +427,7 @@ def test_mend_19_play_and_record_refuse_to_run_unprotected(live, tmp_path, comma
     process = live.start(*command[:-1], str(tmp_path / command[-1]))
     assert process.wait(30) == 2
     (line,) = process.log().splitlines()
-    assert line.split(": ")[1].startswith("ROS_SECURITY_ENABLE=TRUE demands DDS security")
+    assert line.split(": ")[1].startswith("ROS_SECURITY_ENABLE=TRUE requests DDS security")
     assert not (tmp_path / "out.mcap").exists()
 
 
@@ -466,7 +466,7 @@ def test_a_full_disk_is_said_and_leaves_whole_chunks(live, tmp_path):
     player.end()
     lines = recorder.log().splitlines()
     assert len(lines) == 2, lines  # the first says where it records to
-    assert lines[1].startswith(f"record: {path}: recording ended: File too large; the file is whole up to")
+    assert lines[1].startswith(f"record: {path}: recording failed: File too large; the file is complete up to")
     got, problems = contents(path)
     assert path.stat().st_size <= limit_bytes
     assert len(problems) == 1

@@ -238,8 +238,8 @@ class TestLive:
                 )
                 assert recording.process.exit_code == 2
                 last = recording.process.log().splitlines()[-1]
-            assert last.startswith(f"record: {path}: recording ended: No space left on device; ")
-            assert "record --recover finishes it" in last
+            assert last.startswith(f"record: {path}: recording failed: No space left on device; ")
+            assert "use record --recover to finish it" in last
             assert list(path.parent.rglob("*.part")) == []
             kept = sample_numbers(path)
             assert len(kept) > 100

@@ -59,7 +59,7 @@ def test_mend_22_a_recording_holds_the_parameters_of_the_nodes_it_hears(name, tm
         with LiveProcess(player, tmp_path / "play.log", environment) as playing:
             assert observer.spin_until(lambda: playing.exit_code is not None, 30), playing.log()
         assert recording.end() == 0, recording.log()
-        assert "record: /mute did not say its parameters" in recording.log()
+        assert "record: /mute did not report its parameters" in recording.log()
         assert "ship_attitude did not say" not in recording.log()
         assert running.exit_code is None, running.log()
         mute.destroy_node()

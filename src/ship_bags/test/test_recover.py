@@ -276,7 +276,7 @@ class TestCommand:
                 target.write_bytes(b"precious")
             before = target.read_bytes()
             assert main(["--recover", str(source), "--out", str(target)]) == 2
-            assert "is there already" in capsys.readouterr().err
+            assert "already exists" in capsys.readouterr().err
             assert target.read_bytes() == before
 
     @pytest.mark.parametrize(

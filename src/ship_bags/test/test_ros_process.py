@@ -56,7 +56,7 @@ def test_what_is_clearly_no_demands_nothing(spelling: str) -> None:
 def test_mend_19_every_spelling_that_is_not_clearly_no_is_a_demand(spelling: str, strategy: str) -> None:
     demand = {ENABLE: spelling, STRATEGY: strategy}
     assert is_demanded(demand)
-    with pytest.raises(BadInput, match=r"demands DDS security, and the DDS of this installation was built without it"):
+    with pytest.raises(BadInput, match=r"requests DDS security, and the DDS of this installation was built without it"):
         spelled_demand(demand, has_security=False)
     enforced = strategy in ("Enforce", "enforce")
     # ROS takes only these spellings for a demand.
@@ -65,7 +65,7 @@ def test_mend_19_every_spelling_that_is_not_clearly_no_is_a_demand(spelling: str
     if enforced:
         assert spelled_demand(demand, has_security=None) == spelled
     else:
-        with pytest.raises(BadInput, match=r"cannot be told: set ROS_SECURITY_STRATEGY=Enforce"):
+        with pytest.raises(BadInput, match=r"this DDS has it: set ROS_SECURITY_STRATEGY=Enforce"):
             spelled_demand(demand, has_security=None)
 
 
@@ -76,7 +76,7 @@ def test_mend_19_a_node_refuses_in_one_line(spelling: str, strategy: str) -> Non
     environment = os.environ | {ENABLE: spelling, STRATEGY: strategy}
     result = subprocess.run(RELAY, capture_output=True, text=True, timeout=60, check=False, env=environment)
     assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
-    assert result.stderr.startswith(f"relay: {ENABLE}={spelling} demands DDS security")
+    assert result.stderr.startswith(f"relay: {ENABLE}={spelling} requests DDS security")
 
 
 OWN = str(DDS_PROFILE)

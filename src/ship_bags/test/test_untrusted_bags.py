@@ -63,10 +63,10 @@ def with_chunks(path, *chunks):
 @pytest.mark.parametrize(
     ("compression", "stated", "complaint"),
     [
-        ("zstd", None, "it says that it unfolds to 300 MB: at most 256 are taken"),
-        ("zstd", 1000, "it unfolds to more than 256 MB"),
-        ("lz4", 1000, "it unfolds to more than 256 MB"),
-        ("zstd", 2**63, "at most 256 are taken"),
+        ("zstd", None, "its stated size is 300 MB decompressed: at most 256 are read"),
+        ("zstd", 1000, "it decompresses to more than 256 MB"),
+        ("lz4", 1000, "it decompresses to more than 256 MB"),
+        ("zstd", 2**63, "at most 256 are read"),
     ],
 )
 def test_mend_25_a_chunk_beyond_its_bound_is_refused_with_its_place(tmp_path, compression, stated, complaint):
@@ -96,7 +96,7 @@ def test_mend_25_a_cut_chunk_without_checksum_is_damaged(tmp_path):
     with_chunks(tmp_path / "a.mcap", builder.end())
     with read_bag(tmp_path / "a.mcap") as bag:
         assert sum(1 for _ in bag.records()) == 100
-        assert any("bytes and says 3093" in line for line in bag.problems)
+        assert any("bytes instead of 3093" in line for line in bag.problems)
 
 
 def test_mend_25_chunks_that_all_overlap_are_refused_before_they_fill_the_memory(tmp_path):
@@ -168,11 +168,11 @@ INFORMATION = "rosbag2_bagfile_information:\n"
         *(
             (
                 INFORMATION + f"  storage_identifier: mcap\n  relative_file_paths: ['{name}']\n",
-                f"relative_file_paths: '{name}' is no file of this folder",
+                f"relative_file_paths: '{name}' is not a file of this folder",
             )
             for name in ("../a.mcap", "/etc/passwd", "sub/../../a.mcap")
         ),
-        (INFORMATION + "  storage_identifier: mcap\n  relative_file_paths: [[1], 2]\n", "is no file of this folder"),
+        (INFORMATION + "  storage_identifier: mcap\n  relative_file_paths: [[1], 2]\n", "is not a file of this folder"),
         *(
             (
                 INFORMATION + f"  storage_identifier: mcap\n  compression_mode: {mode}\n  relative_file_paths: [a]\n",

@@ -90,7 +90,7 @@ def given_by_rcl(path, node):
 def test_mend_12_names_that_rcl_refuses_are_refused_with_their_line(tmp_path, section):
     path = tmp_path / "suite.yaml"
     path.write_text("# a ship\n" + in_section(section, "x: 1"))
-    with pytest.raises(BadInput, match=r"suite\.yaml:2: section '.*' is no name of a node: expected letters, digits"):
+    with pytest.raises(BadInput, match=r"suite\.yaml:2: section '.*' is not a node name: expected letters, digits"):
         read_whatever_fits(path, "/ship")
     with pytest.raises(RCLError):
         rclpy.init(args=["x", "--ros-args", "--params-file", str(path)], context=Context())

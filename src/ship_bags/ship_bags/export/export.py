@@ -103,7 +103,7 @@ def export(order: ExportOrder) -> Exported:
                 topic.files.append((table, file))
         met, left_out = _take_messages(bag, order, topics)
         files = [file for name in met for _, file in topics[name].files]
-        # A full disk shows itself here at the latest: no file gets its name before all are on the disk.
+        # No file gets its final name before all are on the disk: a full disk is detected here at the latest.
         for file in files:
             file.finish()
         for file in files:
@@ -152,7 +152,7 @@ def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> t
     if not met:
         what = "no message of these topics" if order.topics else "no message"
         raise BadInput(f"{what} was logged between --from and --to: the bag {_extent(bag)}", file=order.bag)
-    nothing = "nothing was logged between --from and --to, so no file is written, of"
+    nothing = "no message was logged between --from and --to, so no file is written, of"
     left_out = [f"{nothing} {', '.join(empty)}"] if empty else []
     return [name for name in topics if name in met], [*undecoded, *left_out]
 
@@ -262,11 +262,11 @@ def _paths(order: ExportOrder, kind: type[TableFile], topics: dict[str, _Topic])
     for name, topic in topics.items():
         stem = order.out.stem if single else _stem(name)
         folder = order.out.parent if single else order.out
-        # A file is called as the user wrote it, capital letters and all.
+        # The suffix is kept as the user wrote it, with its capital letters.
         suffix = order.out.suffix if single else kind.suffix
         for table in topic.rows.tables:
             path = folder / f"{stem}{'-' if table.name else ''}{table.name}{suffix}"
-            # Disks of other systems do not tell capital letters from small ones.
+            # Some file systems do not distinguish capital letters.
             owner = owners.setdefault(path.name.lower(), name)
             if owner != name:
                 raise BadInput(

@@ -36,9 +36,9 @@ _WORD = 4
 
 _CODES = {
     "float64": "d", "float32": "f", "int32": "i", "int16": "h", "int8": "b",
-    # NetCDF-3 has no whole numbers without sign: the next wider kind holds them.
+    # NetCDF-3 has no unsigned integers: the next wider type is used.
     "bool": "b", "uint8": "h", "uint16": "i", "uint32": "d",
-    # Nor any of 64 bit: the nearest double, and what is missing to it in a second variable.
+    # Nor integers of 64 bits: the nearest double, and the remainder in a second variable.
     "int64": "d", "uint64": "d",
 }
 _SPLIT = ("int64", "uint64")
@@ -138,7 +138,7 @@ class NetcdfFile(TableFile):
             code = "c" if column.kind == TEXT else _CODES[column.kind]
             variables.append(_Variable(column.name, code, _attributes(column, self.head.topic)))
             if column.kind in _SPLIT:
-                rest = {"long_name": f"what is missing to {column.name}", "coordinates": TIME}
+                rest = {"long_name": f"remainder of {column.name}", "coordinates": TIME}
                 if column.unit is not None:
                     rest["units"] = column.unit.symbol
                 variables.append(_Variable(self._free_name(f"{column.name}{_REMAINDER}"), "i", rest))
@@ -180,7 +180,7 @@ class NetcdfFile(TableFile):
             made = file.createVariable(variable.name, variable.code, dimensions)
             for name, value in variable.attributes.items():
                 setattr(made, name, _ascii(value) if isinstance(value, str) else value)
-            # One record: by it the library knows sizes and places. It is cut off again.
+            # One record, from which the library derives sizes and offsets. It is removed again.
             made[0] = b" " * width if width else 0
         file.flush()
         one_row = buffer.getvalue()
@@ -224,7 +224,7 @@ def _flags(column: Column) -> dict[str, Any]:
     if not column.kind.startswith(("int", "uint")) or column.kind in _SPLIT:
         return {}
     bounds = np.iinfo(column.kind)
-    # A bag may define any constant.
+    # The constants of a bag are untrusted.
     named = [(name, value) for name, value in column.value_names if bounds.min <= value <= bounds.max]
     if not named:
         return {}

@@ -94,7 +94,7 @@ class TableFile:
         """Remove the file unless it has its final name."""
         if not self._stream.closed:
             self._part.unlink(missing_ok=True)
-            # Closing writes what is left in the buffer, and fails once more on a full disk.
+            # Closing flushes the buffer, which fails again on a full disk.
             with suppress(OSError):
                 self._stream.close()
 
@@ -179,7 +179,7 @@ class ParquetFile(TableFile):
 
     def discard(self) -> None:
         """See :meth:`TableFile.discard`."""
-        # The writer would write its footer when it is forgotten, into a file that is closed by then.
+        # Otherwise the writer would write its footer at its deletion, into a closed file.
         with suppress(OSError, ValueError):
             self._writer.close()
         super().discard()

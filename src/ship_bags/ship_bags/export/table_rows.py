@@ -112,7 +112,7 @@ class MessageTable:
             if field.path[-1:] != (NO_FIELD,) and not self._take(field):
                 varying.append(field)
         stamps = [place for place, column in enumerate(self.columns) if column.name == STAMP]
-        # The columns by which the rows of its arrays are told apart.
+        # Columns that identify the rows of its arrays.
         self._identity = sorted({*range(len(keys)), *stamps})
         own_keys = [self.columns[place] for place in self._identity]
         self.arrays = [
@@ -260,7 +260,7 @@ def _put_time(row: list[Any], value: Any) -> None:
 
 
 def _put_array(length: int, row: list[Any], value: Any) -> None:
-    # None where an array is shorter than another of the same order.
+    # None if an array is shorter than another one of the same order.
     values = [] if value is None else plain(value)
     row.extend(values)
     row.extend([None] * (length - len(values)))

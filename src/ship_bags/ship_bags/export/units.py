@@ -58,7 +58,7 @@ _UNITS = {
 NANOSECONDS = _UNITS["ns"]
 
 _TABLE = {
-    # Comments of ship_msgs that say it otherwise than in brackets of their own.
+    # Comments of ship_msgs without a unit in brackets.
     "ship_msgs/msg/StarObservation": {"declination": "rad"},
     "ship_msgs/msg/Integrity": {"statistic": "sigma"},
     "sensor_msgs/msg/Imu": {

@@ -74,13 +74,13 @@ def spelled_demand(environment: Mapping[str, str], has_security: bool | None) ->
     demand, enforced = environment[ENABLE], environment.get(STRATEGY, "").strip().lower() == "enforce"
     if has_security is False:
         raise BadInput(
-            f"{ENABLE}={demand} demands DDS security, and the DDS of this installation was built without it: "
-            "not started, as it would run unprotected"
+            f"{ENABLE}={demand} requests DDS security, and the DDS of this installation was built without it: "
+            "not started, because it would run unprotected"
         )
     if has_security is None and not enforced:
         raise BadInput(
-            f"{ENABLE}={demand} demands DDS security, and whether this DDS has it cannot be told: "
-            f"set {STRATEGY}=Enforce, with which the middleware itself refuses"
+            f"{ENABLE}={demand} requests DDS security, and it is unknown whether this DDS has it: "
+            f"set {STRATEGY}=Enforce, with which the middleware itself refuses to start"
         )
     return {ENABLE: "true"} | ({STRATEGY: "Enforce"} if enforced else {})
 

@@ -41,7 +41,7 @@ class Heartbeat:
         if self._socket is None or steady_ns - self._last_ns < HEARTBEAT_PERIOD_NS:
             return
         self._last_ns = steady_ns
-        # A keeper that was stopped itself reads nothing until its queue is full.
+        # A stopped supervisor reads nothing, and its queue may be full.
         with contextlib.suppress(OSError):
             self._socket.send(b"%d" % os.getpid(), socket.MSG_DONTWAIT)
 

@@ -20,24 +20,24 @@ from ship_bags.stamps import NS_PER_S
 CLOCK_PERIOD_NS = 10_000_000
 """Period of /clock in bag time, ns: /clock is never further than this behind the last message."""
 
-# Steady time for which /clock runs before the first message, so that every consumer's clock is set (or has jumped
-# back, in a loop) when the first message comes.
+# Steady time for which /clock runs before the first message, so that every subscriber's clock is set (or has jumped
+# back, in a loop) when the first message arrives.
 _LEAD_S = 0.1
-# At a high rate the lead would be days of the bag, and millions of messages of /clock; one minute of them takes about
-# as long as the lead is to be.
+# Maximum lead in bag time: at a high rate the lead would be days of the bag and millions of /clock messages. One minute
+# of them takes about as long as the lead.
 _LONGEST_LEAD_S = 60.0
-# A hundred thousand ticks in a second of steady time, which nobody can send.
+# A higher rate would need more than a hundred thousand ticks per second of steady time.
 _FASTEST_WITH_ALL_TICKS = 1000.0
-# Where some topics have subscribers and others none, nobody else is expected so long after the last match. Discovery on
-# one machine takes 0.06 s to 1.6 s.
+# Time after the last match after which no more subscribers are expected if some topics have none. Discovery on one
+# computer takes 0.06 s to 1.6 s.
 _SETTLED_S = 2.0
 _POLL_S = 0.01
 _ACKNOWLEDGE_S = 10.0
-# A message that a reader missed must still be there when the reader asks for it: this is enough for 1 kHz at the
-# default heartbeat of Fast DDS (3 s).
+# A message that a reader missed must still exist when the reader requests it: this suffices for 1 kHz at the default
+# heartbeat of Fast DDS (3 s).
 _DEPTH = 5000
 
-# The playing node itself publishes these: what a recording holds of them would contradict it.
+# The playing node itself publishes these: recorded ones would contradict them.
 _OWN_TOPICS = ("/clock", "/rosout", "/parameter_events")
 
 
@@ -113,7 +113,7 @@ class Player:
                     message_count += 1
                     latest_s = max(latest_s, self._clock.behind_s(record.log_time_ns))
                 problems = bag.problems
-            # Also before the next loop: no message of this one may arrive after the clock has jumped back.
+            # Also before the next loop, so that no message of this one arrives after the clock has jumped back.
             if not self._clock.stopped:
                 unacknowledged = self._acknowledge()
         for problem in problems:
@@ -231,14 +231,14 @@ class Player:
             unwanted = [name for name in missing if not by_name[name].get_subscription_count()]
             taken = any(name in wanted for name in by_name.keys() - set(unwanted))
             if not asked and taken and unwanted == missing and time.monotonic() >= settled_s:
-                self._say(f"nobody takes {', '.join(sorted(unwanted))}; playing all the same")
+                self._say(f"no subscriber of {', '.join(sorted(unwanted))}; playing nevertheless")
                 return
             if time.monotonic() >= deadline_s:
                 names = ", ".join(sorted(missing))
                 text = f"no match after {self._options.wait_timeout_s} s with the subscribers of {names}"
                 if asked:
                     raise BadInput(text)
-                self._say(f"{text}; playing all the same")
+                self._say(f"{text}; playing nevertheless")
                 return
             time.sleep(_POLL_S)
 

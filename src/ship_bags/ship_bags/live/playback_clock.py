@@ -20,11 +20,11 @@ from std_srvs.srv import Trigger
 
 from ship_bags.stamps import NS_PER_S
 
-# A lock cannot wait for years, as it would have to at a tiny rate or over a long gap: it waits anew after so long.
+# Maximum duration of one wait: a lock cannot wait for years, as at a tiny rate or over a long gap.
 _LONGEST_WAIT_S = 3600.0
-# A higher rate plays no faster, and its product with a time may overflow.
+# Maximum rate: a higher one plays no faster, and its product with a time may overflow.
 _FASTEST = 1e9
-# While paused, the time is said again this often: a consumer that starts then needs it too.
+# Period of /clock while paused, for subscribers that start then.
 _PAUSED_CLOCK_PERIOD_S = 0.1
 _KEY_POLL_S = 0.2
 
@@ -152,7 +152,7 @@ def add_services(node: Node, clock: PlaybackClock) -> None:
 
     def offer(name: str, action: Callable[[], bool | None]) -> None:
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            # play_next alone can be refused.
+            # Only play_next can be refused.
             response.success = action() is not False
             state = "paused" if clock.paused else "playing"
             response.message = state if response.success else f"{state}: pause first"
@@ -232,5 +232,5 @@ def _is_ours(terminal: int) -> bool:
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
     except OSError:
-        # It is not the terminal that controls this process, and stops nobody.
+        # It does not control this process, so changing it stops no job.
         return True

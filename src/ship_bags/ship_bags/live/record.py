@@ -18,16 +18,16 @@ from ship_bags.message_store import use_installed_definition
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DISCOVERY_PERIOD_S = 0.1
-# Longest times to take what had arrived at the end, and to wait for answers: publishers that go on must not hold it up.
+# Maximum times for the messages that had arrived before the end, and for answers.
 _DRAIN_S = 1.0
 _HEAR_OUT_S = 1.0
-# A flush begins after this share of its period, so that its writing is over within it.
+# A flush begins after this ratio of its period, so that it is finished within the period.
 _FLUSH_SHARE = 0.7
-# Messages held for a /clock that does not come; of more, the newest.
+# Maximum number of messages kept before the first /clock; of more the newest.
 _MOST_BEFORE_CLOCK = 50_000
-# A clock that is slewed (500 ppm at most) changes by less between two looks; a step below it disturbs no filter.
+# A slewed clock (500 ppm at most) changes by less between two readings; a smaller step disturbs no filter.
 STEP_NS = 50_000_000
-# Where more time lies between the readings of the two clocks, their comparison says nothing.
+# Maximum time between the readings of both clocks for a valid comparison.
 _LONGEST_READING_NS = 5_000_000
 
 
@@ -96,8 +96,8 @@ class Recorder:
         except OSError as problem:
             self._bag.cut()
             raise BadInput(
-                f"recording ended: {problem.strerror}; the file is whole up to the last flush, "
-                f"{self._bag.whole_bytes} bytes, and record --recover finishes it",
+                f"recording failed: {problem.strerror}; the file is complete up to the last flush, "
+                f"{self._bag.whole_bytes} bytes: use record --recover to finish it",
                 file=self._bag.path,
             ) from problem
         finally:
@@ -115,14 +115,14 @@ class Recorder:
             if now_s >= next_flush_s:
                 self._look_at_clock()
                 self._bag.flush()
-                # Where a flush takes longer than its period, as much time must be left to receive.
+                # If a flush takes longer than its period, the same time must be left to receive.
                 spent_s = time.monotonic() - now_s
                 next_flush_s = now_s + max(_FLUSH_SHARE * self._options.flush_period_s, 2.0 * spent_s)
             executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
         self._drain(executor)
         self._hear_out(executor)
         if self._before_clock:
-            self._say(f"no /clock came: {len(self._before_clock)} messages get their publishers' time")
+            self._say(f"no /clock received: {len(self._before_clock)} messages get their publishers' time")
             for topic, type_name, data, sent_ns in self._before_clock:
                 self._bag.write_raw(topic, type_name, data, sent_ns, sent_ns)
 
@@ -131,7 +131,7 @@ class Recorder:
         if duration_s is not None and time.monotonic() - start_s >= duration_s:
             return True
         if self._is_idle():
-            # A slow disk that held everything up is no silence: first take what has come meanwhile.
+            # A slow disk must not look like a timeout: process the messages received meanwhile first.
             self._drain(executor)
         return self._is_idle()
 
@@ -172,15 +172,15 @@ class Recorder:
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
         if self._only_reports and type_name not in REPORTS:
-            # From now on reports are no activity, and those received until now were none either.
+            # Reports are no activity from now on, nor were those received before.
             self._only_reports, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)
         )
 
         def take_all(data: bytes, info: dict[str, int]) -> None:
-            # The executor looks at every entity of the node for each message it hands over; taking the rest of the
-            # queue here keeps up with ten times the rate, and the log time near the receipt.
+            # The executor checks every entity of the node for each message. Taking the rest of the queue here allows
+            # ten times the rate, and keeps the log time near the reception.
             taken: tuple[bytes, dict[str, int]] | None = (data, info)
             count = 0
             while taken is not None and count < DEPTH:
@@ -201,7 +201,7 @@ class Recorder:
         self.counts[topic] += 1
         now_ns = self._node.get_clock().now().nanoseconds
         if now_ns == 0:
-            # With use_sim_time there is no time before the first /clock: messages wait for it, and get its time.
+            # With use_sim_time there is no time before the first /clock: messages wait for it and get its time.
             if len(self._before_clock) == _MOST_BEFORE_CLOCK:
                 oldest = self._before_clock.popleft()[0]
                 self.counts[oldest] -= 1

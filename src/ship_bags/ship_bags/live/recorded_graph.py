@@ -184,7 +184,7 @@ class HeardParameters:
             return False
         answer = asked.answer.result()
         if not asked.names:
-            # How a node was run (clock, black box) is left out: it does not change what the node computes.
+            # Parameters of the node runtime (clock, black box) do not change the results and are left out.
             names = answer.result.names[:MOST_PARAMETERS]
             asked.names = [name for name in names if is_topic_parameter(name) or not is_shell_parameter(name)]
             if not asked.names:

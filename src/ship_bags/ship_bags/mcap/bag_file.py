@@ -98,7 +98,7 @@ def open_mcap(path: Path) -> McapFile:
         if not has_header(file.data, len(MAGIC)):
             stream.close()
             raise _no_mcap(path, size, magic)
-        file.problems.append(f"{path.name}: its first {len(MAGIC)} bytes are damaged; nothing is lost by that")
+        file.problems.append(f"{path.name}: its first {len(MAGIC)} bytes are damaged; no data are lost")
     summary = _summary(file)
     if summary is not None:
         _take_summary(file, summary)
@@ -116,7 +116,7 @@ def _no_mcap(path: Path, size: int, begin: bytes) -> BadInput:
         advice = f"rosbags-convert --src {shlex.quote(str(path))} --dst {folder} makes a rosbag2 folder of it"
         return BadInput(f"a bag of ROS 1: {advice}", file=path)
     if begin.startswith(zstandard.FRAME_HEADER):
-        return BadInput("a compressed file: give the rosbag2 folder that it is in", file=path)
+        return BadInput("a compressed file: give its rosbag2 folder instead", file=path)
     return BadInput("not an MCAP file", file=path)
 
 
@@ -194,7 +194,7 @@ def _summary(file: McapFile) -> _Summary | None:
             if isinstance(record, Footer):
                 break
     except Exception:
-        # The parser may fail in any way over damaged bytes; the file is then walked through instead.
+        # The parser may raise anything for damaged bytes; the file is scanned instead.
         return None
     return summary if summary.is_complete else None
 
@@ -273,7 +273,7 @@ def _gap_text(file: McapFile, gap: Gap, place_number: int) -> str:
     end = utc_text(after[0].start_ns) if after else "the end"
     return (
         f"{file.path.name}: bytes {gap.start} to {gap.end} are damaged: "
-        f"messages between {start} and {end} are lost, if there were any"
+        f"messages between {start} and {end} are lost, if any"
     )
 
 
@@ -284,13 +284,13 @@ def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
         records = file.data.records_of(announced, check_times=False)
     except DamagedChunk:
         file.chunks.append(announced)
-        return 0  # messages() will say so, with the time range
+        return 0  # messages() reports it with the time range
     times = [record.log_time for record in records if isinstance(record, Message)]
     if times:
-        # The times of the messages: those in the head of the chunk are protected by no checksum.
+        # The times of the messages, because no checksum protects those in the chunk's header.
         file.chunks.append(ChunkPlace(chunk.offset, chunk.length, min(times), max(times)))
     for record in records:
-        # These are protected by the checksum of the chunk: they rule over what stood outside a chunk.
+        # These are protected by the chunk's checksum: they take precedence over records outside a chunk.
         if isinstance(record, Schema):
             file.schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -326,6 +326,6 @@ def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
             file.attachments[attachment.name] = attachment.data
             file.side_records.append(attachment)
     except Exception as problem:
-        # The parser may fail in any way over damaged bytes, and what it says of that helps nobody.
+        # The parser may raise anything for damaged bytes, with useless texts.
         why = f" ({problem})" if isinstance(problem, DamagedChunk) else ""
         file.problems.append(f"{file.path.name}: one {Opcode(opcode).name.lower()} record is damaged{why}: it is lost")

@@ -74,11 +74,10 @@ class BagRecord:
             try:
                 return self.store.deserialize_cdr(self.data, self.type_name)
             except SerdeError:
-                # A message that ends with an empty sequence of 8-byte elements comes from rclpy with the padding that
-                # its first element would need.
+                # rclpy pads a message that ends with an empty sequence of 8-byte elements as for a first element.
                 return self.store.deserialize_cdr(self.data[:-_PADDING_BYTES], self.type_name)
         except Exception as problem:
-            # The generated decoder may fail in any way over bytes that are no such message.
+            # The generated decoder may raise anything for bytes of another type.
             raise BadInput(
                 f"topic '{self.topic}' at {utc_text(self.log_time_ns)}: not a {self.type_name}: {problem}"
             ) from problem
@@ -116,7 +115,7 @@ class Bag:
         self.message_count = 0
         self.last_time_ns: int | None = None
         self._files = files
-        # What a file repeats from those before it is needed only by who has that file alone.
+        # Messages that a file repeats from earlier ones are needed only if that file is read alone.
         self._repeated = [set[tuple[str, int]]() if n == 0 else repeated_times(f.metadata) for n, f in enumerate(files)]
         self._usable_channels = [self._channels_of(file) for file in files]
         types = self._types()
@@ -178,7 +177,7 @@ class Bag:
                     f"time hold more than {MAX_HELD_MB} MB",
                     file=self._files[bag_place.file_number].path,
                 )
-            # Order in the file settles equal times and is unique, so records themselves are never compared.
+            # The order in the file decides for equal times and is unique, so records are never compared.
             waiting.sort(key=lambda entry: entry[:2])
             last = number + 1 == len(places)
             ready = len(waiting) if last else bisect_left(waiting, (places[number + 1].place.start_ns,))
@@ -344,7 +343,7 @@ def open_files(path: Path) -> list[BagFile]:
     files: list[BagFile] = []
     try:
         if needs_rosbags(path):
-            # Reading the library takes a while, and few bags need it.
+            # The import takes a while, and few bags need it.
             from ship_bags.mcap.rosbags_file import open_with_rosbags
 
             files.append(open_with_rosbags(path))
@@ -364,7 +363,7 @@ def _rename_topics(path: Path, files: list[BagFile]) -> None:
     """Apply the command's topic names; a topic that already had such a name is not read."""
     names = current_names()
     if any(BOX_METADATA in file.metadata for file in files):
-        names = replace(names, is_by_suite=False)  # the node has given the suite's names already
+        names = replace(names, is_by_suite=False)  # the node has used the suite's names already
     topics = {channel.topic for file in files for channel in file.channels.values()}
     attached = [file.attachments[SUITE_ATTACHMENT] for file in files if SUITE_ATTACHMENT in file.attachments]
     renamed = names.new_names(topics, attached[-1].decode("utf-8", errors="replace") if attached else "")

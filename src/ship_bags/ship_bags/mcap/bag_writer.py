@@ -241,7 +241,7 @@ class BagWriter:
                 self._sync.finish()
                 os.fsync(self._file.fileno())
                 if self._written_path != self.path:
-                    # The file gets its name before it is closed, for until then other programs cannot write it.
+                    # The file is renamed before it is closed, because until then other programs cannot write it.
                     self._written_path.replace(self.path)
                 self._file.close()
         except BaseException:
@@ -263,7 +263,7 @@ class BagWriter:
 
     def _release(self) -> None:
         """Close all open files."""
-        # Closing writes what is left in the buffers, and fails once more on a full disk.
+        # Closing flushes the buffers, which fails again on a full disk.
         with contextlib.suppress(OSError):
             self._writer.discard()
         self._sync.finish()

@@ -26,7 +26,7 @@ def further_box_files(first: BagFile) -> list[BagFile]:
         except BadInput as problem:
             first.note(str(problem))
             continue
-        # The head of the whole is that of the first file.
+        # The header of the black box is that of the first file.
         of_part = file.metadata.pop(BOX_METADATA, {})
         number = of_part.get("part", "")
         if of_part.get("box") == entries.get("box") and number.isascii() and number.isdecimal():

@@ -58,13 +58,13 @@ def _unfolded(chunk: Chunk) -> bytes:
     """
     if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         size_mb = chunk.uncompressed_size / _BYTES_PER_MB
-        raise DamagedChunk(f"it says that it unfolds to {size_mb:.0f} MB: at most {MAX_CHUNK_MB} are taken")
+        raise DamagedChunk(f"its stated size is {size_mb:.0f} MB decompressed: at most {MAX_CHUNK_MB} are read")
     content = guarded(lambda: decompressed(chunk.compression, chunk.data))
     if len(content) > MAX_CHUNK_BYTES:
-        raise DamagedChunk(f"it unfolds to more than {MAX_CHUNK_MB} MB")
+        raise DamagedChunk(f"it decompresses to more than {MAX_CHUNK_MB} MB")
     if chunk.uncompressed_crc == 0 and len(content) != chunk.uncompressed_size:
-        # Compressed bytes that are cut end without an error; here no checksum tells.
-        raise DamagedChunk(f"it unfolds to {len(content)} bytes and says {chunk.uncompressed_size}")
+        # Truncated compressed bytes end without an error; here is no checksum to detect that.
+        raise DamagedChunk(f"it decompresses to {len(content)} bytes instead of {chunk.uncompressed_size}")
     if _record_count(content) > MAX_CHUNK_RECORDS:
         raise DamagedChunk(f"it holds more than {MAX_CHUNK_RECORDS} records")
     return content
@@ -106,7 +106,7 @@ def _split(chunk: Chunk, content: bytes) -> list[McapRecord]:
         offset += HEADER.size
         end = offset + length
         if end > len(content) or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD.size):
-            raise DamagedChunk("a record in it is cut off")
+            raise DamagedChunk("a record in it is truncated")
         if opcode == Opcode.MESSAGE:
             channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content, offset)
             data = content[offset + _MESSAGE_HEAD.size : end]
@@ -127,5 +127,5 @@ def guarded(parse: Callable[[], Result]) -> Result:
     try:
         return parse()
     except Exception as problem:
-        # Decompressor and parser may fail in any way over damaged bytes.
+        # Decompressor and parser may raise anything for damaged bytes.
         raise DamagedChunk(str(problem) or type(problem).__name__) from problem

@@ -169,7 +169,7 @@ class FolderWriter:
     def _begin_file(self) -> None:
         self.files.append(FileInformation(f"{self.path.name}_{len(self.files)}.mcap"))
         self._bag = BagWriter(self.path / self.files[-1].name, atomic=False)
-        # The information file names a file that is there and begins as MCAP does: a crash here costs nothing.
+        # The information file names an existing file with the beginning of MCAP: a crash here loses no data.
         self._bag.flush()
         self._write_information()
         self._begun_s = time.monotonic()
@@ -239,9 +239,9 @@ def _names(information: dict[str, Any], path: Path) -> list[str]:
     if not isinstance(names, list) or not names:
         raise BadInput("relative_file_paths names no file", file=path)
     for name in names:
-        # A file of another folder is no part of this bag, whatever the information file says.
+        # A file of another folder is no part of this bag, even if it is listed.
         if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
-            raise BadInput(f"relative_file_paths: '{name!s:.80}' is no file of this folder", file=path)
+            raise BadInput(f"relative_file_paths: '{name!s:.80}' is not a file of this folder", file=path)
     return names
 
 

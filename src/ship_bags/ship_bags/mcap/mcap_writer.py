@@ -60,7 +60,7 @@ _INDEX_HEAD_BYTES = 2 + 4
 _INDEX_ENTRY = struct.Struct("<QQ")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 8 + 8 + 4
-# The index takes a hundred bytes for each chunk: so much of it stays in memory, the rest waits on the disk.
+# The index takes a hundred bytes per chunk: this part stays in memory, the rest is on the disk.
 _INDEX_IN_MEMORY_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20
 
@@ -86,7 +86,7 @@ class McapWriter:
         self._message_counts: dict[int, int] = {}
         self._first_ns = self._last_ns = 0
         self._compressor = zstandard.ZstdCompressor(level=3)
-        # The chunk being written: its records, where its messages lie by channel, and their earliest and latest times.
+        # Current chunk: its records, index entries of its messages by channel, and their earliest and latest times.
         self._chunk = bytearray()
         self._indexes: dict[int, bytearray] = {}
         self._start_ns: int | None = None
@@ -148,7 +148,7 @@ class McapWriter:
         heads["log_time"] = heads["publish_time"] = log_times_ns
         content, size = heads.tobytes(), _MESSAGE_HEADS.itemsize
         records = [part for n, body in enumerate(data) for part in (content[size * n : size * n + size], body)]
-        # Behind its opcode and its length a record is as long as that says.
+        # The stated length counts the bytes after opcode and length.
         ends = np.cumsum(lengths + size - _MESSAGE_HEAD_BYTES)
         start = 0
         while start < len(data):
@@ -166,7 +166,7 @@ class McapWriter:
         times_ns = log_times_ns[start:]
         earliest_ns = np.minimum(np.minimum.accumulate(times_ns), first_ns)
         latest_ns = np.maximum(np.maximum.accumulate(times_ns), self._end_ns)
-        # Each message against those before it; the first one is of the chunk.
+        # Each message is compared with those before it; the first one belongs to the chunk.
         far = (times_ns[1:] - earliest_ns[:-1] > CHUNK_NS) | (latest_ns[:-1] - times_ns[1:] > CHUNK_NS)
         near = len(far) if not far.any() else int(np.argmax(far))
         before = int(ends[start - 1]) if start else 0
@@ -187,7 +187,7 @@ class McapWriter:
         entries = np.empty((len(times_ns), 2), dtype="<u8")
         entries[0, 1], entries[1:, 1] = len(self._chunk), len(self._chunk) + ends[some][:-1] - before
         entries[:, 0] = times_ns
-        # In the order in which the channels come, as one message after another adds them.
+        # In the order of the channels' first messages, as when messages are added one by one.
         for channel_id in dict.fromkeys(channels.tolist()):
             of_channel = channels == channel_id
             self._indexes.setdefault(channel_id, bytearray()).extend(entries[of_channel].tobytes())

@@ -20,16 +20,16 @@ from mcap.records import Chunk, McapRecord, Message
 from ship_bags.mcap.chunk_content import COMPRESSIONS, HEADER, DamagedChunk, guarded, parsed, records_of_chunk
 from ship_bags.stamps import END_OF_TIME_NS
 
-# Log times end a day earlier than stamps do: the ticks of a replay may go on for so long.
+# Log times end a day earlier than stamps: the ticks of a replay may continue for that time.
 _LATEST_NS = END_OF_TIME_NS - 86_400_000_000_000
 
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _ATTACHMENT_LEAST = 8 + 8 + 4 + 4 + 8 + 4
 _MESSAGE_LEAST = 2 + 4 + 8 + 8
-# The head of a record at which a walk may go on. Schemas, channels and messages are left out: inside a damaged chunk
-# that is not compressed they look sound, but no checksum protects them. The upper bytes of a length are zero in any
-# file below a tebibyte.
+# Header of a record at which a scan may continue. Schemas, channels and messages are left out: inside a damaged
+# uncompressed chunk they look valid, but no checksum protects them. The upper bytes of a length are zero in any file
+# below a tebibyte.
 _RESTART = re.compile(rb"[\x06\x07\x09\x0c\x0f].{5}\x00\x00\x00", re.DOTALL)
 _WINDOW_BYTES = 1 << 20
 
@@ -171,7 +171,7 @@ def _of_our_time(records: list[McapRecord]) -> list[McapRecord]:
         DamagedChunk: a stamp cannot represent a log time.
     """
     if any(isinstance(record, Message) and not has_time_of_stamps(record.log_time) for record in records):
-        raise DamagedChunk("it has log times beyond the year 2038, which no stamp can carry")
+        raise DamagedChunk("it has log times after the year 2038, which no stamp can represent")
     return records
 
 
@@ -200,7 +200,7 @@ def _can_restart(data: RecordFile, offset: int) -> bool:
     if record is None or record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.HEADER):
         return False
     if record.opcode == Opcode.ATTACHMENT:
-        # The bytes of an index that is cut off may look like the head of one.
+        # The bytes of a truncated index may look like the header of an attachment.
         return _is_whole_attachment(record.body)
     return record.opcode != Opcode.CHUNK or _compression(record.body) in COMPRESSIONS
 
@@ -229,7 +229,7 @@ def _is_sound(opcode: int, body: bytes) -> bool:
         if opcode == Opcode.MESSAGE_INDEX:
             return _is_message_index(body)
         if opcode == Opcode.MESSAGE:
-            # One wrong bit turns an index into what looks like a message.
+            # One wrong bit makes a message index look like a message.
             return len(body) >= _MESSAGE_LEAST and not _is_message_index(body)
         if opcode == Opcode.SCHEMA:
             return _end_of(body, _U16.size, (_U32, _U32, _U32)) == len(body)

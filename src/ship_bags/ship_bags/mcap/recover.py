@@ -69,7 +69,7 @@ def recover(source: Path, target: Path, force: bool = False) -> Recovery:
     """
     if source.is_dir():
         if os.path.lexists(target):
-            raise BadInput("is there already: take it away, or give another name by --out", file=target)
+            raise BadInput("already exists: remove it, or give another name by --out", file=target)
         return _recover_folder(source, target)
     check_file(target, force)
     if target.resolve() == source.resolve():
@@ -90,7 +90,7 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
         try:
             recovery, information = _recover_file(part, target / part.name, topics, written)
         except BadInput as problem:
-            # The last file of a folder may be without a single message; it is left out and named.
+            # The last file of a folder may have no message; it is left out and reported.
             whole.problems.append(str(problem))
             continue
         files.append(information)
@@ -115,7 +115,7 @@ def _recover_file(
 ) -> tuple[Recovery, FileInformation]:
     """Recover one file; add its topics and messages to those of the whole bag."""
     file = open_mcap(source)
-    # rosbags takes a file for MCAP by its suffix only.
+    # rosbags recognises MCAP by its suffix only.
     part = target.with_name(f"{target.stem}.part.mcap")
     try:
         if not file.chunks:
@@ -242,12 +242,12 @@ def _read_back(path: Path, name: Path, reader: str, read: Callable[[Path], _Tall
     try:
         found = read(path)
     except Exception as problem:
-        # A reader may fail in any way: the result is then not what was meant to be written.
-        raise BadInput(f"is not written, reading it back by {reader} failed: {problem}", file=name) from problem
+        # A reader may raise anything: the result is then wrong.
+        raise BadInput(f"is not written: reading it back by {reader} failed: {problem}", file=name) from problem
     for topic in sorted(found.counts.keys() | written.counts.keys()):
         if (found.counts[topic], found.digests[topic]) != (written.counts[topic], written.digests[topic]):
             raise BadInput(
-                f"is not written, {reader} reads back {found.counts[topic]} messages of topic '{topic}' "
+                f"is not written: {reader} reads back {found.counts[topic]} messages of topic '{topic}' "
                 f"instead of {written.counts[topic]}, or with other bytes",
                 file=name,
             )

@@ -40,7 +40,7 @@ class RosbagsFile(BagFile):
         try:
             return list(self._messages(place))
         except Exception as problem:
-            # The library fails over damaged files in any way.
+            # The library may raise anything for damaged files.
             times = f"from {utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
             self.note(f"{self.path.name}: messages {times} cannot be read: {problem}")
             return []
@@ -55,7 +55,7 @@ class RosbagsFile(BagFile):
             for connection, time_ns, data in self.reader.messages((), *span_ns):
                 yield Message(connection.id, time_ns, bytes(data), publish_time=time_ns, sequence=0)
             return
-        # The library would unfold whatever a message says.
+        # The library would decompress to any size that a message states.
         numbers = {(connection.topic, connection.msgtype): connection.id for connection in self.reader.connections}
         for storage in getattr(self.reader.storage, "storages", ()):
             for connection, time_ns, data in storage.messages(storage.connections, *span_ns):
@@ -74,7 +74,7 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
         reader = Reader(path)
         reader.open()
     except Exception as problem:
-        # The library fails over files that are none of its kind in any way.
+        # The library may raise anything for files of another format.
         raise BadInput(f"cannot be read by rosbags: {problem}", file=path) from problem
     file = RosbagsFile(path, reader=reader)
     for connection in reader.connections:
@@ -101,13 +101,13 @@ def _check_room(path: Path) -> None:
     free = shutil.disk_usage(folder).free
     if needed > free:
         needed_mb, free_mb = (round(size / 1e6) for size in (needed, free))
-        raise BadInput(f"unfolds to {needed_mb} MB: {folder} has {free_mb} MB; name another by TMPDIR", file=path)
+        raise BadInput(f"needs {needed_mb} MB: {folder} has {free_mb} MB free; name another by TMPDIR", file=path)
 
 
 def _unfolded(data: bytes) -> bytes:
     content = decompressed("zstd", data)
     if len(content) > MAX_CHUNK_BYTES:
-        raise ValueError(f"a message unfolds to more than {MAX_CHUNK_MB} MB")
+        raise ValueError(f"a message decompresses to more than {MAX_CHUNK_MB} MB")
     return content
 
 
@@ -124,7 +124,7 @@ def _described(connection: Connection) -> tuple[Schema, Channel]:
 def _places(file: RosbagsFile, start_ns: int, end_ns: int) -> Iterator[ChunkPlace]:
     """Yield ranges of log times of a second each, or longer ones if they would be too many."""
     if not (has_time_of_stamps(start_ns) and has_time_of_stamps(end_ns)):
-        file.note(f"{file.path.name}: it has log times that no stamp can carry: it is not read")
+        file.note(f"{file.path.name}: it has log times that no stamp can represent: it is not read")
         return
     length_ns = max(NS_PER_S, -(-(end_ns - start_ns + 1) // _MOST_PLACES))
     for number, begin_ns in enumerate(range(start_ns, end_ns + 1, length_ns)):

@@ -257,7 +257,7 @@ def imu_message(factory: MessageFactory, becomes: str, name: str, attitude: Logg
     if attitude.rate_d is not None:
         rate_flu, rate_covariance = flu_from_device_vector(attitude.rate_d), _UNKNOWN
     frame_id = INS if becomes == INS else name
-    # The configured sigma of a reference stays its noise, which a covariance would replace.
+    # A reference has no covariance, so that its configured sigma remains its noise.
     covariance = _UNKNOWN
     if becomes == INS and attitude.sigmas is not None:
         covariance = _covariance_enu(attitude.rotation_nd, attitude.sigmas)

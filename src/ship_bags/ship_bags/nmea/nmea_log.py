@@ -87,7 +87,7 @@ def _parsed(number: int, content: bytes, rules: LogRules, report: LogReport) -> 
     """Yield the content of a line of the file: usually one sentence."""
     time_text, _, sentences = content.partition(b" ")
     receive_ns = _receive_ns(time_text.decode("ascii", errors="replace"))
-    if receive_ns is None or sentences.lstrip()[:1] in (b"+", b"-"):  # an offset behind a space
+    if receive_ns is None or sentences.lstrip()[:1] in (b"+", b"-"):  # an offset after a space
         report.reject("no receive time", number, content.decode("ascii", errors="backslashreplace"))
         return
     for heard in heard_texts(sentences, rules.needs_checksum):
@@ -122,5 +122,5 @@ def _receive_ns(text: str) -> int | None:
         time_ns = datetime_ns(moment) + int((fraction or "0").ljust(9, "0"))
     except ValueError:
         return None
-    # The time of day in a sentence may lie on the day before or after: both must be times that a stamp can carry.
+    # The time of day in a sentence may be on the previous or next day: a stamp must represent both.
     return time_ns if _DAY_NS <= time_ns < END_OF_TIME_NS - 2 * _DAY_NS else None

@@ -140,7 +140,7 @@ def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
     except pynmea2.SentenceTypeError:
         return Unusable(UNPARSED, UNKNOWN)
     except Exception:
-        # Over sentences that are cut short pynmea2 raises IndexError and others, which it does not declare.
+        # For truncated sentences pynmea2 raises IndexError and other undeclared exceptions.
         return Unusable(UNPARSED)
     if kind := dialect_of(text):
         return _dialect(kind, text)
@@ -178,10 +178,10 @@ def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable
     """Return the sentence if its kind is used, it is complete, and its fields are numbers."""
     kind = type(content).__name__
     if kind not in _NEEDED:
-        # The sentences PSXN are told apart by a number behind the name, which pynmea2 puts into the name of its class.
+        # PSXN sentences differ by a number after the name, which pynmea2 puts into its class name.
         return NotOfInterest(name + kind.removeprefix("SXN") if "SXN" in kind else name)
-    # Where a field is no number pynmea2 gives its text.
-    # A THS that says that its heading is not to be used may leave that out.
+    # pynmea2 returns the text of a field that is not a number.
+    # A THS with an invalid mode may have no heading.
     needed = () if kind == "THS" and content.mode not in ("", AUTONOMOUS) else _NEEDED[kind]
     values = [getattr(content, field) for field in needed]
     if any(value is None for value in values):
@@ -191,7 +191,7 @@ def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable
     if any(not _is_angle(field, value) for field, value in zip(needed, values, strict=True)):
         return Unusable(UNPARSED, OUT_OF_RANGE)
     if kind == "ZDA" and not 1970 < content.year < 2038:
-        return Unusable("no year of ours")
+        return Unusable("year out of range")
     if kind == "GGA" and (problem := _position_problem(content)):
         return problem
     return Sentence(_KINDS.get(kind, kind), _mda_reading(content) if kind == "MDA" else content)
