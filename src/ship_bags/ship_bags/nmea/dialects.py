@@ -1,4 +1,4 @@
-"""Proprietary sentences that pynmea2 does not or only partly support: one table, a row for each.
+"""Sentences of common makers that pynmea2 supports partly or not at all: one table, a row for each.
 
 ========== ========================================================================================================
 PRDID      Teledyne RD Instruments, also of POS MV: Applanix, POS MV V5 Installation and Operation Guide, table 21.
