@@ -110,11 +110,11 @@ class PlannedFactory(abc.ABC):
         return kind(**fields)
 
     def encoded(self, type_name: str, **fields: Any) -> CdrMessage:
-        """See :meth:`MessageFactory.encoded`."""
+        """See :meth:`MessageFactory.encode`."""
         return self._encoder.encoded(type_name, fields)
 
     def encoded_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
-        """See :meth:`MessageFactory.encoded_rows`."""
+        """See :meth:`MessageFactory.encode_rows`."""
         return self._encoder.encoded_rows(type_name, count, fields)
 
     @abc.abstractmethod

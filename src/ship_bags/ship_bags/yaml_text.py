@@ -62,14 +62,14 @@ def plain_data(name: str, text: str) -> Any:
     """Return the document of a text as mappings, lists and scalars.
 
     Raises:
-        BadInput: as :func:`composed`, or a value is invalid: an impossible date, a number with too many digits.
+        BadInput: as :func:`compose`, or a value is invalid: an impossible date, a number with too many digits.
     """
     root = composed(name, text)
     return None if root is None else data_of(name, root)
 
 
 def data_of(name: str, node: yaml.Node) -> Any:
-    """Return a node of :func:`composed` as mappings, lists and scalars.
+    """Return a node of :func:`compose` as mappings, lists and scalars.
 
     Raises:
         BadInput: names the file and the line of the invalid value.

@@ -50,7 +50,7 @@ def require_demanded_security() -> None:
     If it has it, the process's environment gets the request in the spelling that ROS accepts.
 
     Raises:
-        BadInput: see :func:`spelled_demand`.
+        BadInput: see :func:`security_environment`.
     """
     if is_demanded(os.environ):
         os.environ.update(spelled_demand(os.environ, dds_has_security(loaded_libraries())))

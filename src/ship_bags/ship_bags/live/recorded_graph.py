@@ -120,7 +120,7 @@ class _Asked:
 
 
 class HeardParameters:
-    """Queries each node once, when it is discovered; the owner of the spinning node calls :meth:`look` periodically.
+    """Queries each node once, when it is discovered; the owner of the spinning node calls :meth:`update` periodically.
 
     Attributes:
         unanswered: full names of nodes that did not answer.

@@ -84,7 +84,7 @@ class BagWriter:
     Attributes:
         path: the file.
         message_count: messages written.
-        whole_bytes: length of the file at the last :meth:`flush`, up to which it stays readable.
+        flushed_bytes: length of the file at the last :meth:`flush`, up to which it stays readable.
 
     Args:
         path: file to write, ending in .mcap.

@@ -1,8 +1,8 @@
 """Records of an MCAP file, read without trusting the file: damaged records are detected, skipped and reported.
 
-:class:`RecordFile` returns the record at an offset and the messages of a chunk. :func:`walk` yields record after
-record. It accepts a record only if its body has the structure of its opcode. After a damaged one it continues at the
-next record that can lie between chunks. So one wrong bit costs one record at most.
+:class:`RecordFile` returns the record at an offset and the messages of a chunk. :func:`scan_records` yields record
+after record. It accepts a record only if its body has the structure of its opcode. After a damaged one it continues at
+the next record that can lie between chunks. So one wrong bit costs one record at most.
 """
 
 import io
@@ -43,7 +43,7 @@ class ChunkPlace:
         length: bytes up to the end of the last one.
         start_ns: earliest log time.
         end_ns: latest log time.
-        loose: True for a run of messages outside any chunk.
+        is_outside_chunk: True for a run of messages outside any chunk.
         channels: channels with messages here, from the file's index; None if unknown.
     """
 

@@ -44,7 +44,7 @@ class BurstClock:
     """Pairs each ZDA with one attitude of its burst. Lines must be given in order of reception.
 
     Attributes:
-        waiting: the attitude whose ZDA may follow.
+        pending_attitude: the attitude whose ZDA may follow.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,10 @@ class BurstClock:
         self._gga_ns, self._gga_delay_ns = gga.receive_ns, gga.receive_ns - stamp_ns
 
     def pair_attitude(self, attitude: InstrumentLine) -> ZdaTime | None:
-        """Return the ZDA before an attitude if it is of the same burst; else the attitude becomes :attr:`waiting`."""
+        """Return the ZDA before an attitude if it is of the same burst.
+
+        Otherwise the attitude becomes :attr:`pending_attitude`.
+        """
         if self._last_attitude_ns:
             self._attitude_gaps_ns.append(max(attitude.receive_ns - self._last_attitude_ns, 0))
         self._last_attitude_ns = attitude.receive_ns

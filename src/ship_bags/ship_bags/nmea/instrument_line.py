@@ -56,7 +56,7 @@ class LineReport:
         used: kind → number of lines used.
         unused: name of the sentence → number of irrelevant lines.
         rejected: reason → number; the lines are in ``examples``.
-        mended: correction in a used line → number.
+        corrected: correction in a used line → number.
         examples: the first few lines of each reason, with line number.
     """
 

@@ -146,7 +146,7 @@ def resampled(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAt
     """Resample attitudes and rates by a rotation spline, at whole multiples of the period.
 
     Linear interpolation of a ship's motion sampled at 1 Hz would cause errors of 0.14°. Gaps longer than
-    :data:`LONGEST_GAP_S` remain. The log time is the stamp plus the median delay of the log.
+    :data:`MAX_GAP_S` remain. The log time is the stamp plus the median delay of the log.
     """
     delay_ns = int(np.median([attitude.log_time_ns - attitude.stamp_ns for attitude in logged]))
     result: list[LoggedAttitude] = []

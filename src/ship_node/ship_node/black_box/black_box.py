@@ -135,7 +135,7 @@ class BlackBox:
         self._append(_Message(topic, data, time_ns, time_ns if waiting_ns is None else waiting_ns))
 
     def put_event(self, event: Event, time_ns: int, waiting_ns: int | None = None) -> None:
-        """Record an event; the times are those of :meth:`put`."""
+        """Record an event; the times are those of :meth:`add`."""
         self.put(EVENTS_TOPIC, _event_data(event), time_ns, waiting_ns)
 
     def put_file(self, use: FileUse, time_ns: int) -> None:

@@ -43,7 +43,7 @@ def image(path: Path, words: str, style: str = "wide") -> str:
 
     Args:
         path: the file.
-        words: alternative text.
+        alt_text: alternative text.
         style: ``wide`` or ``small``.
     """
     data = base64.b64encode(path.read_bytes()).decode("ascii")

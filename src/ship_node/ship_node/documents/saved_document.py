@@ -71,7 +71,7 @@ class DiskFiles:
     """Files on the disk."""
 
     def read(self, path: Path) -> bytes:
-        """See :meth:`Files.read`; a file longer than :data:`LONGEST_FILE_BYTES` is an OSError, too."""
+        """See :meth:`Files.read`; a file longer than :data:`MAX_FILE_BYTES` is an OSError, too."""
         try:
             check_regular(path)
             with path.open("rb") as stream:
@@ -165,7 +165,7 @@ class SavedFormat(Generic[Content]):
     Attributes:
         format: first line of the file.
         version: version of the layout; no other is read.
-        what: "alignment", "calibration": for texts.
+        kind_name: "alignment", "calibration": for texts.
         document: converts a content to a document.
         content: converts a document to a content; a ValueError names the section that cannot be used.
     """

@@ -51,15 +51,15 @@ class SavedStart(Generic[Prior]):
         path: of the file; empty for none.
         files: file operations.
         start_from: starts the core from a content at a time in ns; returns remarks for the operator.
-        to_save: returns the content to save; None if there is none yet.
-        nothing: why there is none, for the user.
+        content_to_save: returns the content to save; None if there is none yet.
+        nothing_text: why there is none, for the user.
 
     Attributes:
         notices: lines for the log, until they are taken.
         messages: remarks of the core on the content that it started from.
-        trouble: why automatic saving fails at present; empty if it works.
-        unreadable: why the file was set aside or cannot be read, until one is saved or read; empty otherwise.
-        is_due: True if a content was read and not yet passed to the core.
+        autosave_problem: why automatic saving fails at present; empty if it works.
+        unreadable_reason: why the file was set aside or cannot be read, until one is saved or read; empty otherwise.
+        is_pending: True if a content was read and not yet passed to the core.
 
     Raises:
         BadInput: the path is a folder, a pipe or a device; or the computer has no file descriptors or memory.
@@ -112,7 +112,7 @@ class SavedStart(Generic[Prior]):
         return f"{self._kind.what} saved to {path}"
 
     def next_look_ns(self, period_s: float) -> int:
-        """Return the timeout-clock time before which :meth:`is_time` is False."""
+        """Return the timeout-clock time before which :meth:`is_autosave_time` is False."""
         if not self._path or not period_s:
             return _NEVER_NS
         return 0 if self._looked_ns is None else self._looked_ns + round(period_s * 1e9)
@@ -127,7 +127,7 @@ class SavedStart(Generic[Prior]):
     def save_by_itself(self) -> None:
         """Write the core's content if it is newer than the last one written and no worse than that of the file.
 
-        An obstacle becomes :attr:`trouble`, and a notice when it changes.
+        An obstacle becomes :attr:`autosave_problem`, and a notice when it changes.
         """
         try:
             trouble = self._saved_unless_worse(self._file())

@@ -62,7 +62,7 @@ class BlockAdapter(ReportingAdapter):
         """Read and evaluate the leading messages of a batch; None if the first must be processed by itself.
 
         Until the whole batch is committed, no other message of the topic is processed. Estimates and protection levels,
-        on which no other message depends, are computed at the end (:meth:`end_ahead`).
+        on which no other message depends, are computed at the end (:meth:`finish_batch`).
         """
         block = self.feeds[topic].block
         if block is None or (self.saved is not None and self.saved.is_due):

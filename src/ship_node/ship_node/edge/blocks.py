@@ -37,8 +37,8 @@ class Ahead(Protocol):
     """Batch of samples that a core has evaluated and not yet committed.
 
     Attributes:
-        followed: result of the INS check.
-        told: index of a sample and its outcome other than estimates, until it is published.
+        checked: result of the INS check.
+        pending_outcomes: index of a sample and its outcome other than estimates, until it is published.
     """
 
     followed: Followed
@@ -87,7 +87,7 @@ class BlockTurn(NamedTuple):
         topic: their topic.
         reading: the messages as read.
         receive_ns: receive times, equal by both clocks.
-        ahead: the core's evaluation.
+        evaluated: the core's evaluation.
     """
 
     topic: str
@@ -138,10 +138,10 @@ def parts_with_levels(
     Args:
         place: index of the first one in its batch.
         run: N outputs on one state.
-        told: the published protection levels; ``levels_before`` changes them.
-        checked_by: attributes of each output on which, besides the state, the redundancy of its sources depends.
+        published: the published protection levels; ``protection_level_messages`` changes them.
+        redundancy_keys: attributes of each output on which, besides the state, the redundancy of its sources depends.
         directions: of each output, shape (N, 3, 3).
-        levels_before: protection levels of one output, if the published ones do not cover it.
+        protection_level_messages: protection levels of one output, if the published ones do not cover it.
     """
     start, count = 0, len(run.time_ns)
     while start < count:

@@ -45,7 +45,7 @@ def read_of_good(
     Args:
         messages: the messages, which all have the same frame.
         frame_id: expected frame; empty for any.
-        good: True for the valid ones.
+        valid: True for the valid ones.
         read: yields the readings of these.
     """
     if frame_id and messages.message(0).header.frame_id != frame_id:

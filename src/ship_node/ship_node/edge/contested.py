@@ -25,9 +25,9 @@ class Continuous(NamedTuple):
     """Quantity of an input that is continuous within one stream.
 
     Attributes:
-        of: returns the quantity of a value, shape (n,).
-        least: distance of two streams below which they count as one.
-        words: returns a distance as text.
+        quantity: returns the quantity of a value, shape (n,).
+        min_distance: distance of two streams below which they count as one.
+        distance_text: returns a distance as text.
     """
 
     of: Callable[[Any], FloatArray]

@@ -16,7 +16,8 @@ class DeferringCore(Protocol):
     """Core that computes several outputs together.
 
     Attributes:
-        due: basis of the pending outputs, each with its stamp ``time_ns``; None if each output is published at once.
+        pending: basis of the pending outputs, each with its stamp ``time_ns``; None if each output is published at
+            once.
     """
 
     due: list[Any] | None
@@ -27,17 +28,17 @@ class DeferringCore(Protocol):
 
 
 class DeferringAdapter(BlockAdapter):
-    """Adapter that can also publish its outputs together; see :class:`BlockAdapter`."""
+    """Adapter that can also publish its outputs together; see :class:`BatchAdapter`."""
 
     def defer(self) -> None:
-        """Leave the outputs out of the results from now on: :meth:`take_parts` returns them."""
+        """Leave the outputs out of the results from now on: :meth:`take_outputs` returns them."""
         self.core.due = []
         self._parts_made: list[BlockPart] = []
         self._made = 0
 
     @property
     def promised(self) -> int:
-        """Number of outputs pending since :meth:`defer` or :meth:`take_parts`."""
+        """Number of outputs pending since :meth:`defer_outputs` or :meth:`take_outputs`."""
         return self._made + len(self.core.due)
 
     def take_parts(self) -> list[BlockPart]:

@@ -63,7 +63,7 @@ class InputHealthBook(InputRecords):
         max_age_s: maximum age of a stamp, s: an older one belongs to another time.
 
     Attributes:
-        first_contested: topic → first text about two publishers, of the topics that ever had two.
+        first_duplicate_publishers: topic → first text about two publishers, of the topics that ever had two.
     """
 
     def __init__(self, inputs: Iterable[InputTopic], max_age_s: float = MAX_AGE_S) -> None:

@@ -35,13 +35,13 @@ class InputRecord:
         input: the topic.
         received, accepted, rejected: numbers of messages since the start.
         reasons: number of messages by reason, in order of first appearance.
-        noted: the part of ``reasons`` with messages that were used nevertheless.
-        late_delays: number of late messages per bin of :data:`LATE_EDGES_S`, and above.
-        refused_in_a_row: messages rejected since the last accepted one; those of a source that is switched off do not
-            count.
-        future_in_a_row: messages stamped in the future since the last other one.
-        last_refusal_ns: timeout-clock time of the last rejection; None if there was none.
-        last_refusal: the last rejection; None if there was none.
+        note_counts: the part of ``reasons`` with messages that were used nevertheless.
+        late_delays: number of late messages per bin of :data:`DELAY_BIN_EDGES_S`, and above.
+        consecutive_rejections: messages rejected since the last accepted one; those of a source that is switched off do
+            not count.
+        consecutive_future_stamps: messages stamped in the future since the last other one.
+        last_rejection_ns: timeout-clock time of the last rejection; None if there was none.
+        last_rejection: the last rejection; None if there was none.
         is_too_old: True if the last accepted stamp was too long before the node's time.
         last_arrival_ns: timeout-clock time of the last message; None if there was none.
     """
@@ -214,8 +214,8 @@ class InputRecords:
             waiting_ns: receive time by the timeout clock.
             receive_ns: receive time by the node's clock.
             reading: the message as read.
-            refusal: why it was rejected; None if it was used, or if a decision follows later.
-            used: True if a message without rejection counts as used already.
+            rejection: why it was rejected; None if it was used, or if a decision follows later.
+            is_used: True if a message without rejection counts as used already.
         """
         self.arrived(topic, waiting_ns)
         if not reading.covariance_known:
@@ -230,7 +230,7 @@ class InputRecords:
     def took_block(
         self, topic: str, receive_ns: np.ndarray, stamps_ns: np.ndarray, covariance_known: bool
     ) -> None:
-        """Record a batch of messages that were all used without remarks, as :meth:`took` does for each.
+        """Record a batch of messages that were all used without remarks, as :meth:`record_input` does for each.
 
         Args:
             topic: the input topic.
@@ -247,7 +247,7 @@ class InputRecords:
             record.noted[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
 
     def turned_away(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, refusal: Refusal) -> None:
-        """Record a message that could not be read; times as in :meth:`took`, and its stamp."""
+        """Record a message that could not be read; times as in :meth:`record_input`, and its stamp."""
         self.arrived(topic, waiting_ns)
         self.rejected(topic, refusal, receive_ns, stamp_ns)
 
@@ -284,7 +284,7 @@ class InputRecords:
 
         Args:
             topic: the input topic.
-            refusal: the reason.
+            rejection: the reason.
             receive_ns: time of the rejection by the node's clock.
             stamp_ns: stamp of the message; None if it is unusable.
         """
@@ -310,7 +310,7 @@ class InputRecords:
         self.records[topic].add_overflow(count, why, self._now(waiting_ns))
 
     def cut_behind(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
-        """Record messages that were cut because the node is behind; arguments as in :meth:`overflowed`."""
+        """Record messages that were cut because the node is behind; arguments as in :meth:`record_overflow`."""
         self.records[topic].add_behind(count, why, self._now(waiting_ns))
 
     def failed(self, text: str) -> None:

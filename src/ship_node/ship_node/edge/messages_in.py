@@ -1,7 +1,7 @@
 """Checks of a message's fields before any of them reaches a filter.
 
-Each check returns the value in the form that cores use, or raises :class:`Refused`. The packages' readers are built
-from these checks.
+Each check returns the value in the form that cores use, or raises :class:`MessageRejected`. The packages' readers are
+built from these checks.
 """
 
 import math
@@ -48,8 +48,8 @@ class ReadMessage(Generic[Value]):
     Attributes:
         value: the struct that the core takes, with its stamp ``time_ns``.
         covariance_known: False if the message gives no covariance; the configured sigma is used then.
-        left_out: rejected parts of the message (stars, lights), by name, with the reasons.
-        empty: True if the device works and saw nothing, so that there is nothing to compare.
+        rejected_parts: rejected parts of the message (stars, lights), by name, with the reasons.
+        is_empty: True if the device works and saw nothing, so that there is nothing to compare.
     """
 
     value: Value
@@ -62,7 +62,7 @@ class Refused(Exception):
     """A message is rejected.
 
     Attributes:
-        refusal: the reason, and its text with numbers for the user.
+        rejection: the reason, and its text with numbers for the user.
     """
 
     def __init__(self, reason: Reason, text: str) -> None:
@@ -249,7 +249,7 @@ def _clearly_definite(beside: Sequence[float], limits: Sequence[float]) -> bool:
     and the smallest exceeds a third of the determinant.
 
     Args:
-        beside: covariances of axes 1 and 2, 1 and 3, 2 and 3.
+        off_diagonal: covariances of axes 1 and 2, 1 and 3, 2 and 3.
         limits: products of their sigmas.
     """
     if not min(limits) > 0.0:

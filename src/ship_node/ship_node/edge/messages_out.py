@@ -157,7 +157,7 @@ def refused_input(
         factory: makes the message.
         source: name of the source.
         time_ns: stamp of the input.
-        refusal: the reason.
+        rejection: the reason.
         components: names of the residuals; empty if nothing was compared.
         residual: measured minus predicted, rad, shape (m,).
         sigma: predicted standard deviation of each, rad, shape (m,).
@@ -196,7 +196,7 @@ def error_budget(
         time_ns: stamp of the estimate.
         frame_id: frame whose attitude it is.
         sources: names of the error sources.
-        parts_n: covariance by each source, rotation vector in (North, Up, East), rad², shape (n_sources, 3, 3).
+        covariances_n: covariance by each source, rotation vector in (North, Up, East), rad², shape (n_sources, 3, 3).
         covariance_n: their sum, rad², shape (3, 3).
     """
     return factory.encoded(

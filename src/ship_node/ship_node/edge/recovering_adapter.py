@@ -43,7 +43,7 @@ _REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; the state
 
 
 class RecoveringAdapter(BlockAdapter):
-    """Adapter with a second estimator in trouble; see :class:`BlockAdapter`.
+    """Adapter with a second estimator in trouble; see :class:`BatchAdapter`.
 
     Attributes:
         recovery: decides on starting and adopting the second estimator.
@@ -114,7 +114,7 @@ class RecoveringAdapter(BlockAdapter):
         return super().told(feed, reading, outcome, receive_ns, waiting_ns)
 
     def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
-        """See :class:`BlockAdapter`."""
+        """See :class:`BatchAdapter`."""
         self._arrived_ns[self.feeds[turn.topic].source] = int(turn.receive_ns[-1])
         return super().end_ahead(turn)
 
@@ -136,12 +136,12 @@ class RecoveringAdapter(BlockAdapter):
         return []
 
     def takes_blocks(self, topic: str) -> bool:
-        """See :class:`BlockAdapter`."""
+        """See :class:`BatchAdapter`."""
         return super().takes_blocks(topic) and self.recovery.candidate is None
 
     @property
     def quiet_until_ns(self) -> int:
-        """See :class:`BlockAdapter`."""
+        """See :class:`BatchAdapter`."""
         return min(super().quiet_until_ns, 0 if self._looked_ns is None else self._looked_ns + _LOOK_NS)
 
     def _pass_on_contested(self, topic: str) -> None:

@@ -67,14 +67,15 @@ class Feed:
         input: the topic.
         source: name of the device in innovation messages.
         read: reader of a message, with its receive time ``receive_ns=`` by the node's clock, ns; it raises
-            :class:`ship_node.edge.messages_in.Refused` if the message cannot be used.
+            :class:`ship_node.edge.messages_in.MessageRejected` if the message cannot be used.
         take: method of the core, called with the value read and the timeout-clock time, ns; it returns the outcome.
-        judged: True if a later decision accepts or rejects the message; otherwise it is used unless rejected at once.
-        measured_by: name of the device in measurements; empty if it equals ``source``.
-        block: processing of many messages at once (:mod:`ship_node.edge.block_adapter`); None if there is none.
+        has_decision: True if a later decision accepts or rejects the message; otherwise it is used unless rejected at
+            once.
+        measurement_source: name of the device in measurements; empty if it equals ``source``.
+        batch: processing of many messages at once (:mod:`ship_node.edge.block_adapter`); None if there is none.
         read_rows: reader of many messages and their receive times; its result is None for each that ``read`` must read.
-        continuous: quantity that reveals two publishers in a recording: of a decision if ``judged``, otherwise of the
-            value read; None if there is none.
+        stream_quantity: quantity that reveals two publishers in a recording: of a decision if ``has_decision``,
+            otherwise of the value read; None if there is none.
     """
 
     input: InputTopic
@@ -110,9 +111,9 @@ class ReportingAdapter(ABC):
         config: the current parameters.
         core: the estimator.
         latest: the last estimate published; None before.
-        budget_due: the last estimate while its error budget is pending; None after an INVALID output.
+        pending_budget: the last estimate while its error budget is pending; None after an INVALID output.
         conflicts: source → text, for sources in persistent conflict.
-        verdicts: innovation diagnoses of the sources.
+        innovation_report: innovation diagnoses of the sources.
         clock_jumps: number of times the clock went back.
         behind: overload state; None if the node keeps up.
         time_base: the clocks of the inputs.

@@ -42,7 +42,7 @@ _THERE_PERIODS = 3.0
 """Number of mean periods without a message after which an input counts as absent."""
 
 _GONE_AFTER_NS = 2 * SECOND_NS
-"""Minimum timeout after which a moved input no longer keeps a step pending, ns; see :data:`_THERE_PERIODS`."""
+"""Minimum timeout after which a moved input no longer keeps a step pending, ns; see :data:`_PRESENCE_PERIODS`."""
 
 _OWN_CLOCK_AFTER_NS = 60 * SECOND_NS
 """Time after which an input that moved alone is compared with its own new clock, ns."""
@@ -73,12 +73,12 @@ class _InputClock:
         newest_ns: newest stamp.
         arrival_ns: timeout-clock time of the last message.
         period_ns: mean time between messages.
-        alone_ns: offset that this input alone has had for long; the following values are relative to it.
+        own_offset_ns: offset that this input alone has had for long; the following values are relative to it.
         moved_ns: offset from the level; 0 if it has not moved.
         moved_since_ns: timeout-clock time at which it moved.
-        late_ns: offset at the last message that a delay explained.
-        late_at_ns: timeout-clock time of that message.
-        came_back_ns: timeout-clock time at which a small step was last reversed; None if never.
+        last_delay_ns: offset at the last message that a delay explained.
+        last_delay_at_ns: timeout-clock time of that message.
+        last_return_ns: timeout-clock time at which a small step was last reversed; None if never.
     """
 
     level_ns: int
@@ -213,7 +213,7 @@ class TimeBase:
         return len(stamps_ns)
 
     def add_block(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
-        """Add messages without a step (:meth:`count_unmoved`): stamp and receive time of the last, and their number."""
+        """Add messages without a step (:meth:`count_without_step`): stamp and arrival of the last, and their number."""
         clock = self._clocks[topic]
         clock.period_ns = (arrival_ns - clock.arrival_ns) / count
         clock.level_ns, clock.newest_ns, clock.arrival_ns = stamp_ns - arrival_ns, stamp_ns, arrival_ns

@@ -53,7 +53,7 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
     Args:
         model: state model of the filter.
         mean: its state.
-        groups: see :func:`ship_estimation.verdicts.clock_verdicts`.
+        groups: see :func:`ship_estimation.verdicts.clock_diagnoses`.
     """
     told = clock_verdicts(model, mean, groups)
     return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within configured limits")

@@ -38,7 +38,7 @@ class AdapterCalls:
         adapter: the adapter.
         publishers: topic → publisher, of all its outputs.
         files: files that the adapter reads and writes.
-        box: records everything; None if there is no black box.
+        black_box: records everything; None if there is no black box.
         status_log: logs the adapter's diagnostics; None for no log.
     """
 

@@ -16,7 +16,7 @@ from ship_node.live.node_clock import WaitingClock
 LONG_WAIT_NS = 1_000_000_000
 """Waiting time that is long, ns.
 
-With :data:`WORKED_NS` it stays within the default ``lag_s``: outputs of the node are not late at the next node."""
+With :data:`BEHIND_AFTER_NS` it stays within the default ``lag_s``, so that outputs are not late at the next node."""
 
 WORKED_NS = 1_000_000_000
 """Working time, without standstills, for which waiting times may stay long before the node is behind, ns."""

@@ -184,7 +184,7 @@ def queue_clock(node: "Node", heard: Callable[[], None] = lambda: None) -> None:
 
     Args:
         node: node whose /clock is queued.
-        heard: called after each message of it.
+        on_clock: called after each message of it.
     """
     # rclpy has no public access to this subscription, and no QoS overrides for it.
     time_source = node._time_source

@@ -172,7 +172,7 @@ class Arrival(NamedTuple):
         data: its CDR bytes.
         now_ns: receive time by the node's clock; 0 before the first /clock.
         waiting_ns: receive time by the timeout clock; 0 before the first /clock.
-        since_ns: start of its waiting time, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: from now on.
+        queued_ns: start of its waiting time, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: from now on.
         stepped_ns: :attr:`ship_node.live.node_clock.NodeClock.stepped_ns` at reception.
     """
 
@@ -196,7 +196,7 @@ class Inbox:
 
     Args:
         depths: topic → maximum number of waiting messages.
-        lasting: topics whose messages are valid until the next one: they are not cut if the node is behind.
+        valid_until_next: topics whose messages are valid until the next one: they are not cut if the node is behind.
     """
 
     def __init__(self, depths: Mapping[str, int], lasting: Collection[str] = ()) -> None:

@@ -19,8 +19,8 @@ def start_node(module: str, adapter: str) -> NoReturn:
     """Import a node's adapter and run it until a signal ends it.
 
     The import takes up to a second, on a busy computer longer. A signal that ends the node meanwhile gives the same
-    exit code as later. A standby process (:data:`WAITS`) has imported everything in advance; it does not take part in
-    DDS yet and has read no parameters.
+    exit code as later. A standby process (:data:`WAIT_VARIABLE`) has imported everything in advance; it does not take
+    part in DDS yet and has read no parameters.
 
     Args:
         module: module of the adapter.

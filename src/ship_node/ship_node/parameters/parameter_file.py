@@ -23,7 +23,7 @@ have 0.86, 'ship_attitude' and 'star_attitude' 0.75."""
 
 
 def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
-    """Return the checked configuration of a node; see :func:`read`.
+    """Return the checked configuration of a node; see :func:`read_node_parameters`.
 
     Raises:
         BadInput: names the file, the line, the parameter and what was expected.
@@ -52,7 +52,7 @@ def read(source: Path | str, node: str) -> ParameterFile:
 
     Args:
         source: a path; a ``str`` is the text itself.
-        node: full name (:func:`full_name`), a name alone for a node without namespace, or :func:`anywhere`.
+        node: full name (:func:`full_name`), a name alone for a node without namespace, or :func:`in_any_namespace`.
 
     Raises:
         BadInput: the file cannot be read, is not a parameter file, has no section that matches the node, or has
@@ -72,7 +72,7 @@ def read(source: Path | str, node: str) -> ParameterFile:
 
 
 def read_whatever_fits(source: Path | str, node: str) -> ParameterFile:
-    """Return :func:`read` without requiring a section: the file may be for other nodes.
+    """Return :func:`read_node_parameters` without requiring a section: the file may be for other nodes.
 
     Raises:
         BadInput: the file cannot be read or is not a parameter file.
@@ -100,10 +100,10 @@ def misfit(source: Path | str, node: str) -> str:
 
 
 def misfit_warnings(sources: Iterable[Path], node: str) -> list[str]:
-    """Return the warnings about the files that a node was started with; see :func:`misfit`.
+    """Return the warnings about the files that a node was started with; see :func:`section_warning`.
 
     Raises:
-        BadInput: see :func:`misfit`: rcl silently ignores sections that do not match.
+        BadInput: see :func:`section_warning`: rcl silently ignores sections that do not match.
     """
     return [warning for source in sources if (warning := misfit(source, node))]
 

@@ -22,7 +22,7 @@ class PlaceKind(Enum):
 
 @dataclass(frozen=True)
 class HeldPlace:
-    """Listening port, serial device or file; made by :func:`held_port` and :func:`held_path`.
+    """Listening port, serial device or file; made by :func:`port_resource` and :func:`path_resource`.
 
     Attributes:
         parameter: dotted name of the parameter that gives it.
