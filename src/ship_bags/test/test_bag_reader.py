@@ -101,7 +101,7 @@ def test_messages_outside_chunks(tmp_path):
     assert found == sorted((time, number) for number, time in enumerate(times))
 
 
-def test_only_the_topics_asked_for(tmp_path):
+def test_only_the_requested_topics(tmp_path):
     path = write_numbered(tmp_path / "bag.mcap", range(1, 31), topics=("a", "b", "c"))
     with read_bag(path) as bag:
         assert [record.log_time_ns for record in bag.records({"b"})] == list(range(2, 31, 3))
@@ -140,7 +140,7 @@ def test_chunks_without_the_topics_are_not_read(tmp_path):
 
 
 @pytest.mark.parametrize("since", [0, 1, 500, 777, 1500])
-def test_from_a_time_on_and_what_lies_before_is_not_read(tmp_path, since):
+def test_earlier_chunks_are_not_read(tmp_path, since):
     times = [time // 1_000_000 for time in shuffled_times(3)]
     since_ns = min(times) + since
     path = write_numbered(tmp_path / "bag.mcap", times)
@@ -220,7 +220,7 @@ class GrowingFile(io.BytesIO):
 
 @pytest.mark.parametrize("share", [0.2, 0.77])
 @pytest.mark.parametrize("grown_by", ["a byte", "all the rest"])
-def test_a_file_that_grows_while_it_is_read_gives_what_it_had_when_it_was_opened(
+def test_a_growing_file_gives_its_content_at_opening(
     tmp_path, bag_bytes, monkeypatch, share, grown_by
 ):
     length = int(len(bag_bytes) * share)
@@ -241,7 +241,7 @@ def test_a_file_that_became_shorter_since_it_was_opened_has_no_whole_footer(tmp_
         assert [record.log_time_ns for record in bag.records()] == TIMES[: whole_messages(bag_bytes[:-3000])]
 
 
-def test_flipped_bits_in_a_chunk_cost_that_chunk_only(tmp_path, bag_bytes):
+def test_flipped_bits_in_a_chunk_lose_only_that_chunk(tmp_path, bag_bytes):
     chunks = chunk_offsets(bag_bytes)
     assert len(chunks) == 12
     path = tmp_path / "flipped.mcap"
@@ -272,7 +272,7 @@ def only_chunk(data, offset, length):
 
 
 @pytest.mark.parametrize("field_offset", [0, 4, 9 + 3, 9 + 8 + 3, 9 + 16 + 6, 9 + 28])
-def test_flipped_bits_in_the_head_of_a_chunk(tmp_path, bag_bytes, field_offset):
+def test_flipped_bits_in_the_header_of_a_chunk(tmp_path, bag_bytes, field_offset):
     """Opcode, length, times, uncompressed size and compression: lost is that chunk, nothing hangs or is disordered."""
     offset, length = chunk_offsets(bag_bytes)[2]
     flipped = bytearray(bag_bytes)
@@ -343,7 +343,7 @@ def test_unknown_encodings_are_skipped_by_name(tmp_path):
         assert any("the definition of x_msgs/msg/X is not in the bag" in line for line in bag.problems)
 
 
-def test_the_definition_in_the_bag_rules(tmp_path):
+def test_the_definition_in_the_bag_takes_precedence(tmp_path):
     """A bag of another version of the message: decoded by its own definition, the difference told."""
     path = tmp_path / "older.mcap"
     with open(path, "wb") as file:
@@ -386,7 +386,7 @@ def test_a_live_message_that_ends_with_an_empty_sequence_is_read(tmp_path):
     assert (back.topic, back.received, list(back.reason_counts)) == ("ins/imu", 7, [])
 
 
-def test_damaged_attachment_is_told(tmp_path):
+def test_damaged_attachment_is_reported(tmp_path):
     path = write_imu_bag(tmp_path / "bag.mcap", 10, attachments=[("suite.yaml", "a: 12345\n")])
     path.write_bytes(path.read_bytes().replace(b"a: 12345", b"a: 12346"))
     with read_bag(path) as bag:
@@ -454,7 +454,7 @@ class TestBadInput:
         (path / "voyage_1.mcap").unlink()
         self.refused(path, r"voyage_1\.mcap: cannot be read: No such file")
 
-    def test_metadata_that_is_none(self, tmp_path):
+    def test_invalid_metadata(self, tmp_path):
         (tmp_path / "metadata.yaml").write_text("- a list\n")
         self.refused(tmp_path, "not the information file of a rosbag2 bag")
 

@@ -28,7 +28,7 @@ def test_same_calls_same_bytes(tmp_path):
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_the_file_has_its_name_only_when_it_is_whole(tmp_path):
+def test_the_file_is_renamed_only_when_complete(tmp_path):
     path = tmp_path / "voyage.mcap"
     with BagWriter(path) as bag:
         bag.write("ins/imu", imu(START_NS), START_NS)
@@ -56,7 +56,7 @@ def test_flushed_messages_can_be_read_while_the_bag_is_still_open(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_mend_26_a_flipped_bit_in_a_bag_that_was_never_flushed_costs_a_second(tmp_path, seed):
+def test_a_flipped_bit_in_an_unflushed_bag_loses_one_second(tmp_path, seed):
     """Such as a simulated one: all of its ten seconds fit into one chunk."""
     data = bytearray(write_imu_bag(tmp_path / "voyage.mcap", count=1000).read_bytes())
     draw = random.Random(seed)
@@ -70,7 +70,7 @@ def test_mend_26_a_flipped_bit_in_a_bag_that_was_never_flushed_costs_a_second(tm
 
 
 @pytest.mark.parametrize("finished", [False, True], ids=["killed", "finished"])
-def test_mend_26_a_recording_takes_a_clock_that_steps_back_and_a_message_larger_than_a_chunk(tmp_path, finished):
+def test_recording_with_a_clock_step_back_and_an_oversized_message(tmp_path, finished):
     """In the order in which it came, and by ordinary reading in order of log time; recovered, it is the same."""
     bag = BagWriter(tmp_path / "voyage.mcap", atomic=False)
     log_times = [*range(0, 3 * HOUR_NS, HOUR_NS // 2), *range(0, 3 * HOUR_NS, HOUR_NS // 2), 10 * HOUR_NS]
@@ -161,7 +161,7 @@ def test_other_readers_understand_the_bag(tmp_path):
 
 
 @pytest.mark.parametrize(("latched", "durability"), [(False, "volatile"), (True, "transient_local")])
-def test_quality_of_service_is_noted_as_rosbag2_does(tmp_path, latched, durability):
+def test_quality_of_service_is_stored_as_by_rosbag2(tmp_path, latched, durability):
     path = tmp_path / "voyage.mcap"
     with BagWriter(path) as bag:
         bag.add_topic("v", "geometry_msgs/msg/Vector3", latched)

@@ -252,7 +252,7 @@ def weeks_ago(text, weeks):
 
 
 @pytest.mark.parametrize("rollovers", [1, 2, -1])
-def test_whole_gps_week_rollovers_are_put_right_and_said(imported, capsys, rollovers):
+def test_gps_week_rollovers_are_corrected_and_reported(imported, capsys, rollovers):
     """A receiver that lost 1024 weeks: 2014 becomes 1994, as on real ships."""
     found, _, counts = imported(ins=weeks_ago(S330, 1024 * rollovers), second=weeks_ago(S330, 1024 * rollovers))
     expected, _, _ = imported("--force", ins=S330, second=S330)
@@ -264,7 +264,7 @@ def test_whole_gps_week_rollovers_are_put_right_and_said(imported, capsys, rollo
     assert f"{said} 1" in capsys.readouterr().out
 
 
-def test_a_single_wrong_time_costs_its_attitude_alone(imported, capsys):
+def test_a_single_wrong_time_rejects_only_its_attitude(imported, capsys):
     wrong = weeks_ago(S330, 3).replace("2014-08-01T00:00:00", "2014-08-01T00:00:01")
     zda = "$INZDA,000000.17,01,08,2014,,*7E"
     later = S330.replace("00:00:00", "00:00:09").replace(zda, sentence("INZDA,000009.17,01,08,2014,,"))
@@ -274,7 +274,7 @@ def test_a_single_wrong_time_costs_its_attitude_alone(imported, capsys):
     assert "instrument time: '2014-07-11T00:00:00Z is 21.0 days before the receive time'" in capsys.readouterr().out
 
 
-def test_a_time_of_day_that_is_not_that_of_the_receive_time_is_refused(imported):
+def test_a_time_of_day_far_from_the_receive_time_is_rejected(imported):
     """Local time for UTC: an hour off, in PASHR as in GGA."""
     good = "PASHR,000000.050,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"
     gga = "GPGGA,{},2200.112071,S,01756.360200,W,1,10,0.9,1.04,M,,M,,"
@@ -298,14 +298,14 @@ def test_a_minute_off_the_receive_time_may_be_a_delay_and_more_is_wrong(imported
         assert counts["files"]["ins.log"]["rejected"] == rejected
 
 
-def test_position_from_a_log_without_attitude_becomes_the_fix_alone(imported, capsys):
+def test_a_log_without_attitude_gives_only_the_fix(imported, capsys):
     positions = "".join(line for line in S330.splitlines(keepends=True) if "GGA" in line)
     found, _, _ = imported("--resample", "20", ins=positions + GYR1)
     assert set(found) == {"gnss/fix"}
     assert "no attitude in it: gnss/fix alone" in capsys.readouterr().out
 
 
-def test_lines_that_are_no_good_are_counted_and_shown(imported, capsys):
+def test_unusable_lines_are_counted_and_shown(imported, capsys):
     bad = [
         "no time at all",
         "2014-08-01T00:00:01.000000Z $PSXN",
@@ -330,7 +330,7 @@ def test_lines_that_are_no_good_are_counted_and_shown(imported, capsys):
     assert "ins.log:9: no receive time: 'no time at all'" in printed
 
 
-def test_attitudes_that_the_seapath_calls_invalid(imported):
+def test_attitudes_marked_invalid_by_the_seapath(imported):
     invalid = S330.replace("$PSXN,20,1,0,0,0*3A", sentence("PSXN,20,1,0,0,2"))
     later = invalid.replace("2014-08-01T00:00:00", "2014-08-01T00:00:05").replace(
         "$INZDA,000000.17,01,08,2014,,*7E", sentence("INZDA,000005.17,01,08,2014,,")
@@ -407,7 +407,7 @@ def test_heading_passes_through_north(imported):
         assert message.angular_velocity.z == pytest.approx(-np.deg2rad(1.0), rel=1e-6)
 
 
-def test_weather_in_the_words_of_the_standard(imported):
+def test_weather_by_mda_and_xdr(imported):
     """MDA: the example in pynmea2's source, of an Airmar PB150; XDR: Vaisala's WXT520 manual writes such lines."""
     mda = "WIMDA,30.2269,I,1.0236,B,17.7,C,,,43.3,,5.0,C,131.5,T,128.6,M,0.8,N,0.4,M"
     xdr = "WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"
@@ -419,7 +419,7 @@ def test_weather_in_the_words_of_the_standard(imported):
     assert pressure_pa == pytest.approx([102_360.0, 100_950.0, 100_950.0])
 
 
-def test_of_two_transducers_of_a_kind_none_is_taken_for_the_air(imported, capsys):
+def test_several_transducers_of_a_kind_are_not_used(imported, capsys):
     """Airmar's weather stations tell two wind chills as C; from the line on that shows it, neither is used."""
     chills = "YXXDR,C,28.7,C,WCHR,C,28.6,C,WCHT,P,1.0149,B,STNP"
     found, _, counts = imported(ins=S330, weather=line(0.0, chills) + line(1.0, "YXXDR,C,20.0,C,WCHR"))
@@ -439,7 +439,7 @@ def test_heading_with_its_status(imported):
 
 
 @pytest.mark.parametrize("text", ["nan", "NaN", "inf", "sNaN"])
-def test_a_number_that_is_none_is_no_heading(imported, text):
+def test_an_invalid_number_is_no_heading(imported, text):
     found, _, counts = imported(ins=S330, gyro=GYR1 + line(1.0, f"HEHDT,{text},T"))
     assert len(found["reference/gyro/imu"]) == 1
     assert counts["files"]["gyro.log"]["rejected"] == {"unparsed": 1}

@@ -89,7 +89,7 @@ def written(tmp_path: Path, messages: list[tuple[int, int]]) -> bytes:
 SECOND_NS = 1_000_000_000
 
 
-def test_mend_26_no_chunk_holds_more_than_a_second(tmp_path: Path) -> None:
+def test_no_chunk_has_more_than_one_second(tmp_path: Path) -> None:
     data = written(tmp_path, [(10**18 + number * 10_000_000, 100) for number in range(1000)])
     found = chunk_times(data)
     assert len(found) == 10
@@ -98,7 +98,7 @@ def test_mend_26_no_chunk_holds_more_than_a_second(tmp_path: Path) -> None:
     assert [message.sequence for _, _, message in reader.iter_messages()] == list(range(1000))
 
 
-def test_mend_26_a_clock_that_steps_back_begins_a_new_chunk(tmp_path: Path) -> None:
+def test_a_clock_step_back_begins_a_new_chunk(tmp_path: Path) -> None:
     """So the span of none covers the hour between: reading in order of time holds one chunk and not all."""
     times = [10**18 + number * 10_000_000 for number in range(150)]
     earlier = [time_ns - 3600 * SECOND_NS for time_ns in times]
@@ -110,7 +110,7 @@ def test_mend_26_a_clock_that_steps_back_begins_a_new_chunk(tmp_path: Path) -> N
     assert [message.sequence for _, _, message in reader.iter_messages()] == [*range(150, 300), *range(150)]
 
 
-def test_mend_26_a_message_larger_than_a_chunk_ends_it_and_is_read(tmp_path: Path) -> None:
+def test_an_oversized_message_ends_its_chunk_and_is_read(tmp_path: Path) -> None:
     sizes = [10, 3 * CHUNK_BYTES, 10, 3 * CHUNK_BYTES, 3 * CHUNK_BYTES, 10]
     data = written(tmp_path, [(10**18 + number, size) for number, size in enumerate(sizes)])
     assert len(chunk_times(data)) == 4
@@ -118,7 +118,7 @@ def test_mend_26_a_message_larger_than_a_chunk_ends_it_and_is_read(tmp_path: Pat
     assert [len(message.data) for _, _, message in reader.iter_messages()] == sizes
 
 
-def test_many_chunks_cost_no_memory_and_no_file(tmp_path: Path) -> None:
+def test_many_chunks_need_no_memory(tmp_path: Path) -> None:
     path = tmp_path / "long.mcap"
     with path.open("wb") as stream:
         writer = McapWriter(stream, tmp_path, "ros2", "test")

@@ -51,7 +51,7 @@ def budget(factory):
 
 
 @pytest.mark.parametrize("make", [health, budget])
-def test_rclpy_and_we_read_each_other(make):
+def test_rclpy_and_rosbags_read_each_other(make):
     """Not compared byte by byte: what the middleware leaves between fields is whatever was in its memory."""
     from rclpy.serialization import deserialize_message, serialize_message
 
@@ -72,7 +72,7 @@ def within_and_before(factory):
 
 
 @pytest.mark.parametrize("factory", [RosbagsFactory(), RosidlFactory()])
-def test_a_message_within_another_is_given_as_its_fields_and_a_stamp_as_ns(factory):
+def test_a_nested_message_is_given_as_a_dict_and_a_stamp_as_ns(factory):
     whole, before = within_and_before(factory)
     assert whole == before
     assert (whole.header.stamp.sec, whole.header.stamp.nanosec) == divmod(START_NS, 10**9)
@@ -96,7 +96,7 @@ def test_type_hash_is_that_of_the_built_messages(type_name):
     assert type_hash(type_name) == hashes[type_name]
 
 
-def test_all_messages_of_the_contract_are_there():
+def test_all_messages_of_the_contract_exist():
     # system.md §2 lists 17 messages; Integrity, Alert, AlertArray, AttitudeDeg, TargetImage, TargetDirection,
     # EscortAdvice, Deflection, SuiteState, SuiteAngle and SuiteSource are among the new ones.
     assert len(SHIP_TYPES) == 28
@@ -163,7 +163,7 @@ HEADER = "=" * 80 + "\nMSG: std_msgs/Header\n"
         (f"std_msgs/Header header\n{HEADER}uint8 seq\n", "its definition contradicts those of other topics"),
     ],
 )
-def test_a_definition_that_cannot_be_used_costs_its_own_type_alone(text, why):
+def test_an_unusable_definition_affects_only_its_type(text, why):
     types = store_with_definitions({"x_msgs/msg/X": text, "sensor_msgs/msg/Imu": definition("sensor_msgs/msg/Imu")})
     assert list(types.unreadable) == ["x_msgs/msg/X"]
     assert types.unreadable["x_msgs/msg/X"].startswith(why)
@@ -171,7 +171,7 @@ def test_a_definition_that_cannot_be_used_costs_its_own_type_alone(text, why):
     assert "sensor_msgs/msg/Imu" in types.store.fielddefs
 
 
-def test_what_a_definition_leaves_out_is_taken_from_ours():
+def test_missing_parts_of_a_definition_are_taken_from_the_suite():
     types = store_with_definitions({"x_msgs/msg/X": "std_msgs/Header header\nfloat64 value\n"})
     assert types.unreadable == {}
     assert {"std_msgs/msg/Header", "builtin_interfaces/msg/Time"} <= types.store.fielddefs.keys()

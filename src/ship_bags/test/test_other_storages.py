@@ -76,7 +76,7 @@ def test_a_damaged_file_of_sqlite3_is_one_line(plain, tmp_path):
         read_bag(tmp_path / "a.db3")
 
 
-def test_a_message_that_unfolds_beyond_its_bound_is_not_read(plain, tmp_path, monkeypatch):
+def test_a_message_that_decompresses_beyond_the_limit_is_not_read(plain, tmp_path, monkeypatch):
     monkeypatch.setattr(rosbags_file, "MAX_CHUNK_BYTES", 200)
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS["message"]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
@@ -84,7 +84,7 @@ def test_a_message_that_unfolds_beyond_its_bound_is_not_read(plain, tmp_path, mo
         read_bag(tmp_path / "other")
 
 
-def test_files_that_unfold_to_more_than_the_disk_takes_are_refused_before(plain, tmp_path):
+def test_files_too_large_for_the_temporary_folder_are_refused(plain, tmp_path):
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS["file"]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     (part, *_) = (tmp_path / "other").glob("*.zstd")
@@ -117,7 +117,7 @@ def written(path, topics):
 
 
 @pytest.mark.parametrize("text", ["float64 [", "other_msgs/Missing part", "\0", "std_msgs/Header header\nclass def"])
-def test_a_definition_that_cannot_be_read_costs_its_topic_alone(tmp_path, text):
+def test_an_unreadable_definition_affects_only_its_topic(tmp_path, text):
     good = (IMU, definition(IMU), serialize(imu(START_NS)))
     bag = written(tmp_path / "a.mcap", {"/strange": ("x_msgs/msg/X", text, bytes(12)), "/ins/imu": good})
     records, _, problems = contents(bag)
@@ -134,7 +134,7 @@ def test_windows_line_ends_in_a_definition_are_read(tmp_path):
         assert opened.differences == {}
 
 
-def test_a_head_of_xcdr2_is_read_where_the_padding_is_the_same(tmp_path):
+def test_xcdr2_is_read_if_the_padding_is_the_same(tmp_path):
     data = bytes(serialize(imu(START_NS)))
     bag = written(tmp_path / "a.mcap", {"/ins/imu": (IMU, definition(IMU), b"\0\7" + data[2:])})
     with read_bag(bag) as opened:

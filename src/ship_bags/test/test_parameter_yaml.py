@@ -25,7 +25,7 @@ def test_file_and_text_give_the_same(tmp_path):
     assert whole(path).values == whole(text).values == {"gate": {"probability": 0.9}}
 
 
-def test_mend_25_a_text_is_never_taken_for_a_path(tmp_path):
+def test_a_text_is_never_used_as_a_path(tmp_path):
     """An attachment without a line break named any file, which was read, and its lines shown."""
     (tmp_path / "secret").write_text("root: $6$hash\n")
     with pytest.raises(BadInput) as caught:
@@ -95,7 +95,7 @@ def test_a_file_is_refused_where_rcl_refuses_it(tmp_path, text, complaint):
     ],
     ids=["NUL", "digits", "hexadecimal", "65 bits", "nested list", "nested groups", "long", "aliases"],
 )
-def test_mend_25_what_unfolds_without_end_is_one_line(text, complaint):
+def test_endless_expansion_is_refused_in_one_line(text, complaint):
     with pytest.raises(BadInput) as caught:
         whole(text)
     assert complaint in str(caught.value)
@@ -176,14 +176,14 @@ def test_bad_files_are_refused_with_name_and_line(tmp_path, body, line, text):
         ("ship:\n  ros__parameters: &a {b: *a}\n", "configuration: nested too deeply, or a group that contains itself"),
     ],
 )
-def test_what_is_no_parameter_file(text, complaint):
+def test_invalid_parameter_files(text, complaint):
     with pytest.raises(BadInput, match="configuration") as caught:
         whole(text)
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_file_that_cannot_be_whole(tmp_path):
+def test_contradicting_sections(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero")):
         with pytest.raises(BadInput, match="cannot be read: it is a pipe, a device or a socket: expected a file"):
@@ -195,7 +195,7 @@ def test_file_that_cannot_be_whole(tmp_path):
         whole(tmp_path / "bag.mcap")
 
 
-def test_what_is_written_is_read_again():
+def test_parameter_file_round_trip():
     sections = {"/a/ship": {"x": 1, "gate": {"name": "5", "on": True}}, "/**/boat": {"y.z": [1.5, 2.0]}}
     name, read = read_sections(sections_text(sections))
     assert name == "configuration"
@@ -205,7 +205,7 @@ def test_what_is_written_is_read_again():
     }
 
 
-def test_a_problem_with_a_parameter_gets_its_file_and_line_as_data():
+def test_a_parameter_error_has_file_and_line_as_data():
     file = read_plain("camera:\n  width_px: 5\n")
     problem = file.error(InputError("is too small", parameters=("camera.width_px", "camera.height_px"), value=5))
     assert str(problem) == "configuration:2: is too small"

@@ -107,7 +107,7 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
     assert set(counted()) <= {"0", "1", "2"}
 
 
-def test_a_start_offset_does_not_cost_what_latched_topics_said_before(domain, tmp_path):
+def test_a_start_offset_keeps_earlier_latched_messages(domain, tmp_path):
     from geometry_msgs.msg import Vector3
     from rclpy.qos import DurabilityPolicy
     from sensor_msgs.msg import Imu
@@ -229,7 +229,7 @@ def test_ctrl_c_on_a_terminal_ends_it_and_gives_the_terminal_back(domain, tmp_pa
         assert termios.tcgetattr(terminal) == before
 
 
-def test_a_job_in_the_background_of_a_shell_leaves_its_terminal_alone(domain, tmp_path):
+def test_a_background_job_does_not_change_its_terminal(domain, tmp_path):
     # Touching it would stop the job (SIGTTOU), for ever.
     play = [*executable("ship_bags", "play"), write_imu_bag(tmp_path / "in.mcap", count=20), "--wait-timeout", "0"]
     with on_a_terminal(domain, "bash", "-c", 'set -m; "$@" & wait $!', "shell", *play) as (process, _, _):

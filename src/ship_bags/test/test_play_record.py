@@ -229,7 +229,7 @@ def test_the_clock_is_never_further_behind_a_message_than_its_grid(tmp_path):
 
 
 @pytest.mark.parametrize("stride", [1, 7, 10**9])
-def test_mend_21_with_ticks_left_out_the_clock_is_no_further_behind_a_message(tmp_path, stride):
+def test_with_ticks_left_out_the_clock_is_not_late(tmp_path, stride):
     factory = RosbagsFactory()
     offsets_ns = (0, 1, 3_712_345_678, 3_712_345_679, 3_730_000_000, 10**12)
     with BagWriter(tmp_path / "in.mcap") as bag:
@@ -246,7 +246,7 @@ def test_mend_21_with_ticks_left_out_the_clock_is_no_further_behind_a_message(tm
     assert len(ticks) <= 10**12 // CLOCK_PERIOD_NS // stride + 20 * len(offsets_ns)
 
 
-def test_mend_21_a_year_at_a_rate_beyond_all_measure_is_played_at_once(live, tmp_path):
+def test_a_year_at_a_huge_rate_is_played_immediately(live, tmp_path):
     """Years of /clock at its period lay before the first message, and three billion ticks behind it."""
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import Imu
@@ -266,7 +266,7 @@ def test_mend_21_a_year_at_a_rate_beyond_all_measure_is_played_at_once(live, tmp
     assert START_NS - 61 * 10**9 < ns(times[0]) < START_NS
 
 
-def test_mend_21_topics_that_nobody_wants_are_named_and_not_waited_for(live, tmp_path):
+def test_topics_without_subscribers_are_reported_and_not_waited_for(live, tmp_path):
     from sensor_msgs.msg import Imu
 
     factory = RosbagsFactory()
@@ -341,7 +341,7 @@ def test_offset_filter_and_remap(live, tmp_path):
     assert (original, truth) == ([], [])
 
 
-def test_a_type_that_is_not_installed_or_another_here_is_skipped_by_name(live, tmp_path):
+def test_a_type_that_is_missing_or_different_is_skipped(live, tmp_path):
     from sensor_msgs.msg import Imu
 
     message_store().register(get_types_from_msg("float64 x", "other_msgs/msg/Thing"))
@@ -419,7 +419,7 @@ def test_record_refuses_in_one_line(live, tmp_path, options, expected):
 
 
 @pytest.mark.parametrize("command", [[*PLAY, "in.mcap"], [*RECORD, "--out", "out.mcap"]], ids=["play", "record"])
-def test_mend_19_play_and_record_refuse_to_run_unprotected(live, tmp_path, command):
+def test_play_and_record_refuse_to_run_unprotected(live, tmp_path, command):
     if dds_has_security(loaded_libraries()):
         pytest.skip("this DDS has security: they then start, or refuse for want of keys")
     make_bag(tmp_path / "in.mcap", 1)
@@ -454,7 +454,7 @@ def test_a_killed_recorder_has_everything_but_its_last_flush_period(live, tmp_pa
     assert killed_ns - got["ins/imu"][-1][0] < 2 * flush_period_s * 1e9
 
 
-def test_a_full_disk_is_said_and_leaves_whole_chunks(live, tmp_path):
+def test_a_full_disk_is_reported_and_leaves_complete_chunks(live, tmp_path):
     limit_bytes = 20_000
     source = make_bag(tmp_path / "in.mcap", 2000)
     path = tmp_path / "out.mcap"
@@ -487,7 +487,7 @@ def test_a_recording_ends_by_itself(live, tmp_path, options):
         assert len(payloads(tmp_path / "out.mcap", "ins/imu")) == 20
 
 
-def test_mend_21_a_recording_is_not_kept_awake_by_nodes_that_have_nothing_to_say(live, tmp_path):
+def test_status_messages_do_not_prolong_a_recording(live, tmp_path):
     """The real node goes on to publish diagnostics, health, budgets and INVALID when its input has ended."""
     source = make_bag(tmp_path / "in.mcap", 20)
     command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "-p", "slow_topics_period_s:=0.1"]
@@ -523,7 +523,7 @@ def test_mend_21_a_recording_is_not_kept_awake_by_nodes_that_have_nothing_to_say
         ("rosgraph_msgs/msg/Clock", {}, False),
     ],
 )
-def test_mend_21_what_is_an_activity(type_name, fields, counts):
+def test_activity(type_name, fields, counts):
     from rclpy.serialization import serialize_message
 
     kind = message_class(type_name)

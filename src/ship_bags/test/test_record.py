@@ -53,10 +53,10 @@ class TestClockWatch:
         assert self.steps([10**18 + 50_000 * number for number in range(1000)]) == [None] * 1000
 
     @pytest.mark.parametrize("step_ns", [-3_600_000_000_000, -STEP_NS - 1, STEP_NS + 1, 86_400_000_000_000])
-    def test_a_step_is_told_once_with_its_size(self, step_ns):
+    def test_a_step_is_reported_once_with_its_size(self, step_ns):
         assert self.steps([10**18, 10**18, 10**18 + step_ns, 10**18 + step_ns]) == [None, None, step_ns, None]
 
-    def test_sleep_between_the_two_readings_is_no_step(self):
+    def test_a_pause_between_the_two_readings_is_no_step(self):
         watch = ClockWatch()
         assert watch.look(0, 10**18, 1000) is None
         # The process slept for 2 s after it read the steady clock.
@@ -188,7 +188,7 @@ class TestLive:
                 "to_ns": str(400 * 10**9),
             }
 
-    def test_a_disk_that_stalls_is_no_silence(self, tmp_path):
+    def test_a_stalled_disk_is_no_timeout(self, tmp_path):
         import rclpy
         from geometry_msgs.msg import Vector3
         from rclpy.parameter import Parameter

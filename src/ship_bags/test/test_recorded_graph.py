@@ -29,7 +29,7 @@ def command(module, *arguments):
 
 
 @pytest.mark.parametrize("name", ["voyage.mcap", "voyage"])
-def test_mend_22_a_recording_holds_the_parameters_of_the_nodes_it_hears(name, tmp_path, monkeypatch):
+def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkeypatch):
     """A folder and a file; beside the node one that never answers."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id = free_domain_id()

@@ -33,27 +33,27 @@ def library(folder: Path, content: bytes, name: str = "libfastrtps.so.2.14") -> 
     return [folder / "not_looked_at.so", path]
 
 
-def test_mend_19_security_is_told_by_what_the_library_exports(tmp_path: Path) -> None:
+def test_security_is_detected_by_the_exported_symbols(tmp_path: Path) -> None:
     assert dds_has_security(library(tmp_path, WITHOUT)) is False
     assert dds_has_security(library(tmp_path, WITH)) is True
     assert dds_has_security(library(tmp_path, b"neither")) is None
     assert dds_has_security(library(tmp_path, WITH, "libddsc.so.0")[:1]) is None
 
 
-def test_mend_19_the_installed_dds_says_what_its_headers_say() -> None:
+def test_detected_security_of_the_installed_dds_matches_its_headers() -> None:
     """Over a Jazzy installation of Ubuntu it has security, in the wheels it has not: told either way."""
     assert dds_has_security(loaded_libraries()) is not None
 
 
 @pytest.mark.parametrize("spelling", ["", " ", "false", "False", "FALSE", "0", "no", "off"])
-def test_what_is_clearly_no_demands_nothing(spelling: str) -> None:
+def test_clear_negations_request_no_security(spelling: str) -> None:
     assert not is_demanded({ENABLE: spelling, STRATEGY: "Enforce"})
     assert not is_demanded({STRATEGY: "Enforce"})
 
 
 @pytest.mark.parametrize("strategy", ["", "Permissive", "Enforce", "enforce", "nonsense"])
 @pytest.mark.parametrize("spelling", ["true", "TRUE", "True", "1", "yes", "on", " true ", "2", "ture"])
-def test_mend_19_every_spelling_that_is_not_clearly_no_is_a_demand(spelling: str, strategy: str) -> None:
+def test_any_other_spelling_requests_security(spelling: str, strategy: str) -> None:
     demand = {ENABLE: spelling, STRATEGY: strategy}
     assert is_demanded(demand)
     with pytest.raises(BadInput, match=r"requests DDS security, and the DDS of this installation was built without it"):
@@ -70,7 +70,7 @@ def test_mend_19_every_spelling_that_is_not_clearly_no_is_a_demand(spelling: str
 
 
 @pytest.mark.parametrize(("spelling", "strategy"), [("true", "Permissive"), ("1", "Enforce"), ("true", "Enforce")])
-def test_mend_19_a_node_refuses_in_one_line(spelling: str, strategy: str) -> None:
+def test_a_node_refuses_in_one_line(spelling: str, strategy: str) -> None:
     if dds_has_security(loaded_libraries()):
         pytest.skip("this DDS has security: it then starts, or refuses for want of keys")
     environment = os.environ | {ENABLE: spelling, STRATEGY: strategy}
@@ -91,7 +91,7 @@ OWN = str(DDS_PROFILE)
         ({QOS_FROM_PROFILE_VARIABLE: "0"}, (OWN, "0")),
     ],
 )
-def test_the_profile_of_the_suite_counts_unless_people_set_another(
+def test_the_suite_profile_applies_unless_the_user_sets_another(
     monkeypatch: pytest.MonkeyPatch, before: dict[str, str], after: tuple[str, str | None]
 ) -> None:
     for name in (PROFILE_VARIABLE, QOS_FROM_PROFILE_VARIABLE):

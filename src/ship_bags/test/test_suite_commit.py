@@ -21,7 +21,7 @@ def git(folder, *words):
     return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_the_commit_of_its_own_checkout_alone(tmp_path):
+def test_only_the_commit_of_its_own_checkout(tmp_path):
     file = Path(ship_bags.suite_commit.__file__)
     shutil.copy(file, tmp_path)
     assert commit_in(tmp_path) == ""

@@ -61,14 +61,14 @@ def test_good_data_is_ok_with_rate_latency_and_age(book):
     assert (message.rate_hz, message.latency_s, message.age_s) == pytest.approx((100.0, 0.005, 0.015))
 
 
-def test_nothing_yet_is_nan_and_ok_before_the_watchdog(book):
+def test_before_the_first_message_values_are_nan_and_level_ok(book):
     book.statuses(START_NS)
     message = imu_message(book, START_NS + 4_999 * MS)
     assert (message.received, message.level) == (0, 0)
     assert all(math.isnan(value) for value in (message.rate_hz, message.latency_s, message.age_s))
 
 
-def test_required_topic_that_never_came_is_an_error_after_five_seconds(book):
+def test_required_topic_without_messages_is_an_error_after_five_seconds(book):
     book.statuses(START_NS)
     statuses = book.statuses(START_NS + 5 * S)
     assert [status.level for status in statuses] == [Level.ERROR, Level.OK]
@@ -76,7 +76,7 @@ def test_required_topic_that_never_came_is_an_error_after_five_seconds(book):
     assert statuses[1].message == "no message yet"
 
 
-def test_watchdog_names_publishers_where_they_are_known(book):
+def test_first_message_timeout_text_depends_on_the_publishers(book):
     book.statuses(START_NS)
     book.publisher_count(IMU, 0)
     book.publisher_count(STAR, 2)
@@ -86,7 +86,7 @@ def test_watchdog_names_publishers_where_they_are_known(book):
     assert star.message == "2 publisher(s) but no message for 6 s: QoS mismatch, or none is sent"
 
 
-def test_a_device_that_the_configuration_names_and_nobody_hears_of_is_a_warning():
+def test_a_configured_device_without_messages_is_a_warning():
     """As after a mistyped id: its topic has no publisher and never will."""
     book = InputHealthBook([InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, named=True)])
     book.statuses(START_NS)
@@ -102,13 +102,13 @@ def test_one_message_has_no_rate(book):
 
 
 @pytest.mark.parametrize(("silence_ms", "level"), [(100, Level.OK), (101, Level.WARN), (1001, Level.ERROR)])
-def test_silence_of_a_required_fast_topic(book, silence_ms, level):
+def test_timeout_of_a_required_fast_topic(book, silence_ms, level):
     last_ns = feed(book, 100)
     assert imu_status(book, last_ns + silence_ms * MS).level is level
 
 
 @pytest.mark.parametrize(("silence_ms", "level"), [(600, Level.OK), (601, Level.WARN), (5000, Level.WARN)])
-def test_silence_of_an_optional_slow_topic_is_three_periods(book, silence_ms, level):
+def test_timeout_of_an_optional_slow_topic_is_three_periods(book, silence_ms, level):
     for i in range(20):
         book.arrived(STAR, START_NS + i * 200 * MS)
         book.accepted(STAR, START_NS + i * 200 * MS, START_NS + i * 200 * MS)
@@ -123,19 +123,19 @@ def test_one_gap_does_not_hide_the_next(book):
     assert imu_status(book, last_ns + 200 * MS).message == "no data for 0.2 s"
 
 
-def test_single_message_and_then_nothing_is_noticed(book):
+def test_timeout_after_a_single_message(book):
     last_ns = feed(book, 1)
     assert imu_status(book, last_ns + 5 * S).level is Level.OK
     assert imu_status(book, last_ns + 5 * S + 1).level is Level.ERROR
 
 
-def test_rate_falls_while_silent(book):
+def test_rate_decreases_without_messages(book):
     last_ns = feed(book, 51)
     # 50 intervals in 0.5 s, then 4.5 s of nothing.
     assert imu_message(book, last_ns + 4_500 * MS).rate_hz == pytest.approx(10.0)
 
 
-def test_single_refusal_is_a_warning_for_two_seconds_with_reason_and_count(book):
+def test_single_rejection_is_a_warning_for_two_seconds_with_reason_and_count(book):
     feed(book, 50)
     refused_ns = reject(book, 1, Reason.BAD_QUATERNION, start_ns=START_NS + 500 * MS)
     feed(book, 300, start_ns=refused_ns + 10 * MS)
@@ -147,7 +147,7 @@ def test_single_refusal_is_a_warning_for_two_seconds_with_reason_and_count(book)
     assert imu_status(book, refused_ns + 2_001 * MS).level is Level.OK
 
 
-def test_single_gate_refusal_is_no_warning_but_a_run_is(book):
+def test_single_gate_rejection_is_no_warning_but_several_in_a_row_are(book):
     last_ns = reject(book, 4, Reason.GATE, start_ns=feed(book, 50) + 10 * MS)
     assert imu_status(book, last_ns).level is Level.OK
     last_ns = reject(book, 1, Reason.GATE, start_ns=last_ns + 10 * MS)
@@ -155,19 +155,19 @@ def test_single_gate_refusal_is_no_warning_but_a_run_is(book):
 
 
 @pytest.mark.parametrize(("count", "level"), [(5, Level.WARN), (19, Level.WARN), (20, Level.ERROR)])
-def test_run_of_refusals(book, count, level):
+def test_consecutive_rejections(book, count, level):
     status = imu_status(book, reject(book, count, Reason.BAD_COVARIANCE))
     assert (status.level, status.message.split(",")[0]) == (level, f"{count} rejected in a row")
 
 
-def test_accepted_message_ends_the_run(book):
+def test_accepted_message_ends_consecutive_rejections(book):
     last_ns = feed(book, 1, start_ns=reject(book, 30, Reason.UNITS) + 10 * MS)
     assert imu_status(book, last_ns + 2 * S + 10 * MS).message.startswith("no data")
     reject(book, 4, Reason.UNITS, start_ns=last_ns + 10 * MS)
     assert "in a row" not in imu_status(book, last_ns + 50 * MS).message
 
 
-def test_ten_from_the_future_in_a_row_are_a_clock_offset(book):
+def test_ten_consecutive_future_stamps_are_a_clock_offset(book):
     last_ns = reject(book, 9, Reason.FUTURE)
     assert imu_status(book, last_ns).level is Level.WARN
     last_ns = reject(book, 1, Reason.FUTURE, start_ns=last_ns + 10 * MS)
@@ -176,7 +176,7 @@ def test_ten_from_the_future_in_a_row_are_a_clock_offset(book):
     assert status.message.startswith("clock offset: 10 stamps in a row in the future")
 
 
-def test_another_refusal_in_between_is_no_clock_offset(book):
+def test_another_rejection_in_between_is_no_clock_offset(book):
     last_ns = reject(book, 9, Reason.FUTURE)
     last_ns = reject(book, 1, Reason.FRAME, start_ns=last_ns + 10 * MS)
     last_ns = reject(book, 9, Reason.FUTURE, start_ns=last_ns + 10 * MS)
@@ -209,7 +209,7 @@ def test_incompatible_qos_is_an_error_until_the_publisher_goes(book):
     assert imu_status(book, last_ns).level is Level.OK
 
 
-def test_restart_keeps_counts_and_forgets_times(book):
+def test_restart_keeps_counts_and_resets_times(book):
     feed(book, 50)
     reject(book, 30, Reason.FUTURE, start_ns=START_NS + 500 * MS)
     early_ns = START_NS - 3600 * S
@@ -235,7 +235,7 @@ def test_lost_messages_are_shown(book):
     assert imu_status(book, START_NS).values["lost by the middleware"] == "7"
 
 
-def test_mend_13_stamps_of_another_time_are_an_error_in_words(book):
+def test_too_old_stamps_are_an_error(book):
     last_ns = feed(book, 20, latency_ns=26_790_201 * S)
     status = imu_status(book, last_ns)
     assert (status.level, status.values["accepted"], status.values["reason clock"]) == (Level.ERROR, "20", "20")
@@ -253,7 +253,7 @@ def test_mend_13_stamps_of_another_time_are_an_error_in_words(book):
     assert book.of_another_time() == ""
 
 
-def test_mend_13_from_max_age_on_and_not_before():
+def test_maximum_age_of_stamps():
     book = InputHealthBook([InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100)], max_age_s=10.0)
     assert imu_status(book, feed(book, 3, latency_ns=10 * S)).level == Level.OK
     assert imu_status(book, feed(book, 3, latency_ns=10 * S + 1)).level == Level.ERROR
@@ -272,11 +272,11 @@ def test_mend_13_from_max_age_on_and_not_before():
         (-300, "5 minutes"),
     ],
 )
-def test_durations_are_said_in_words(seconds, text):
+def test_duration_texts(seconds, text):
     assert duration_text(round(seconds * S)) == text
 
 
-def test_what_comes_at_times_may_be_silent_from_the_start_and_later():
+def test_occasional_topics_have_no_timeout():
     target = "theodolite/target"
     book = InputHealthBook([InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, at_times=True)])
     book.statuses(START_NS)

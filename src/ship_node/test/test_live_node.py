@@ -84,7 +84,7 @@ def test_exception_in_handle_is_reported_and_the_next_message_is_relayed(live_re
     assert "relay_adapter.py:" in text
 
 
-def test_message_refused_by_the_adapter_is_counted_and_shown(live_relay):
+def test_message_rejected_by_the_adapter_is_counted_and_shown(live_relay):
     relay = live_relay(*RELIABLE_INPUT, "-p", "frame_id:=ins")
     publisher = relay.imu_publisher()
     publisher.publish(imu_message(time.time_ns(), "radar"))
@@ -107,7 +107,7 @@ def test_a_step_of_the_systems_clock_is_reported_once(live_relay, monkeypatch):
     assert [round(step_ns / 1e9, 2) for step_ns in relay.adapter.clock_steps] == [-300.0, 900.0]
 
 
-def test_services_answer_also_where_the_adapter_raises(live_relay):
+def test_services_answer_also_if_the_adapter_raises(live_relay):
     relay = live_relay()
     assert relay.call(Trigger, "reset", Trigger.Request()) == Trigger.Response(success=True, message="reset")
     answer = relay.call(Trigger, "explode", Trigger.Request())
@@ -175,7 +175,7 @@ def test_publisher_with_incompatible_qos_is_an_error_that_names_the_policy(live_
     assert "RELIABILITY" in relay.diagnostics[name].message
 
 
-def test_quality_of_service_as_the_contract_says(live_relay):
+def test_quality_of_service_of_the_contract(live_relay):
     node = live_relay().live.node
     (imu,) = node.get_subscriptions_info_by_topic("/ins/imu")
     assert imu.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
@@ -193,12 +193,12 @@ def test_quality_of_service_as_the_contract_says(live_relay):
         (("-p", "qos_overrides./ins/imu.subscription.reliability:=best_effort"), ReliabilityPolicy.BEST_EFFORT),
     ],
 )
-def test_reliable_inputs_are_reliable_unless_a_topic_has_a_rule_of_its_own(live_relay, more, expected):
+def test_reliable_inputs_and_the_override_of_one_topic(live_relay, more, expected):
     (imu,) = live_relay("-p", "reliable_inputs:=true", *more).live.node.get_subscriptions_info_by_topic("/ins/imu")
     assert imu.qos_profile.reliability == expected
 
 
-def test_a_reliable_input_takes_what_comes_in_one_go_after_a_cut(live_relay):
+def test_a_reliable_input_queues_a_burst_after_an_outage(live_relay):
     """Five times as many samples as wait for a best-effort input, which a slow node has not used when the last came."""
     relay = live_relay("-p", "reliable_inputs:=true")
     handle, count = relay.adapter.handle, 5 * relay.adapter.inputs[0].depth
@@ -214,7 +214,7 @@ def test_a_reliable_input_takes_what_comes_in_one_go_after_a_cut(live_relay):
     relay.wait_until(lambda: len(relay.attitudes) == count)
 
 
-def test_mend_18_a_flood_stops_neither_ticks_nor_what_comes_after_it(live_relay):
+def test_a_flood_stops_neither_ticks_nor_later_messages(live_relay):
     relay = live_relay()
     handle, depth = relay.adapter.handle, relay.adapter.inputs[0].depth
 
@@ -242,7 +242,7 @@ def test_mend_18_a_flood_stops_neither_ticks_nor_what_comes_after_it(live_relay)
     relay.wait_until(lambda: ns_from_stamp(relay.attitudes[-1].header.stamp) == latest_ns)
 
 
-def test_mend_04_a_node_that_stood_still_takes_what_came_before_it_judges_silence(live_relay):
+def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
     handle, uses = relay.adapter.handle, []
 
@@ -265,7 +265,7 @@ def test_mend_04_a_node_that_stood_still_takes_what_came_before_it_judges_silenc
     assert sum(uses[0] < tick_ns <= uses[1] for tick_ns in relay.adapter.ticks) <= 2
 
 
-def test_mend_7_a_node_that_cannot_keep_up_is_behind_and_keeps_up_again_when_the_load_ends(live_relay):
+def test_overload_state_begins_and_ends_with_the_load(live_relay):
     """Ten times more than it can take, whatever the machine: each message takes 0.1 s."""
     relay = live_relay(*RELIABLE_INPUT)
     handle, load_s, used = relay.adapter.handle, 0.1, []
@@ -299,7 +299,7 @@ def test_mend_7_a_node_that_cannot_keep_up_is_behind_and_keeps_up_again_when_the
     assert relay.adapter.overloads[-1].behind_s == 0.0
 
 
-def test_a_queue_of_events_that_is_never_empty_is_waiting_time_of_bag_time(live_relay, monkeypatch):
+def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
     """A node that takes one event at a time uses each message at once, but six seconds of the bag wait as events."""
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     set_time, publisher = relay.clock_publisher(), relay.imu_publisher()
@@ -329,7 +329,7 @@ def test_a_queue_of_events_that_is_never_empty_is_waiting_time_of_bag_time(live_
     assert relay.adapter.overloads[0].behind_s > 1.0
 
 
-def test_mend_18_a_message_too_large_to_decode_is_counted_and_harms_nothing(live_relay):
+def test_an_oversized_message_is_counted_and_dropped(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
     publisher = relay.imu_publisher()
     publisher.publish(imu_message(time.time_ns(), "x" * 2 * LARGEST_MESSAGE_BYTES))
@@ -341,7 +341,7 @@ def test_mend_18_a_message_too_large_to_decode_is_counted_and_harms_nothing(live
     assert len(relay.adapter.handled) == 1
 
 
-def test_bag_time_ticks_on_the_grid_and_a_jump_back_starts_anew_once(live_relay):
+def test_bag_time_ticks_on_the_grid_and_a_jump_back_restarts_once(live_relay):
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     set_time = relay.clock_publisher()
     for time_s in (1000.03, 1000.12, 1000.34):
@@ -409,7 +409,7 @@ def test_clock_that_never_starts_is_an_error(live_relay):
     assert "but no /clock for" in relay.diagnostics[name].message
 
 
-def test_mend_17_a_clock_that_dies_is_told_and_waiting_goes_on_without_it(live_relay):
+def test_timeout_of_clock_is_reported_and_timeouts_continue(live_relay):
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     name, set_time = "relay: clock", relay.clock_publisher()
     # As a paused playback does: the same time again and again.
@@ -438,7 +438,7 @@ def test_mend_17_a_clock_that_dies_is_told_and_waiting_goes_on_without_it(live_r
     assert relay.adapter.resets == []
 
 
-def test_mend_17_two_nodes_of_one_name_are_told_as_long_as_there_are_two(live_relay):
+def test_two_nodes_with_one_name_are_reported(live_relay):
     relay = live_relay()
     relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
     twin = rclpy.create_node("relay", context=relay.context, use_global_arguments=False)
@@ -448,7 +448,7 @@ def test_mend_17_two_nodes_of_one_name_are_told_as_long_as_there_are_two(live_re
     relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
 
 
-def test_mend_13_a_bag_of_another_year_is_named_with_what_to_do(live_relay, capfd):
+def test_a_bag_of_another_year_is_reported_with_the_remedy(live_relay, capfd):
     relay = live_relay(*RELIABLE_INPUT)
     # Its time goes out too, and the node does not follow it.
     relay.peer.create_publisher(Clock, "/clock", 10)
@@ -502,7 +502,7 @@ def send_until(relay, senders, happened) -> float:
     return time.monotonic() - start_s
 
 
-def test_two_publishers_that_send_are_named_at_once_and_forgotten_after_one_has_stopped(two_senders):
+def test_two_active_publishers_are_named_until_one_has_stopped(two_senders):
     relay, first, second = two_senders
     send_until(relay, [first], lambda: len(relay.attitudes) >= 20)
     assert relay.adapter.contested == []
@@ -514,7 +514,7 @@ def test_two_publishers_that_send_are_named_at_once_and_forgotten_after_one_has_
     print(f"found after {found_s:.2f} s, over {over_s:.2f} s after one has stopped")
 
 
-def test_one_of_two_publishers_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
+def test_a_publisher_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
     relay, first, _ = two_senders
     send_until(relay, [first], lambda: relay.reports("relay: input ins/imu", DiagnosticStatus.OK))
 
@@ -527,7 +527,7 @@ def test_one_of_two_publishers_that_never_sends_is_a_hint_in_the_diagnostics(two
 
 
 @pytest.mark.slow
-def test_a_publisher_that_was_killed_and_started_again_is_one(live_relay):
+def test_a_restarted_publisher_counts_as_one(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
     script = (
         "import rclpy, time; from sensor_msgs.msg import Imu; from ship_testing.live_relay import imu_message\n"

@@ -101,7 +101,7 @@ RELAY_FILE = "{section}:\n  ros__parameters: {{frame_id: ins}}\n"
         ("/**/relai", ["-r", "relay:__ns:=/aurora"], "/aurora/relay"),
     ],
 )
-def test_mend_12_a_file_that_misses_the_node_exits_2_with_both_names(tmp_path, section, remaps, node):
+def test_a_file_with_a_similar_section_name_exits_2_with_both_names(tmp_path, section, remaps, node):
     path = tmp_path / "suite.yaml"
     path.write_text(RELAY_FILE.format(section=section))
     result = run_relay("--ros-args", "--params-file", str(path), *remaps)
@@ -111,7 +111,7 @@ def test_mend_12_a_file_that_misses_the_node_exits_2_with_both_names(tmp_path, s
     assert result.stderr.count("\n") == 1
 
 
-def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged_by_itself(tmp_path):
+def test_a_file_for_other_nodes_is_one_warning_and_each_file_is_checked(tmp_path):
     """The second file is what ros2 launch writes of inline parameters: it fits."""
     other, inline = tmp_path / "other.yaml", tmp_path / "inline.yaml"
     other.write_text(RELAY_FILE.format(section="/**/radar"))
@@ -129,7 +129,7 @@ def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged
         assert process.wait(timeout=30) == 0
 
 
-def test_mend_18_told_to_end_while_it_still_reads_its_libraries_it_ends_well():
+def test_a_signal_during_the_imports_ends_the_node_cleanly():
     code = "from ship_node.live.start import start_node; start_node('ship_testing.relay_adapter', 'RelayAdapter')"
     with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT / "test", stderr=subprocess.PIPE) as process:
         proc = Path(f"/proc/{process.pid}")

@@ -62,7 +62,7 @@ def found(
 
 @pytest.mark.parametrize("step_s", [-900.0, -300.0, -10.0, -1.0, -0.7, 2.0, 10.5, 300.0, 900.0])
 @pytest.mark.parametrize("at_s", [20.0, 20.005, 20.3])
-def test_a_step_of_all_stamps_is_found_within_1_3_s(step_s: float, at_s: float) -> None:
+def test_a_step_of_all_stamps_is_detected_within_1_3_s(step_s: float, at_s: float) -> None:
     # A small step forward is in the future of the node's clock, or it is the end of a delay.
     follows = step_s < 0.0 or step_s > 10.0
     steps = found(lambda topic, valid_s: step_s if valid_s >= at_s else 0.0, node_follows=follows)
@@ -91,7 +91,7 @@ def test_a_step_forward_of_the_computers_clock_is_confirmed_by_all_inputs(step_s
     assert told_s == step_s
 
 
-def test_ahead_for_30_s_and_then_right_are_two_steps() -> None:
+def test_an_offset_for_30_s_is_two_steps() -> None:
     steps = found(lambda topic, valid_s: 900.0 if 20.0 <= valid_s < 50.0 else 0.0, duration_s=80.0)
     assert [step_s for _, step_s in steps] == [pytest.approx(900.0), pytest.approx(-900.0)]
 
@@ -107,7 +107,7 @@ def test_one_device_alone_is_never_a_step_of_the_time_base(alone: str, step_s: f
 
 
 @pytest.mark.parametrize("step_s", [-1.0, -5.0])
-def test_an_input_that_moved_and_fell_silent_keeps_nothing_in_question(step_s: float) -> None:
+def test_an_input_that_moved_and_timed_out_leaves_no_pending_step(step_s: float) -> None:
     """The star sensor steps alone and ends two seconds later; then a link delays all others by as much for good."""
 
     def delay_s(topic: str, valid_s: float) -> float:
@@ -130,7 +130,7 @@ def test_the_computers_clock_alone_is_no_step_of_the_time_base(later_s: float) -
 
 
 @pytest.mark.parametrize("alone_s", [-300.0, 300.0])
-def test_a_device_that_was_off_alone_for_long_steps_with_the_others(alone_s: float) -> None:
+def test_a_device_with_a_long_offset_steps_with_the_others(alone_s: float) -> None:
     def step(topic: str, valid_s: float) -> float:
         return alone_s * (topic == "star/fore" and valid_s >= 20.0) - 5.0 * (valid_s >= 120.0)
 
@@ -145,7 +145,7 @@ def test_a_clock_that_drifts_ahead_has_not_moved() -> None:
     assert not clocks.is_in_question
 
 
-def test_an_input_that_says_both_agrees_with_no_step() -> None:
+def test_an_input_with_both_times_confirms_no_step() -> None:
     """Every other sample of the INS goes on as before: a second publisher has the clock that all others have."""
 
     def step(topic: str, valid_s: float) -> float:
@@ -162,7 +162,7 @@ def test_devices_that_follow_one_after_another_are_one_step() -> None:
     assert step_s == pytest.approx(-300.0)
 
 
-def test_an_input_that_is_silent_follows_unseen() -> None:
+def test_an_input_without_messages_follows_a_step() -> None:
     def delay_s(topic: str, valid_s: float) -> float:
         return 1e6 if topic == "star/fore" and 15.0 <= valid_s < 40.0 else 0.0
 
@@ -188,7 +188,7 @@ def test_bursts_that_come_late_are_no_step(periods_s, late_s: float, share: floa
     assert found(lambda topic, valid_s: 0.0, delay_s, **periods_s) == []
 
 
-def test_a_longer_way_after_a_step_is_no_other_step() -> None:
+def test_a_longer_latency_after_a_step_is_no_further_step() -> None:
     """The clocks step back by 300 s; from 40 s on all messages take a second more."""
     steps = found(
         lambda topic, valid_s: -300.0 * (valid_s >= 20.0), lambda topic, valid_s: float(valid_s >= 40.0), 80.0
@@ -220,7 +220,7 @@ def test_the_step_is_that_of_the_fastest_input() -> None:
     assert step_s == -300.0
 
 
-def test_an_input_far_ahead_stays_unused_while_others_are_there() -> None:
+def test_an_input_far_ahead_is_unused_while_others_are_present() -> None:
     """Also where the node's clock does not refuse it, because it is ahead itself."""
     clocks = TimeBase()
 
@@ -232,7 +232,7 @@ def test_an_input_far_ahead_stays_unused_while_others_are_there() -> None:
 
 
 @pytest.mark.parametrize("held_up_s", [0.8, 3.0, 30.0])
-def test_a_link_that_holds_everything_up_is_no_step(held_up_s: float) -> None:
+def test_a_stalled_link_is_no_step(held_up_s: float) -> None:
     """All that was sent meanwhile comes at once, as after a stall of the network or of the node."""
 
     def delay_s(topic: str, valid_s: float) -> float:
@@ -241,7 +241,7 @@ def test_a_link_that_holds_everything_up_is_no_step(held_up_s: float) -> None:
     assert found(lambda topic, valid_s: 0.0, delay_s) == []
 
 
-def test_utc_is_ambiguous_in_the_second_that_is_told_twice() -> None:
+def test_utc_is_ambiguous_in_a_leap_second() -> None:
     midnight_ns = 1_483_228_800 * S  # 2017-01-01, after 2016-12-31T23:59:60
     clocks = TimeBase()
     told = [clocks.is_misdated(midnight_ns + round(s * S), 0) for s in (-1.5, -0.5, 0.0, 0.5, 1.0)]

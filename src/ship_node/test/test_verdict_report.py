@@ -60,14 +60,14 @@ def test_an_understated_sigma_is_a_warning() -> None:
     assert float(status.values["factor of its sigma"]) == pytest.approx(3.0, rel=0.2)
 
 
-def test_too_few_are_shown_without_figures_and_are_no_warning() -> None:
+def test_too_few_measurements_are_no_warning_and_have_no_figures() -> None:
     report = VerdictReport()
     report.pending += decisions(3.0, count=5)
     (status,) = report.statuses()
     assert (status.level, status.values) == (Level.OK, {"measurements": "5"})
 
 
-def test_a_flood_stays_bounded_and_a_reset_forgets() -> None:
+def test_pending_decisions_are_bounded_and_cleared_by_a_reset() -> None:
     report = VerdictReport()
     report.pending += decisions(1.0, count=50) * 200
     assert len(report.pending) == 5000
