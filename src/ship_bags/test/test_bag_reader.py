@@ -1,4 +1,4 @@
-"""Bags as they come: in order, split, overlapping, cut, damaged, or no bags at all."""
+"""Bag reader: order, split, overlapping, truncated, damaged and invalid bags."""
 
 import gc
 import io
@@ -27,7 +27,7 @@ VECTOR = "geometry_msgs/msg/Vector3"
 
 
 def write_numbered(path, log_times, topics=("a",), **options):
-    """A bag of Vector3 (x = position in this list) through the mcap project's writer, with small chunks."""
+    """Write Vector3 messages (x = index in this list) with the mcap project's writer, in small chunks."""
     options = {"chunk_size": 1500, **options}
     with open(path, "wb") as file:
         writer = Writer(file, **options)
@@ -42,7 +42,7 @@ def write_numbered(path, log_times, topics=("a",), **options):
 
 
 def numbers(path):
-    """(log time, x) of all messages as read, and the problems."""
+    """Return (log time, x) of all messages as read, and the problems."""
     with read_bag(path) as bag:
         found = [(record.log_time_ns, int(record.decode().x)) for record in bag.records()]
         assert bag.message_count == len(found)
@@ -50,7 +50,7 @@ def numbers(path):
 
 
 def chunk_offsets(data):
-    """Byte at which each chunk record begins, its length, and its messages, by walking the records."""
+    """Return offset, length and messages of each chunk record, by scanning the records."""
     offset, chunks = 8, []
     while offset < len(data) - 8:
         opcode, length = struct.unpack_from("<BQ", data, offset)
@@ -61,7 +61,7 @@ def chunk_offsets(data):
 
 
 def whole_messages(data):
-    """Messages that the mcap project's StreamReader gets out of a cut file."""
+    """Return the messages that the mcap project's StreamReader reads from a truncated file."""
     count = 0
     try:
         for record in StreamReader(io.BytesIO(data)).records:
@@ -77,12 +77,12 @@ TIMES = [START_NS + number * 10_000_000 for number in range(MESSAGES)]
 
 @pytest.fixture
 def bag_bytes(tmp_path):
-    """A bag of twelve chunks."""
+    """Return a bag of twelve chunks."""
     return write_numbered(tmp_path / "whole.mcap", TIMES).read_bytes()
 
 
 def shuffled_times(seed):
-    """Log times that run forward by 10 ms but come up to 0.3 s out of order, with repetitions."""
+    """Return log times that increase by 10 ms but are up to 0.3 s out of order, with repetitions."""
     draw = random.Random(seed)
     return [START_NS + (10 * number + draw.randrange(0, 300, 10)) * 1_000_000 for number in range(2000)]
 
@@ -153,7 +153,7 @@ def test_earlier_chunks_are_not_read(tmp_path, since):
 
 
 def test_memory_stays_small(tmp_path):
-    """A chunk is read when its time has come, not before."""
+    """A chunk is read at its time, not before."""
     path = write_numbered(tmp_path / "bag.mcap", range(1, 20_001))
     with read_bag(path) as bag:
         chunks = [place for file in bag._files for place in file.chunks]
@@ -203,7 +203,7 @@ def test_cut_file_gives_all_up_to_the_cut(tmp_path, bag_bytes, share):
 
 
 class GrowingFile(io.BytesIO):
-    """A file that another program writes: whenever somebody has looked for its end, that lies further on."""
+    """File that another program writes: whenever its end has been read, it grows."""
 
     def __init__(self, data, grown_by):
         super().__init__(data)
@@ -266,14 +266,14 @@ def test_flipped_bits_in_a_chunk_lose_only_that_chunk(tmp_path, bag_bytes):
 
 
 def only_chunk(data, offset, length):
-    """One chunk and the end of a file, for the StreamReader."""
+    """Return one chunk and the end of a file, for the StreamReader."""
     footer = struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + b"\x89MCAP0\r\n"
     return data[offset : offset + length] + footer
 
 
 @pytest.mark.parametrize("field_offset", [0, 4, 9 + 3, 9 + 8 + 3, 9 + 16 + 6, 9 + 28])
 def test_flipped_bits_in_the_header_of_a_chunk(tmp_path, bag_bytes, field_offset):
-    """Opcode, length, times, uncompressed size and compression: lost is that chunk, nothing hangs or is disordered."""
+    """Opcode, length, times, uncompressed size and compression: only that chunk is lost, no hang, no disorder."""
     offset, length = chunk_offsets(bag_bytes)[2]
     flipped = bytearray(bag_bytes)
     flipped[offset + field_offset] ^= 0x40
@@ -300,7 +300,7 @@ def test_flipped_bit_in_the_summary_loses_nothing(tmp_path, bag_bytes):
 
 
 def test_every_byte_of_a_small_bag_may_be_wrong(tmp_path):
-    """Whatever byte is hit: no exception but BadInput, and no message that is not in the bag."""
+    """For any wrong byte: no exception except BadInput, and no message that is not in the bag."""
     path = tmp_path / "small.mcap"
     data = write_numbered(path, range(1, 61)).read_bytes()
     truth = {(time, time - 1) for time in range(1, 61)}
@@ -344,7 +344,7 @@ def test_unknown_encodings_are_skipped_by_name(tmp_path):
 
 
 def test_the_definition_in_the_bag_takes_precedence(tmp_path):
-    """A bag of another version of the message: decoded by its own definition, the difference told."""
+    """A bag of another version of the message is decoded by its own definition, and the difference reported."""
     path = tmp_path / "older.mcap"
     with open(path, "wb") as file:
         writer = Writer(file)
@@ -371,7 +371,7 @@ def test_bytes_that_are_not_the_message(tmp_path):
 
 
 def test_a_live_message_that_ends_with_an_empty_sequence_is_read(tmp_path):
-    """rclpy writes the padding before elements that are not there, of whatever was in its memory."""
+    """rclpy writes the padding for missing elements, with undefined bytes."""
     from rclpy.serialization import serialize_message
 
     from ship_msgs.msg import InputHealth

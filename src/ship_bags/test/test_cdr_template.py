@@ -1,4 +1,4 @@
-"""Templates against what we did not write: rosbags' CDR, and rclpy's."""
+"""Templates compared with the CDR of rosbags and rclpy."""
 
 import math
 import random
@@ -33,7 +33,7 @@ FACTORIES = [RosbagsFactory, RosidlFactory]
 
 
 def random_fields(draw, type_name):
-    """Fields of a message of random numbers, texts and lengths."""
+    """Return a message's fields with random numbers, texts and lengths."""
     return {name: random_value(draw, field) for name, field in RosbagsFactory().definition(type_name).items()}
 
 
@@ -138,7 +138,7 @@ def test_columns_must_be_all_and_no_others():
 
 
 def test_rows_are_the_bytes_of_messages_encoded_one_by_one():
-    """Texts, a sequence and an array of messages are the same in all; each number is another in each."""
+    """Texts, a sequence and an array of messages are the same in all; each number differs."""
     draw, factory, count = random.Random(4), RosbagsFactory(), 20
     one_by_one = [random_fields(draw, "ship_msgs/msg/ShipAttitude") for _ in range(count)]
     for number, fields in enumerate(one_by_one):

@@ -1,4 +1,4 @@
-"""Ctrl-C in the commands that work for long: one line, exit code 130, no half file; and a reader that leaves."""
+"""Ctrl-C in long commands: one line, exit code 130, no partial file; and a reader that is gone."""
 
 import errno
 import os

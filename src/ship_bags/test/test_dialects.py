@@ -1,4 +1,4 @@
-"""Sentences of makers as rows of one table, each with a sentence of a manual or a log; what else PASHR gives."""
+"""Sentences of common makers, each from a manual or a log; further fields of PASHR."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def said(text, needs_checksum=True):
 
 
 def messages_of(becomes, *texts, by_instrument=True):
-    """Messages of sentences that are received one after the other."""
+    """Return the messages of sentences received one after the other."""
     report = LineReport("test")
     instrument = Instrument(RosbagsFactory(), InstrumentRole(becomes, by_instrument), "a", report)
     found = []
@@ -100,7 +100,7 @@ def test_truncated_sentences_without_checksum_are_not_used(kind):
 
 
 def test_a_heading_has_the_turn_rate_of_its_burst():
-    """30 °/min to port are half a degree a second, left-handed about down and right-handed about up."""
+    """30 °/min to port are half a degree per second, negative about down and positive about up."""
     (message,), _ = messages_of(GYRO, SENTENCES["ROT"][0], sentence("HEHDT,10.0,T"))
     assert message.angular_velocity.z == pytest.approx(np.deg2rad(0.5))
     assert message.angular_velocity_covariance[0] == 1.0

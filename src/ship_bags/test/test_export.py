@@ -1,4 +1,4 @@
-"""Topics of bags as tables, read back by readers that are not ours: csv, pyarrow, scipy."""
+"""Topics of bags as tables, read back by independent readers: csv, pyarrow, scipy."""
 
 import csv
 import re
@@ -57,7 +57,7 @@ def constants(type_name):
 
 
 def read_table(path):
-    """Names of the columns and the rows, as csv, pyarrow or scipy give them; split integers are put together."""
+    """Return column names and rows as csv, pyarrow or scipy give them; split integers are combined."""
     if path.suffix == ".csv":
         with open(path, newline="", encoding="utf-8") as file:
             names, *rows = csv.reader(file)
@@ -81,7 +81,7 @@ def values(variable):
 
 
 class Rebuilder:
-    """Makes the messages of a topic from its tables, in the order in which the definition names the fields."""
+    """Makes the messages of a topic from its tables, in the order of the definition's fields."""
 
     def __init__(self, folder, stem, suffix):
         self.paths = {path.name.removesuffix(suffix): path for path in folder.glob(f"{stem}*{suffix}")}
@@ -147,7 +147,7 @@ class Rebuilder:
 
 
 def is_nothing(value):
-    """Whether it is what stands behind the end of an array in each format."""
+    """Return True for the value after the end of an array in each format."""
     return value in ("", None, 0) or value != value
 
 
@@ -168,7 +168,7 @@ def topic_of(type_name):
 
 @pytest.fixture(scope="module")
 def hard_bag(tmp_path_factory):
-    """Every type of the packages, five messages each, of values that are hard to keep."""
+    """Return a bag with five messages of every type of the packages, with extreme values."""
     rng = np.random.default_rng(13)
     path = tmp_path_factory.mktemp("bags") / "hard.mcap"
     with BagWriter(path) as bag:
@@ -239,7 +239,7 @@ def test_the_bags_of_the_repository_come_back_bit_for_bit(kind, name, tmp_path):
 
 
 def names_of(type_name, tmp_path):
-    """Columns of each table of one message."""
+    """Return the columns of each table of one message."""
     path = tmp_path / "one.mcap"
     with BagWriter(path) as bag:
         bag.write("a", random_message(type_name, message_store(), np.random.default_rng(1)), START_NS)
@@ -290,7 +290,7 @@ def test_arrays_within_arrays_are_tables_that_name_both_places(tmp_path):
 
 
 def test_arrays_in_the_same_order_share_a_table_also_where_one_is_shorter(tmp_path):
-    """Of an innovation that was refused before it was compared there is no residual, see Innovation.msg."""
+    """An innovation rejected before the comparison has no residual, see Innovation.msg."""
     path = tmp_path / "a.mcap"
     with BagWriter(path) as bag:
         message = innovation(START_NS, "star.fore", [], [], float("nan"), components=["north", "up", "east"])
@@ -345,7 +345,7 @@ def test_netcdf_has_the_required_attributes_and_no_path(tmp_path):
 
 
 def flags(path):
-    """Name of a variable → what its values mean, as a NetCDF file says."""
+    """Return name of a variable → meanings of its values, as in a NetCDF file."""
     with netcdf_file(path, mmap=False) as file:
         flagged = {name: each for name, each in file.variables.items() if hasattr(each, "flag_meanings")}
         # The conventions ask for values of the kind of the variable itself; a single one is read as a plain number.
@@ -358,7 +358,7 @@ def flags(path):
 
 
 def netcdf_of(type_name, folder):
-    """A message of a type as NetCDF in a folder."""
+    """Write a message of a type as NetCDF into a folder."""
     with BagWriter(folder / "one.mcap") as bag:
         bag.write("a", random_message(type_name, message_store(), np.random.default_rng(1)), START_NS)
     assert main([str(folder / "one.mcap"), "--out", str(folder), "--format", "netcdf", "--force"]) == 0
@@ -519,7 +519,7 @@ def test_a_rosbag2_folder_is_one_table(tmp_path):
 
 
 def refusal(arguments, capsys):
-    """The one line with which export refuses."""
+    """Return the one-line error of export."""
     assert main([str(argument) for argument in arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     return line
@@ -537,7 +537,7 @@ def test_a_missing_topic_is_reported_with_the_most_similar_one(imu_bag, tmp_path
 
 
 def test_a_truth_topic_is_not_suggested_for_a_ship_topic(tmp_path, capsys):
-    """Who took the suggestion would judge the suite by the truth itself."""
+    """A user who follows the suggestion would evaluate the truth itself."""
     demo, options = ROOT / "bags" / "demo.mcap", ["--out", tmp_path / "out", "--topics"]
     for name in ("ship/attitude", "attitude", "ship/atitude"):
         line = refusal([demo, *options, name], capsys)
@@ -578,7 +578,7 @@ def test_format_and_name_must_agree(imu_bag, tmp_path, capsys):
 
 
 def test_an_empty_out_is_no_folder(imu_bag, tmp_path, capsys, monkeypatch):
-    """It comes from a variable that is not set, and would mean the folder in which the command runs."""
+    """It results from an unset variable, and would mean the current folder."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as left:
         main([str(imu_bag), "--out", ""])
@@ -625,7 +625,7 @@ def test_a_hostile_name_of_a_topic_stays_in_the_folder(tmp_path):
 
 
 def unknown_schema_bag(path):
-    """ins/imu, and a topic whose type nobody here knows, without its definition."""
+    """Return a bag with ins/imu, and a topic of an unknown type without definition."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
@@ -697,7 +697,7 @@ def test_a_full_disk_is_named_and_nothing_is_left(kind, tmp_path, capsys, small_
 
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_a_disk_that_is_full_at_the_last_table_leaves_the_old_ones_of_all(kind, tmp_path, capsys, small_files):
-    """Parquet holds its rows back up to the end, and NetCDF is as wide as its longest text, which comes last."""
+    """Parquet keeps its rows up to the end, and NetCDF is as wide as its longest text, which comes last."""
     string = message_store().types["std_msgs/msg/String"]
     with BagWriter(tmp_path / "texts.mcap") as bag:
         bag.write("a", string("first"), START_NS)
@@ -717,7 +717,7 @@ def test_a_disk_that_is_full_at_the_last_table_leaves_the_old_ones_of_all(kind, 
 
 @pytest.fixture
 def small_files():
-    """A bound on the length of files fails as a full disk does, in the middle of the content."""
+    """Limit the length of files, which fails like a full disk in the middle of the content."""
 
     @contextmanager
     def bound(length):
@@ -734,7 +734,7 @@ def small_files():
 
 
 def write_defined(path, text, data, topic="odd", name="x/msg/A"):
-    """One message of a type that is defined in the bag alone."""
+    """Write one message of a type that is defined only in the bag."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")

@@ -1,4 +1,4 @@
-"""rosbag2 folders: split by size and time, with an information file that names every file at every moment."""
+"""rosbag2 folders: split by size and time, with an information file that lists every file at any time."""
 
 import time
 
@@ -100,7 +100,7 @@ def test_an_existing_folder_is_not_changed(tmp_path):
 
 
 def test_every_file_repeats_the_latched_messages_and_the_bag_has_each_once(tmp_path):
-    """Two nodes on one topic, each once, and a topic that is said again."""
+    """Two nodes on one topic, one message each, and a topic that is published again."""
     bag = FolderWriter(tmp_path / "voyage", SplitLimits(size_bytes=3000))
     for topic in ("/tf_static", "/ship/calibration"):
         bag.add_topic(topic, VECTOR, latched=True)

@@ -1,4 +1,4 @@
-"""What a bag holds, and the suite file taken out of it."""
+"""Content of a bag, and extraction of its suite file."""
 
 import json
 from pathlib import Path
@@ -66,7 +66,7 @@ def test_a_truncated_bag_is_counted_up_to_the_cut(tmp_path, capsys):
 
 @pytest.mark.parametrize("cut", [209_815, 500_000])
 def test_a_cut_within_an_index_is_no_damage(cut, tmp_path, capsys):
-    """Bytes of the index that is cut off look like the head of an attachment."""
+    """Bytes of a truncated index look like the header of an attachment."""
     (tmp_path / "cut.mcap").write_bytes(DEMO.read_bytes()[:cut])
     problems = [line for line in said([tmp_path / "cut.mcap"], capsys).splitlines() if line.startswith("problem:")]
     assert len(problems) == 1

@@ -54,7 +54,7 @@ def pashr(time_s):
 
 @pytest.fixture
 def imported(tmp_path, capsys):
-    """Imports logs; returns topic → messages, and what was printed."""
+    """Import logs; return topic → messages, and the printed text."""
 
     def run(*options, **logs):
         arguments = list(options)
@@ -82,7 +82,7 @@ def headings_deg(messages):
 
 
 def assert_stamped_when_measured(messages, count):
-    """The heading was made from the time of each attitude: a stamp of another second is seen in it."""
+    """Check the stamps by the headings, which were computed from the time of each attitude."""
     assert len(messages) == count
     np.testing.assert_allclose(
         headings_deg(messages), [heading_deg(time_s) for time_s in stamps_s(messages)], atol=0.006
@@ -126,7 +126,7 @@ def test_a_log_without_checksums_is_refused_by_default(imported, tmp_path, capsy
 
 
 def burst(time_s, *lines_after):
-    """Lines of a burst: (seconds after its time, sentence)."""
+    """Return the lines of a burst: (seconds after its time, sentence)."""
     return "".join(received(time_s + after_s, text) for after_s, text in sorted(lines_after, key=lambda line: line[0]))
 
 
@@ -168,7 +168,7 @@ def test_an_attitude_whose_own_zda_was_lost_is_not_stamped_by_another(imported, 
 @pytest.mark.parametrize("zda_after_s", [-0.005, 0.005])
 @pytest.mark.parametrize("first_s", [0.0, 0.4, 0.9])
 def test_one_of_ten_attitudes_per_zda_has_its_time(imported, zda_after_s, first_s):
-    """The log begins anywhere in the second; the attitude of a whole second lies beside its ZDA."""
+    """The log begins at any fraction of a second; the attitude of a whole second is next to its ZDA."""
     lines = [(time_s + 0.05, psxn(time_s)) for time_s in np.arange(300) / 10.0 + first_s]
     lines += [(time_s + 0.05 + zda_after_s, zda(time_s)) for time_s in range(31)]
     lines = [line for line in lines if line[0] >= first_s]
@@ -268,7 +268,7 @@ def test_a_receiver_without_a_position_reports_no_fix(imported):
 
 
 def test_two_receivers_in_one_log_are_named_and_one_can_be_chosen(imported):
-    """A tenth of a minute of latitude, 185 m, apart."""
+    """A difference of a tenth of a minute of latitude, 185 m."""
     other = POSITION.replace("4712.3456", "4712.4456")
     text = "".join(
         received(t + 0.1, gga(t)) + received(t + 0.2, gga(t, "GN", other)) + received(t + 0.3, pashr(t))
@@ -302,7 +302,7 @@ def test_a_talker_is_two_capital_letters(tmp_path, capsys, talker):
 
 
 def test_bursts_of_random_layouts_never_get_the_time_of_another_burst(imported):
-    """Sentences of a burst in any order, lost at random, within 0.45 s, on a clock that is up to 0.3 s late."""
+    """Sentences of a burst in any order, randomly lost, within 0.45 s, on a clock that is up to 0.3 s late."""
     rng = np.random.default_rng(16)
     for trial in range(20):
         order, late_s = rng.permutation(3), float(rng.uniform(0.0, 0.3))

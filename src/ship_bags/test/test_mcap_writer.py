@@ -1,4 +1,4 @@
-"""Our writer of MCAP files against the mcap project's own: the same bytes, without its growth."""
+"""MCAP writer compared with the mcap project's own: the same bytes, without its growth."""
 
 import io
 import random
@@ -15,7 +15,7 @@ from ship_bags.mcap.mcap_writer import CHUNK_BYTES, McapWriter
 
 
 class Reference:
-    """The project's writer with the calls of ours."""
+    """The project's writer with the methods of the suite's."""
 
     def __init__(self, stream: io.BytesIO) -> None:
         self._writer = Writer(stream)
@@ -25,7 +25,7 @@ class Reference:
         self.flush = self._writer.flush
 
     def add_message(self, channel: int, log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int) -> None:
-        """The rule that the project's writer does not know: no chunk holds more than a second."""
+        """Apply the suite's additional rule: no chunk has more than one second."""
         chunk = self._writer._Writer__chunk_builder
         first_ns, last_ns = min(log_time_ns, chunk.message_start_time), max(log_time_ns, chunk.message_end_time)
         if chunk.num_messages and last_ns - first_ns > 1_000_000_000:
@@ -37,7 +37,7 @@ class Reference:
 
 
 def write_at_random(writer: McapWriter | Reference, seed: int, count: int) -> None:
-    """So many calls of all kinds; messages and definitions of all sizes, times that go back, chunks that overflow."""
+    """Make ``count`` random calls: messages and definitions of all sizes, times that go back, chunks that overflow."""
     rng = random.Random(seed)
     channels: list[int] = []
     for _ in range(count):
@@ -68,7 +68,7 @@ def test_the_same_bytes_as_the_projects_own_writer(tmp_path: Path, seed: int, co
 
 
 def chunk_times(data: bytes) -> list[tuple[int, int]]:
-    """First and last log time of each chunk, as its messages have them."""
+    """Return first and last log time of each chunk, by its messages."""
     records = StreamReader(io.BytesIO(data), emit_chunks=True).records
     chunks = [record for record in records if isinstance(record, Chunk)]
     times = [[r.log_time for r in breakup_chunk(chunk, True) if isinstance(r, Message)] for chunk in chunks]
@@ -76,7 +76,7 @@ def chunk_times(data: bytes) -> list[tuple[int, int]]:
 
 
 def written(tmp_path: Path, messages: list[tuple[int, int]]) -> bytes:
-    """A file of messages given by log time and size, without a flush."""
+    """Write a file of messages given by log time and size, without a flush."""
     stream = io.BytesIO()
     writer = McapWriter(stream, tmp_path, "ros2", "test")
     channel = writer.register_channel("topic", "cdr", writer.register_schema("schema", "ros2msg", b""), {})
@@ -99,7 +99,7 @@ def test_no_chunk_has_more_than_one_second(tmp_path: Path) -> None:
 
 
 def test_a_clock_step_back_begins_a_new_chunk(tmp_path: Path) -> None:
-    """So the span of none covers the hour between: reading in order of time holds one chunk and not all."""
+    """So no chunk spans the hour between: reading in order of time keeps one chunk in memory."""
     times = [10**18 + number * 10_000_000 for number in range(150)]
     earlier = [time_ns - 3600 * SECOND_NS for time_ns in times]
     data = written(tmp_path, [(time_ns, 10) for time_ns in times + earlier])

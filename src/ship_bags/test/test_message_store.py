@@ -1,4 +1,4 @@
-"""Messages without a ROS installation are those of ROS: same bytes, same type hashes, same definitions."""
+"""Messages without a ROS installation equal those of ROS: same bytes, type hashes and definitions."""
 
 import json
 import os
@@ -52,7 +52,7 @@ def budget(factory):
 
 @pytest.mark.parametrize("make", [health, budget])
 def test_rclpy_and_rosbags_read_each_other(make):
-    """Not compared byte by byte: what the middleware leaves between fields is whatever was in its memory."""
+    """Not compared byte by byte, because the middleware leaves undefined bytes between fields."""
     from rclpy.serialization import deserialize_message, serialize_message
 
     ours, theirs = make(RosbagsFactory()), make(RosidlFactory())
@@ -62,7 +62,7 @@ def test_rclpy_and_rosbags_read_each_other(make):
 
 
 def within_and_before(factory):
-    """One message made in one call, and the same made of messages made before."""
+    """Return one message made in one call, and the same made of existing messages."""
     make, header = factory.make, {"stamp": START_NS, "frame_id": "deck"}
     numbers = {"x": 0.5, "y": 1, "z": -2.0}
     kind = "geometry_msgs/msg/Vector3Stamped"

@@ -1,4 +1,4 @@
-"""Bags of other storages and hands: sqlite3, compressed folders, ROS 1, other definitions and encapsulations."""
+"""Bags of other storages and programs: sqlite3, compressed folders, ROS 1, other definitions and encapsulations."""
 
 import subprocess
 
@@ -26,7 +26,7 @@ CONVERSIONS = {
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """A folder with an INS and a latched topic, split into files."""
+    """Write a folder with an INS and a latched topic, split into files."""
     folder = tmp_path_factory.mktemp("plain") / "voyage"
     bag = FolderWriter(folder, SplitLimits(size_bytes=3000))
     bag.add_topic("/ship/lever", VECTOR, latched=True)
@@ -46,7 +46,7 @@ def contents(path):
 
 @pytest.fixture(params=CONVERSIONS)
 def converted(request, plain, tmp_path):
-    """The same in another storage, written by the tool of the library that reads it."""
+    """Convert it to another storage with the tool of the library that reads it."""
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS[request.param]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     return tmp_path / "other"
@@ -103,7 +103,7 @@ def test_a_bag_of_ros_1_names_the_command_that_converts_it(tmp_path):
 
 
 def written(path, topics):
-    """A bag of an INS beside other topics: name → type, definition, bytes of its messages."""
+    """Write a bag of an INS and other topics: name → type, definition, bytes of its messages."""
     with open(path, "wb") as stream:
         writer = Writer(stream)
         writer.start("ros2", "other")

@@ -1,6 +1,6 @@
-"""Files written beside their name: nobody else's file is touched, and nothing is left of what failed.
+"""Atomic output files: no file of another program is changed, and a failure leaves no part.
 
-Syncs in the background: they happen, they never hold up the caller, their failures are told.
+Syncs run in the background without delaying the caller, and their failures are raised.
 """
 
 import errno

@@ -1,4 +1,4 @@
-"""Sections of parameter files: values as ROS reads them, the line of each, and what is refused with its place."""
+"""Sections of parameter files: values as ROS reads them, the line of each, and refusals with their location."""
 
 import math
 import os
@@ -14,7 +14,7 @@ from ship_geometry.input_error import InputError
 
 
 def whole(source: Path | str) -> ParameterFile:
-    """All sections of a file as one."""
+    """Return all sections of a file as one."""
     return merged(*read_sections(source))
 
 
@@ -26,7 +26,7 @@ def test_file_and_text_give_the_same(tmp_path):
 
 
 def test_a_text_is_never_used_as_a_path(tmp_path):
-    """An attachment without a line break named any file, which was read, and its lines shown."""
+    """An attachment without a line break was once read as a file name, and lines of that file were shown."""
     (tmp_path / "secret").write_text("root: $6$hash\n")
     with pytest.raises(BadInput) as caught:
         whole(str(tmp_path / "secret"))
@@ -58,7 +58,7 @@ _SHARED = "  ros__parameters: {use_sim_time: false}\n"
     ],
 )
 def test_a_file_is_refused_where_rcl_refuses_it(tmp_path, text, complaint):
-    """rcl itself is asked: what is called good must start a node, and what starts one must not be refused."""
+    """Compared with rcl itself: an accepted file must start a node, and a file that starts one must not be refused."""
     path, context = tmp_path / "suite.yaml", Context()
     path.write_text(text)
     try:

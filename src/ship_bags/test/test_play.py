@@ -1,4 +1,4 @@
-"""play against a real node, odd bags and a terminal: resets by loops, latched messages, split folders, keys."""
+"""play with a real node, unusual bags and a terminal: resets by loops, latched messages, split folders, keys."""
 
 import contextlib
 import itertools
@@ -23,7 +23,7 @@ SUITE = "ship_attitude: {ros__parameters: {use_sim_time: true, ins: {frame_id: i
 
 
 class Domain:
-    """A domain of its own: an observer, and processes that end with the test."""
+    """ROS domain with an observer, and processes that end with the test."""
 
     def __init__(self, folder):
         domain_id = free_domain_id()
@@ -161,7 +161,7 @@ def test_two_types_under_one_name_are_refused(domain, tmp_path):
 
 @contextlib.contextmanager
 def on_a_terminal(domain, *command):
-    """Start a process at a terminal of its own; yields the process, the terminal's far end, and its near one."""
+    """Start a process on a terminal of its own; yield the process, the terminal's far end, and its near end."""
     keys, terminal = pty.openpty()
     with open(domain.folder / "terminal.log", "wb") as log:
         process = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""play and record as processes of their own, over DDS: nothing lost, nothing changed, steered and ended cleanly."""
+"""play and record as processes over DDS: no loss, no change, control and clean end."""
 
 import itertools
 import os
@@ -33,7 +33,7 @@ RECORD = [sys.executable, "-m", "ship_bags.commands.record"]
 
 
 class Live:
-    """One domain: processes in it, and an observer beside them."""
+    """ROS domain with processes and an observer."""
 
     def __init__(self, folder, domain_id):
         self.folder = folder
@@ -53,7 +53,7 @@ class Live:
         return recorder
 
     def play(self, path, *options):
-        """Play to the end; returns what it printed."""
+        """Play to the end; return the printed text."""
         player = self.start(*PLAY, str(path), *options)
         assert self.observer.spin_until(lambda: player.exit_code is not None, 60), player.log()
         assert player.exit_code == 0, player.log()
@@ -74,7 +74,7 @@ def live(tmp_path, monkeypatch):
 
 
 def imu(factory, number):
-    """An Imu that tells its number; the other fields are filled so that a shift by one byte would show."""
+    """Return an Imu with its number; the other fields reveal a shift by one byte."""
     time_ns = START_NS + number * PERIOD_NS
     stamp = factory.make("builtin_interfaces/msg/Time", sec=time_ns // 10**9, nanosec=time_ns % 10**9)
     vector = factory.make("geometry_msgs/msg/Vector3", x=float(number), y=0.1 * number, z=-1.0 / 3.0)
@@ -91,7 +91,7 @@ def imu(factory, number):
 
 
 def make_bag(path, count):
-    """`count` Imu at 100 Hz, and every tenth of them as truth."""
+    """Write `count` Imu at 100 Hz, and every tenth of them as truth."""
     factory = RosbagsFactory()
     with BagWriter(path) as bag:
         for number in range(count):
@@ -103,7 +103,7 @@ def make_bag(path, count):
 
 
 def contents(path):
-    """Topic, without its leading slash → [(log time, payload)]; and what is wrong with the bag."""
+    """Return topic, without its leading slash → [(log time, payload)]; and the problems of the bag."""
     found = {}
     with read_bag(path) as bag:
         for record in bag.records():
@@ -247,7 +247,7 @@ def test_with_ticks_left_out_the_clock_is_not_late(tmp_path, stride):
 
 
 def test_a_year_at_a_huge_rate_is_played_immediately(live, tmp_path):
-    """Years of /clock at its period lay before the first message, and three billion ticks behind it."""
+    """With all ticks, years of /clock would precede the first message, and three billion ticks follow it."""
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import Imu
 
@@ -488,7 +488,7 @@ def test_a_recording_ends_by_itself(live, tmp_path, options):
 
 
 def test_status_messages_do_not_prolong_a_recording(live, tmp_path):
-    """The real node goes on to publish diagnostics, health, budgets and INVALID when its input has ended."""
+    """The real node continues to publish diagnostics, health, budgets and INVALID after the end of its input."""
     source = make_bag(tmp_path / "in.mcap", 20)
     command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "-p", "slow_topics_period_s:=0.1"]
     node = live.start(*command)

@@ -1,4 +1,4 @@
-"""Pause, step and stop of a playback. The clock runs at such rates that no test depends on the machine's speed."""
+"""Pause, step and stop of a playback. The rates are such that no test depends on the computer's speed."""
 
 import math
 import threading

@@ -1,4 +1,4 @@
-"""record into rosbag2 folders; disks that are full or read-only; clocks that step."""
+"""record into rosbag2 folders; full or read-only disks; clock steps."""
 
 import os
 import signal
@@ -110,7 +110,7 @@ def sample_numbers(path):
 
 
 def samples_on_disk(path):
-    """Number of samples that a recording which goes on has on the disk."""
+    """Return the number of samples that a running recording has on the disk."""
     try:
         return len(sample_numbers(path))
     except BadInput:

@@ -1,4 +1,4 @@
-"""A recorder asks the nodes on the network for their parameters, and a replay of the recording uses them."""
+"""A recorder queries the nodes' parameters, and a replay of the recording uses them."""
 
 import sys
 
@@ -30,7 +30,7 @@ def command(module, *arguments):
 
 @pytest.mark.parametrize("name", ["voyage.mcap", "voyage"])
 def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkeypatch):
-    """A folder and a file; beside the node one that never answers."""
+    """A folder and a file, with a node that never answers."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id = free_domain_id()
     environment = live_environment(domain_id, tmp_path)

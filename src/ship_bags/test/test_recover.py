@@ -1,4 +1,4 @@
-"""Damaged and unfinished bags made whole: nothing lost but the chunk that is hit, and that is named."""
+"""Recovery of damaged and unfinished bags: only the damaged chunk is lost, and it is named."""
 
 import random
 from collections import Counter
@@ -28,7 +28,7 @@ PERIOD_NS = 10_000_000
 
 @pytest.fixture(scope="module")
 def unfinished(tmp_path_factory):
-    """Bytes of a recording of two topics, 300 messages in 30 flushed chunks, as a kill leaves it."""
+    """Return the bytes of a recording of two topics, 300 messages in 30 flushed chunks, after a kill."""
     path = tmp_path_factory.mktemp("recording") / "voyage.mcap"
     bag = BagWriter(path, atomic=False)
     bag.add_attachment("suite.yaml", "ship_attitude: {}\n")
@@ -94,7 +94,7 @@ def test_an_unfinished_file_is_read_by_both_readers_after_recovery(unfinished, t
 
 
 def test_a_finished_recording_needs_no_recovery(unfinished, tmp_path):
-    """Definitions that stand twice disturb neither reader, nor the one of this package."""
+    """Duplicate definitions disturb no reader."""
     path = tmp_path / "whole.mcap"
     path.write_bytes(finished_bytes(unfinished, tmp_path))
     assert by_mcap(path) == by_rosbags(path) == sorted(original(unfinished, tmp_path))
@@ -185,7 +185,7 @@ def test_any_wrong_byte_in_headers_and_between_chunks(unfinished, tmp_path, byte
 
 
 def finished_bytes(unfinished, folder):
-    """The same recording, ended in order, with its small chunks."""
+    """Return the same recording, finished, with its small chunks."""
     path = folder / "finished.mcap"
     bag = BagWriter(path, atomic=False)
     bag.add_attachment("suite.yaml", "ship_attitude: {}\n")
@@ -201,7 +201,7 @@ def finished_bytes(unfinished, folder):
 
 
 def hit_messages(unfinished, expected, position):
-    """Messages of the chunk at a byte."""
+    """Return the messages of the chunk at a byte."""
     chunks = [(offset, length) for offset, opcode, length in places(unfinished) if opcode == Opcode.CHUNK]
     for number, (offset, length) in enumerate(chunks):
         if offset <= position < offset + length:
@@ -210,7 +210,7 @@ def hit_messages(unfinished, expected, position):
 
 
 def names_time_range(problems, lost):
-    """Whether a line names the chunk's times, or those of its neighbours where its head is gone."""
+    """Return True if a line names the chunk's times, or those of its neighbours if its header is damaged."""
     start_ns, end_ns = lost[0][0], lost[-1][0]
     before = "the start" if start_ns == START_NS else utc_text(start_ns - PERIOD_NS)
     ranges = [
@@ -222,7 +222,7 @@ def names_time_range(problems, lost):
 
 
 def killed_folder(path):
-    """A folder of three files, the last of which was being written; 240 messages."""
+    """Write a folder of three files, the last of which is unfinished; 240 messages."""
     bag = FolderWriter(path, SplitLimits(size_bytes=4000))
     for number in range(240):
         time_ns = START_NS + number * PERIOD_NS
@@ -301,7 +301,7 @@ class TestCommand:
 
 
 def test_a_result_that_fails_the_read_back_is_discarded(unfinished, tmp_path, monkeypatch):
-    """A disk that stores something else than was written: one byte of the copy changes under the hand."""
+    """A disk that stores other bytes: one byte of the copy is changed."""
     source = tmp_path / "voyage.mcap"
     source.write_bytes(unfinished)
     replaced = []

@@ -1,4 +1,4 @@
-"""DDS security that is demanded and not there: nothing starts. And which Fast DDS profile counts."""
+"""Requested DDS security that is not available: no start. Selection of the Fast DDS profile."""
 
 import os
 import subprocess
@@ -41,7 +41,7 @@ def test_security_is_detected_by_the_exported_symbols(tmp_path: Path) -> None:
 
 
 def test_detected_security_of_the_installed_dds_matches_its_headers() -> None:
-    """Over a Jazzy installation of Ubuntu it has security, in the wheels it has not: told either way."""
+    """A Jazzy installation of Ubuntu has security, the wheels do not: both are detected."""
     assert dds_has_security(loaded_libraries()) is not None
 
 

@@ -1,4 +1,4 @@
-"""The commit of the suite: that of its checkout, and none where another project's checkout is around it."""
+"""Commit of the suite: that of its checkout, and none inside another project's checkout."""
 
 import shutil
 import subprocess
@@ -12,7 +12,7 @@ NAMED = ("-c", "user.name=A", "-c", "user.email=a@example.org", "-c", "commit.gp
 
 
 def commit_in(folder):
-    """Commit that a copy of the module in a folder states."""
+    """Return the commit that a copy of the module in a folder states."""
     done = subprocess.run([sys.executable, "-c", COMMIT_TEXT], cwd=folder, capture_output=True, text=True, check=True)
     return done.stdout.strip()
 

@@ -1,4 +1,4 @@
-"""When a node is behind, and when it keeps up again, by made-up waiting times."""
+"""Overload detection with given waiting times."""
 
 import pytest
 
@@ -9,7 +9,7 @@ STEP_NS = 10 * MS
 
 
 class Node:
-    """A node that takes a message every 10 ms of steady time; ``rate`` is the rate of /clock."""
+    """Node that processes a message every 10 ms of steady time; ``rate`` is the rate of /clock."""
 
     def __init__(self, rate: float = 1.0) -> None:
         self.steady_ns, self.running_ns = 10**12, 10**15
@@ -70,7 +70,7 @@ def test_overload_ends_after_one_second_of_short_waits_with_a_frozen_clock() -> 
 
 
 def judge_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> list[Change]:
-    """What changes while the node stands still for so long each 0.9 s, and then takes what came meanwhile."""
+    """Return the changes while the node stands still for ``hiccup_ms`` each 0.9 s and then processes the queue."""
     changes = []
     for _ in range(round(seconds / 0.9)):
         changes += node.judge_for(0.9, 0.0)

@@ -1,4 +1,4 @@
-"""The black box without a live node: order, names, a slow disk, a full disk, what is attached."""
+"""Black box without a live node: order, names, a slow disk, a full disk, attachments."""
 
 import json
 import resource
@@ -97,7 +97,7 @@ def test_order_of_use_is_kept_when_the_clock_goes_back(tmp_path: Path) -> None:
 
 
 def test_order_of_use_with_an_oversized_message_and_a_clock_jump_back(tmp_path: Path) -> None:
-    """Between two flushes: the order of use is that of the file, whatever the chunks are."""
+    """Between two flushes the order of use is that of the file, independent of the chunks."""
     box = new_box(tmp_path / "box.mcap")
     given = []
     for number, time_s in enumerate([20, 20, 25, 3, 3, 25, 4000, 2]):
@@ -272,7 +272,7 @@ def test_black_box_continues_in_a_new_file_after_a_full_disk(tmp_path: Path, mon
 
 
 def test_black_box_continues_in_a_new_file_at_the_size_limit(tmp_path: Path) -> None:
-    """The first one is opened, and all are read as one; each is a box with its parameters by itself."""
+    """All files are read as one through the first; each is also a black box with its parameters."""
     box = new_box(tmp_path / "box.mcap", part_bytes=20_000)
     random = np.random.default_rng(1)
     given = [(SECOND_NS * number, random.bytes(100)) for number in range(1, 301)]

@@ -1,4 +1,4 @@
-"""The parameter ``black_box`` of a live node: what it notes, says and refuses."""
+"""Parameter ``black_box`` of a live node: records, reports, refusals."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The inputs on which two publishers send: by name, and by their values."""
+"""Inputs on which two publishers send: by name, and by their values."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ NAMES = "two publishers send on ins/imu: /a and /b; stop all but one"
 
 
 def see(inputs: ContestedInputs, first: int, count: int, off_deg: float) -> list[int]:
-    """Numbers of the samples with which the text may have changed; every second one is off."""
+    """Return the indices of the samples with which the text may have changed; every second sample has an offset."""
     changed = []
     for number in range(first, first + count):
         up = 0.001 * np.sin(0.1 * number) + np.deg2rad(off_deg) * (number % 2)
@@ -30,7 +30,7 @@ def test_two_streams_and_their_end_are_detected_by_the_values() -> None:
 
 
 def test_detection_by_values_ends_after_a_timeout_of_both_streams() -> None:
-    """Ticks come each second; both streams end at 5 s."""
+    """Ticks occur each second; both streams end at 5 s."""
     inputs = ContestedInputs({"ins/imu": ATTITUDE})
     ended_s = []
     for now_s in range(60):

@@ -1,4 +1,4 @@
-"""What a node says of itself as bytes is what the message objects of rclpy and of rosbags give."""
+"""Diagnostics encoded as bytes equal those of the message objects of rclpy and of rosbags."""
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,7 +17,7 @@ STATUSES = [
 
 
 def made(factory, statuses, hardware_id):
-    """The same by message objects."""
+    """Return the same array by message objects."""
     told = [
         {
             "level": int(status.level),

@@ -1,4 +1,4 @@
-"""Adapters and the offline replay use most of this package where no ROS is."""
+"""Adapters and the offline replay use most of this package without ROS."""
 
 import subprocess
 import sys

@@ -17,7 +17,7 @@ IMU, STAR = "ins/imu", "star/fore/horizon_attitude"
 
 @pytest.fixture
 def book():
-    """An INS that must be there, a star sensor that may."""
+    """Return the health of a required INS and an optional star sensor."""
     return InputHealthBook(
         [
             InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100),
@@ -27,7 +27,7 @@ def book():
 
 
 def feed(book, count, *, start_ns=START_NS, period_ns=10 * MS, latency_ns=5 * MS):
-    """Accepted INS samples; the time of the last arrival, ns."""
+    """Add accepted INS samples; return the time of the last arrival, ns."""
     for i in range(count):
         receive_ns = start_ns + i * period_ns
         book.arrived(IMU, receive_ns)
@@ -87,7 +87,7 @@ def test_first_message_timeout_text_depends_on_the_publishers(book):
 
 
 def test_a_configured_device_without_messages_is_a_warning():
-    """As after a mistyped id: its topic has no publisher and never will."""
+    """As after a mistyped id: its topic has no publisher."""
     book = InputHealthBook([InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, named=True)])
     book.statuses(START_NS)
     book.publisher_count(STAR, 0)

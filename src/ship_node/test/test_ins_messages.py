@@ -1,4 +1,5 @@
-"""The messages of an INS read together are those read one by one, to the last bit, as long as they are alike."""
+"""INS messages read as a batch equal those read one by one, to the last bit, as long as they do not differ otherwise.
+"""
 
 import functools
 from typing import Any
@@ -22,7 +23,7 @@ CONFIGS = {
 
 
 def message(number: int, **changes: Any) -> Any:
-    """An Imu of a ship that turns, its quaternion only nearly of unit length."""
+    """Return an Imu of a turning ship whose quaternion has almost unit norm."""
     rng = np.random.default_rng(number)
     quaternion = rng.standard_normal(4)
     quaternion *= rng.uniform(0.995, 1.005) / np.linalg.norm(quaternion)

@@ -1,4 +1,4 @@
-"""A real node over real DDS: relays, survives, refuses, follows the clock."""
+"""Real node over real DDS: relaying, exceptions, refusals, clocks."""
 
 import math
 import os
@@ -199,7 +199,7 @@ def test_reliable_inputs_and_the_override_of_one_topic(live_relay, more, expecte
 
 
 def test_a_reliable_input_queues_a_burst_after_an_outage(live_relay):
-    """Five times as many samples as wait for a best-effort input, which a slow node has not used when the last came."""
+    """Five times the queue of a best-effort input, not yet processed by a slow node when the last sample arrives."""
     relay = live_relay("-p", "reliable_inputs:=true")
     handle, count = relay.adapter.handle, 5 * relay.adapter.inputs[0].depth
 
@@ -266,7 +266,7 @@ def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_
 
 
 def test_overload_state_begins_and_ends_with_the_load(live_relay):
-    """Ten times more than it can take, whatever the machine: each message takes 0.1 s."""
+    """Ten times the load that the node can process, on any computer: each message takes 0.1 s."""
     relay = live_relay(*RELIABLE_INPUT)
     handle, load_s, used = relay.adapter.handle, 0.1, []
 
@@ -300,7 +300,9 @@ def test_overload_state_begins_and_ends_with_the_load(live_relay):
 
 
 def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
-    """A node that takes one event at a time uses each message at once, but six seconds of the bag wait as events."""
+    """A node that processes one event at a time uses each message immediately, but six seconds of the bag wait as
+    events.
+    """
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     set_time, publisher = relay.clock_publisher(), relay.imu_publisher()
     clock = relay.peer.create_publisher(Clock, "/clock", 100)
@@ -465,7 +467,7 @@ def test_a_bag_of_another_year_is_reported_with_the_remedy(live_relay, capfd):
 
 
 class Sender:
-    """A node of its own that publishes ins/imu."""
+    """Node that publishes ins/imu."""
 
     def __init__(self, relay, name: str) -> None:
         self.node = rclpy.create_node(name, context=relay.context, use_global_arguments=False)
@@ -489,7 +491,7 @@ TWO = "two publishers send on ins/imu: /ins_a and /ins_b; stop all but one"
 
 
 def send_until(relay, senders, happened) -> float:
-    """Time until something has happened while all senders go on at 20 Hz, s."""
+    """Return the time until a condition is met while all senders publish at 20 Hz, s."""
     start_s = time.monotonic()
 
     def all_sent_and_happened() -> bool:

@@ -159,7 +159,7 @@ def test_texts_of_messages_are_cut_with_an_ellipsis():
 
 
 def covariance_of_numpy(matrix: np.ndarray) -> np.ndarray | None:
-    """By the eigenvalues of the correlations alone; None where they refuse."""
+    """Return the covariance by the eigenvalues of the correlations; None if they are invalid."""
     sigma = np.sqrt(np.diagonal(matrix))
     limit = np.outer(sigma, sigma)
     symmetric = 0.5 * matrix + 0.5 * matrix.T
@@ -174,7 +174,7 @@ def covariance_of_numpy(matrix: np.ndarray) -> np.ndarray | None:
 
 @pytest.mark.parametrize("least", [0.3, 1e-3, 1e-8, 1e-10, 1e-15, 0.0, -1e-15, -5e-7, -2e-6, -0.1])
 def test_the_fast_covariance_check_equals_that_by_eigenvalues(least):
-    """Correlations whose least eigenvalue is about this, of sigmas that differ by up to a million."""
+    """Correlations with about this smallest eigenvalue, and sigmas with ratios up to a million."""
     rng = np.random.default_rng(3)
     for _ in range(200):
         vectors = np.linalg.qr(rng.standard_normal((3, 3)))[0]

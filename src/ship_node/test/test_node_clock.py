@@ -1,4 +1,4 @@
-"""Ticks and the time of waiting; a node that is behind sees the time that belongs to each message, not the newest."""
+"""Ticks and timeout clock; a node that is behind processes each message at its own time, not at the newest."""
 
 import time
 

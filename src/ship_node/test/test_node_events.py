@@ -1,6 +1,6 @@
-"""More messages than a node can take: what waits is dropped before it piles up, and the newest still come.
+"""Bounded queues: events are dropped before they accumulate, and the newest messages still arrive.
 
-What waits for an adapter: in order, bounded, what is cut is counted.
+The messages that wait for an adapter are in order, bounded, and counted when cut.
 """
 
 import time

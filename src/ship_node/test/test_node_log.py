@@ -1,4 +1,4 @@
-"""Lines of a node's log, as everybody hears them on /rosout."""
+"""Log lines of a node on /rosout."""
 
 import time
 

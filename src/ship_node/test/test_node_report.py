@@ -57,7 +57,7 @@ def test_an_old_error_becomes_a_warning():
 
 
 class Lines:
-    """Takes what is logged."""
+    """Logger that collects the lines."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []

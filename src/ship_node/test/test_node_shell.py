@@ -1,4 +1,4 @@
-"""What people meet who start a node: help, one line for what is wrong, a clean end."""
+"""Executable of a node for the user: help, one-line errors, clean end."""
 
 import os
 import signal
@@ -112,7 +112,7 @@ def test_a_file_with_a_similar_section_name_exits_2_with_both_names(tmp_path, se
 
 
 def test_a_file_for_other_nodes_is_one_warning_and_each_file_is_checked(tmp_path):
-    """The second file is what ros2 launch writes of inline parameters: it fits."""
+    """The second file is as ros2 launch writes inline parameters: it matches."""
     other, inline = tmp_path / "other.yaml", tmp_path / "inline.yaml"
     other.write_text(RELAY_FILE.format(section="/**/radar"))
     inline.write_text(RELAY_FILE.format(section="/**"))
@@ -145,6 +145,6 @@ def test_a_signal_during_the_imports_ends_the_node_cleanly():
 
 
 def _is_caught(proc: Path, number: signal.Signals) -> bool:
-    """Whether a process has a handler for a signal."""
+    """Return True if a process has a handler for a signal."""
     (mask,) = [line.split()[1] for line in (proc / "status").read_text().splitlines() if line.startswith("SigCgt")]
     return bool(int(mask, 16) >> (number - 1) & 1)

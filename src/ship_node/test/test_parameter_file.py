@@ -59,7 +59,7 @@ RUNS = "/ship", "/fleet/ship", "/fleet/blue/ship"
     ],
 )
 def test_sections_match_the_same_nodes_as_in_rcl(tmp_path, section, fits):
-    """Held against rcl itself."""
+    """Compared with rcl itself."""
     path = tmp_path / "suite.yaml"
     path.write_text(in_section(section, "lag_s: 1.5"))
     expected = {node: {"lag_s": 1.5} if node in fits.split() else {} for node in RUNS}
@@ -68,13 +68,13 @@ def test_sections_match_the_same_nodes_as_in_rcl(tmp_path, section, fits):
 
 
 def in_section(section, parameters):
-    """A parameter file; ``: `` in the name of the section nests it."""
+    """Return a parameter file; ``: `` in the name of the section nests it."""
     names = section.split(": ")
     return "".join(f"{{'{name}': " for name in names) + f"{{ros__parameters: {{{parameters}}}}}" + "}" * len(names)
 
 
 def given_by_rcl(path, node):
-    """What a node of that full name is given of a file."""
+    """Return the parameters that rcl gives a node of that full name from a file."""
     context = Context()
     namespace, _, name = node.rpartition("/")
     remaps = ["-r", f"__ns:={namespace or '/'}", "-r", f"__node:={name}"]
@@ -126,7 +126,7 @@ def test_a_section_with_a_similar_name_is_refused_with_both_names(section, node,
 
 
 def test_an_empty_group_is_refused():
-    """rcl drops empty groups, so the reference would not be there."""
+    """rcl drops empty groups, so the reference would be missing."""
     text = "/**/ship_attitude:\n  ros__parameters:\n    references:\n      gyro: {}\n"
     with pytest.raises(BadInput, match=r"configuration:4: group 'references\.gyro' is empty: give it a parameter, or"):
         read(text, AURORA)
@@ -141,7 +141,7 @@ def test_a_file_for_other_nodes_is_a_warning():
 
 
 def test_a_section_for_all_nodes_matches():
-    """What ros2 launch writes for inline parameters; where a section of the node's name misses it, that is said."""
+    """As ros2 launch writes inline parameters; a section with the node's name that does not match is a warning."""
     inline = "/**: {ros__parameters: {lag_s: 1.0}}\n"
     assert misfit(inline, AURORA) == ""
     assert misfit(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""

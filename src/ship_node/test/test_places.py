@@ -1,4 +1,4 @@
-"""Of which places only one can be had: as the kernel has it."""
+"""Conflicts of ports and files, compared with the kernel."""
 
 import contextlib
 import itertools
@@ -14,7 +14,7 @@ KINDS = {PlaceKind.UDP: socket.SOCK_DGRAM, PlaceKind.TCP: socket.SOCK_STREAM}
 
 
 def can_have_both(kind, one, other):
-    """Whether the kernel gives a port at both addresses, asked for as sinks and sources do."""
+    """Return True if the kernel allows a port at both addresses, opened as sinks and sources do."""
     port = free_port(KINDS[kind])
     with contextlib.ExitStack() as stack:
         for address in (one, other):

@@ -1,4 +1,4 @@
-"""What every adapter does alike, with a core that answers as it is told."""
+"""Common adapter of all nodes, with a core that returns given outcomes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -46,7 +46,7 @@ class Value:
 
 @dataclass
 class TinyCore:
-    """Gives the outcome that it was told to give; what is an exception is raised."""
+    """Core that returns the given outcome, or raises it if it is an exception."""
 
     next: Any = field(default_factory=Outcome)
     calls: list[Any] = field(default_factory=list)
@@ -246,7 +246,7 @@ def test_the_core_starts_from_the_saved_document_at_the_first_time(tmp_path: Pat
 
 
 def off_text(adapter: TinyAdapter) -> list[tuple[int, str]]:
-    """What the diagnostics say of sources that are off."""
+    """Return the diagnostics about sources that are off."""
     adapter.slow_due_ns = None
     (array,) = [m for topic, m in adapter.tick(NOW_NS) if topic == "/diagnostics"]
     return [(status.level, status.message) for status in array.status if "sources off" in status.name]

@@ -1,4 +1,4 @@
-"""What is read back of a saved document: a covariance is one, or is refused."""
+"""Saved documents: valid covariances are read, invalid ones refused."""
 
 import errno
 import os
@@ -137,7 +137,7 @@ def test_an_oversized_file_is_not_read_to_its_end(tmp_path):
 
 @dataclass
 class Content:
-    """What a start is made from: one angle, and its sigma."""
+    """Content to start from: one angle and its sigma."""
 
     time_ns: int = 0
     sigma: float = 1.0
@@ -209,7 +209,7 @@ def test_a_file_that_becomes_unreadable_while_the_node_runs_is_set_aside_at_the_
 
 
 class CannotRename(DiskFiles):
-    """A disk that takes no changes."""
+    """Read-only disk."""
 
     def set_aside(self, path):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
@@ -236,7 +236,7 @@ def test_read_only_files_are_not_set_aside(tmp_path):
 
 
 class Poor(DiskFiles):
-    """A disk from which nothing can be read while there is the number of an error."""
+    """Disk on which reading fails with an error number, if one is set."""
 
     def __init__(self, number):
         self.number = number

@@ -1,4 +1,4 @@
-"""Which publishers of a topic send, by the numbers of their messages."""
+"""Active publishers of a topic, by the sequence numbers of their messages."""
 
 from ship_node.live.senders import Senders
 
@@ -6,7 +6,7 @@ MS = 1_000_000
 
 
 def two_found(numbers: list[int], period_ms: int = 10, senders: Senders | None = None) -> list[bool]:
-    """Whether two publishers send after each of the messages."""
+    """Return for each message whether two publishers send."""
     senders = Senders() if senders is None else senders
     return [senders.came(number, n * period_ms * MS) for n, number in enumerate(numbers)]
 
@@ -45,7 +45,7 @@ def test_a_new_publisher_after_two_is_one() -> None:
 
 
 def test_without_sequence_numbers_no_publisher_is_stored() -> None:
-    """As CycloneDDS: each message would be one of a new publisher, for ten seconds."""
+    """As with CycloneDDS: each message would count as a new publisher for ten seconds."""
     senders = Senders()
     assert not any(two_found([2**64 - 1] * 500, senders=senders))
     assert senders._senders == []

@@ -1,4 +1,4 @@
-"""Verdicts as diagnostics: one status a source with its figures, bounded, forgotten at a reset."""
+"""Innovation diagnoses as diagnostics: one status per source with its figures, bounded, cleared by a reset."""
 
 from types import SimpleNamespace
 
