@@ -34,7 +34,7 @@ PACKAGES = ("ship_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs", "std
 TYPES = [
     name
     for name in message_store().fielddefs
-    # Nothing is in Empty, and nobody sends WString: the decoder does not know it.
+    # Empty has no field, and WString is not supported by the decoder.
     if name.startswith(PACKAGES) and "/msg/" in name and not name.endswith(("/Empty", "/WString"))
 ]
 NUMBERED_UP_TO = 64
@@ -332,7 +332,7 @@ def test_netcdf_has_the_required_attributes_and_no_path(tmp_path):
         assert (axis.standard_name, axis.axis, axis.calendar) == (b"time", b"T", b"standard")
         assert axis.units == b"seconds since 2014-07-09 00:00:00"
         assert axis.dimensions == heading.dimensions == ("row",)
-        # Of the standard name table: clockwise from North, and as the message says it.
+        # From the standard name table: clockwise from North, as in the message.
         assert (heading.standard_name, heading.units) == (b"platform_orientation", b"rad")
         assert file.variables["pitch_rad"].standard_name == b"platform_pitch_fore_up"
         assert file.variables["roll_rad"].standard_name == b"platform_roll_starboard_down"
@@ -828,8 +828,8 @@ def test_too_many_open_files_are_reported(tmp_path, capsys):
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     write_imu_bag(tmp_path / "long.mcap", 30_000)
     options = [str(tmp_path / "long.mcap"), "--out", str(tmp_path / "out")]
-    # It leaves the processor to who watches it: on a busy machine it would else be done before it is seen. And it hears
-    # Ctrl-C where the tests run in the background of a shell, whose programs do not.
+    # Its low priority leaves the processor to this test: on a busy computer it would otherwise end before the signal.
+    # The default signal handler is needed if the tests run in the background of a shell.
     patient = ["env", "--default-signal=INT", "nice", "-n", "19"]
     command = [*patient, sys.executable, "-m", "ship_bags.commands.export", *options]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

@@ -261,7 +261,7 @@ def test_gps_week_rollovers_are_corrected_and_reported(imported, capsys, rollove
     for topic in ("ins/imu", "reference/second/imu", "gnss/fix"):
         stamps = [[ns_from_stamp(message.header.stamp) for _, message in run[topic]] for run in (found, expected)]
         assert stamps[0] == stamps[1]
-    said = f"instrument time put right by {1024 * rollovers:+d} weeks (GPS week rollover)"
+    said = f"instrument time corrected by {1024 * rollovers:+d} weeks (GPS week rollover)"
     assert counts["files"]["ins.log"]["put_right"] == {said: 1}
     assert f"{said} 1" in capsys.readouterr().out
 
@@ -304,7 +304,7 @@ def test_a_log_without_attitude_gives_only_the_fix(imported, capsys):
     positions = "".join(line for line in S330.splitlines(keepends=True) if "GGA" in line)
     found, _, _ = imported("--resample", "20", ins=positions + GYR1)
     assert set(found) == {"gnss/fix"}
-    assert "no attitude in it: gnss/fix alone" in capsys.readouterr().out
+    assert "no attitude in it: gnss/fix only" in capsys.readouterr().out
 
 
 def test_unusable_lines_are_counted_and_shown(imported, capsys):
@@ -428,7 +428,7 @@ def test_several_transducers_of_a_kind_are_not_used(imported, capsys):
     assert "met/temperature" not in found
     assert len(found["met/pressure"]) == 1
     assert counts["files"]["weather.log"]["rejected"] == {"several transducers": 2}
-    assert "temperature of WCHR, WCHT: name the air's in transducers" in capsys.readouterr().out
+    assert "temperature of WCHR, WCHT: list the one of the air in transducers" in capsys.readouterr().out
 
 
 def test_heading_with_its_status(imported):

@@ -149,7 +149,7 @@ def test_a_slow_disk_does_not_delay_the_writer(tmp_path, monkeypatch):
 def test_a_failed_sync_is_raised_by_the_next_request(tmp_path):
     with open(tmp_path / "a", "wb") as file:
         number = file.fileno()
-    # The file is closed: what the system says then stands for a disk that fails.
+    # The file is closed: the error of the system stands for a failing disk.
     sync = DiskSync(number)
     sync.request()
     sync._thread.submit(lambda: None).result()

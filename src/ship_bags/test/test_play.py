@@ -85,12 +85,12 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
         ]
 
     assert domain.graph.spin_until(lambda: "2" in counted())
-    # Between the jump and the first sample the node says that it knows nothing.
+    # Between the jump and the first sample the node publishes INVALID.
     attitudes = [message for message in attitudes if message.status != ShipAttitude.INVALID]
     stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in attitudes]
     jumps = [number for number, (earlier, later) in enumerate(itertools.pairwise(stamps), 1) if later <= earlier]
     assert len(jumps) == 2
-    # Each lap begins again with the first sample and says the same as the first did.
+    # Each loop begins again with the first sample and gives the same outputs as the first one.
     laps = [attitudes[start:end] for start, end in itertools.pairwise([0, *jumps, len(attitudes)])]
     assert [stamps[start] - START_NS for start in (0, *jumps)] == [0, 0, 0]
     shared = min(len(lap) for lap in laps)

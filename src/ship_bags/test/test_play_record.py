@@ -309,7 +309,7 @@ def test_pause_step_and_resume_by_services(live, tmp_path):
     source = make_bag(tmp_path / "in.mcap", 50)
     expected = ["--wait-for-subscribers", "ins/imu", "/clock"]
     player = live.start(*PLAY, str(source), "--paused", "--topics", "ins/imu", *expected)
-    # While it is paused a step plays one message, and the clock stands and is said again.
+    # While paused a step plays one message, and the clock is constant and published repeatedly.
     for number in range(3):
         assert call(live, "play_next").success
         assert live.observer.spin_until(lambda count=number + 1: len(messages) == count)
@@ -450,7 +450,7 @@ def test_a_killed_recorder_has_everything_but_its_last_flush_period(live, tmp_pa
     assert len(numbers) > 20
     # Without a gap from the first on, ...
     assert numbers == payloads(source, "ins/imu")[: len(numbers)]
-    # ... up to the last flush; as much again is allowed to a loaded machine for the message's way and the sync.
+    # ... up to the last flush; the same time is allowed for latency and sync on a loaded computer.
     assert killed_ns - got["ins/imu"][-1][0] < 2 * flush_period_s * 1e9
 
 
@@ -465,7 +465,7 @@ def test_a_full_disk_is_reported_and_leaves_complete_chunks(live, tmp_path):
     assert recorder.wait(40) == 2
     player.end()
     lines = recorder.log().splitlines()
-    assert len(lines) == 2, lines  # the first says where it records to
+    assert len(lines) == 2, lines  # the first one has the path of the recording
     assert lines[1].startswith(f"record: {path}: recording failed: File too large; the file is complete up to")
     got, problems = contents(path)
     assert path.stat().st_size <= limit_bytes

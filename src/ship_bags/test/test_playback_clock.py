@@ -47,7 +47,7 @@ def test_a_paused_clock_plays_only_steps():
     while passed != ["tick", "first"]:
         assert changed.wait(10)
         changed.clear()
-    # The tick after the message waits for the next step, which nobody takes.
+    # The tick after the message waits for the next step, which does not occur.
     clock.stop()
     player.join(10)
     assert passed == ["tick", "first"]
@@ -85,7 +85,7 @@ def test_a_step_is_refused_while_playing():
     clock.begin(0)
     assert not clock.step()
     clock.pause()
-    # The refused step is not owed after the pause.
+    # The refused step is not pending after the pause.
     threading.Timer(0.05, clock.stop).start()
     assert not clock.wait_until(0, is_message=True)
 

@@ -138,7 +138,7 @@ class TestLive:
         told = information(folder)
         assert len(told["relative_file_paths"]) > 3
         assert told["message_count"] == len(rosbags_times(folder)) == 1500
-        # What the publisher offered, as far as DDS tells it.
+        # The publisher's QoS, as far as DDS transmits it.
         profiles = told["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
         # A publisher of the test before may still be known to DDS.
         assert ("reliable", "volatile") in {(profile["reliability"], profile["durability"]) for profile in profiles}

@@ -52,7 +52,7 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
         LiveProcess(node, tmp_path / "node.log", environment) as running,
         LiveProcess(recorder, tmp_path / "record.log", environment) as recording,
     ):
-        # In the graph, with its services, and nobody serves them.
+        # In the graph with its services, but without answers.
         mute = rclpy.create_node("mute", context=observer.node.context)
         there = observer.wait_for({"/aurora/ship/attitude": 1}, {"/aurora/ship/attitude": 1, "/aurora/ins/imu": 1})
         assert there, running.log() + recording.log()

@@ -252,7 +252,7 @@ def test_black_box_continues_in_a_new_file_after_a_full_disk(tmp_path: Path, mon
             box.put("ins/imu", number.to_bytes(4, "little") * 8, SECOND_NS + number)
         box._guarded(box._write_all)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
-        for _ in range(3):  # it is tried again and again, and nothing is left of that
+        for _ in range(3):  # repeated attempts leave no file
             box.put("ins/imu", b"lost", 2 * SECOND_NS)
             box._guarded(box._write_all)
         assert [path.name for path in tmp_path.iterdir()] == ["box.mcap"]
@@ -294,7 +294,7 @@ def test_black_box_continues_in_a_new_file_at_the_size_limit(tmp_path: Path) -> 
     (tmp_path / "box.part2.mcap").unlink()
     with read_bag(tmp_path / "box.mcap") as bag:
         assert bag.problems == ["box.mcap: part 2 of the black box is missing"]
-    # An earlier box's files are not taken for those of a later one of the same name.
+    # Files of an earlier black box are not used for a later one of the same name.
     (tmp_path / "box.mcap").unlink()
     new_box(tmp_path / "box.mcap").close()
     with read_bag(tmp_path / "box.mcap") as bag:

@@ -231,7 +231,7 @@ def test_a_flood_stops_neither_ticks_nor_later_messages(live_relay):
         for _ in range(10):
             publisher.publish(old)
         time.sleep(0.001)
-    # An event for each of thousands of messages would now wait before them.
+    # Thousands of events would now wait in front of them.
     assert len(relay.adapter.ticks) - ticks_before >= 5
     handled = len(relay.adapter.handled)
     relay.wait_until(lambda: len(relay.live._inbox) == 0)
@@ -259,7 +259,7 @@ def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_
         relay.spin()
         time.sleep(0.03)
     relay.wait_until(lambda: len(relay.attitudes) == 30)
-    # The time of waiting hardly went on: no more than two ticks lie between what came before the stop and after it.
+    # The timeout clock hardly advanced: at most two ticks lie between the messages before and after the standstill.
     stop_ns = max(later - earlier for earlier, later in pairwise(uses))
     assert stop_ns <= 2 * TICK_PERIOD_NS
     assert sum(uses[0] < tick_ns <= uses[1] for tick_ns in relay.adapter.ticks) <= 2
@@ -348,7 +348,7 @@ def test_bag_time_ticks_on_the_grid_and_a_jump_back_restarts_once(live_relay):
     set_time = relay.clock_publisher()
     for time_s in (1000.03, 1000.12, 1000.34):
         set_time(time_s)
-        # The node has looked at its clock: a slow one would begin its grid at the next time.
+        # The node has read its clock; otherwise a slow node would begin its grid at the next time.
         relay.wait_until(lambda time_s=time_s: relay.live._last_ns == round(time_s * 1e9))
     relay.wait_until(lambda: len(relay.adapter.ticks) == 3)
     assert relay.adapter.ticks == [1000_100_000_000, 1000_200_000_000, 1000_300_000_000]
@@ -397,7 +397,7 @@ def test_topic_with_a_publisher_and_no_message_is_reported_after_five_seconds(li
         set_time(1000.0 + 0.1 * tenth)
     assert relay.diagnostics[name].level == DiagnosticStatus.OK
     relay.wait_until(lambda: relay.adapter.health._publishers.get("ins/imu") == 1)
-    # Its watch begins with the first time it hears: on a busy machine that is not the first one told.
+    # The timeout begins with the first /clock received: on a busy computer that is not the first one published.
     set_time(1008.0)
     relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
     text = r"required: 1 publisher\(s\) but no message for [5-8] s: QoS mismatch"
@@ -423,7 +423,7 @@ def test_timeout_of_clock_is_reported_and_timeouts_continue(live_relay):
     relay.imu_publisher().publish(imu_message(1000_000_000_000))
     relay.wait_until(lambda: len(relay.attitudes) == 1)
     ticks = len(relay.adapter.ticks)
-    # From now on nothing of it comes.
+    # No /clock from now on.
     relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
     assert re.fullmatch(r"no /clock for \d+ s: node time is frozen", relay.diagnostics[name].message)
     relay.wait_until(lambda: len(relay.adapter.ticks) >= ticks + 22)
@@ -452,7 +452,7 @@ def test_two_nodes_with_one_name_are_reported(live_relay):
 
 def test_a_bag_of_another_year_is_reported_with_the_remedy(live_relay, capfd):
     relay = live_relay(*RELIABLE_INPUT)
-    # Its time goes out too, and the node does not follow it.
+    # /clock is published too, and the node does not use it.
     relay.peer.create_publisher(Clock, "/clock", 10)
     publisher = relay.imu_publisher()
     for _ in range(3):

@@ -101,9 +101,9 @@ def test_timeout_clock_counts_only_listening_time() -> None:
     clock = WaitingClock(lambda: steady_ns)
     assert clock.now_ns(start_ns) == start_ns
     steady_ns += 1_200_000_000
-    # It was not asked for so long: the node stood still.
+    # No reading for that time: the node stood still.
     assert clock.now_ns(start_ns) == start_ns + 200_000_000
     steady_ns += 50_000_000
-    # Whatever the system's clock shows.
+    # Independent of the system's clock.
     assert clock.now_ns(start_ns - 3600 * 10**9) == start_ns + 250_000_000
     assert clock.now_ns(start_ns + 3600 * 10**9) == start_ns + 250_000_000

@@ -50,7 +50,7 @@ def test_events_do_not_accumulate_in_the_executor(context):
     assert events.status().level is Level.OK
     rounds = 0
     while events.status().level is Level.OK and rounds < 200:
-        # Half as many again as can be taken, each for a message that is soon displaced.
+        # 1.5 times the maximum, each for a message that is soon displaced.
         for _ in range(MOST_EVENTS * 3 // 2):
             publisher.publish(sent[0])
         steady_ns += 200_000_000
@@ -100,7 +100,7 @@ def test_no_message_or_request_is_late_after_dropped_events(context):
     for number in range(2 * DEPTH):
         publisher.publish(Int32(data=number))
     futures = [client.call_async(SetBool.Request(data=True))]
-    time.sleep(1.0)  # the middleware has told of them
+    time.sleep(1.0)  # the middleware has reported them
     seen.clear()
     events._drop()
     assert (seen[-1], requests) == (2 * DEPTH - 1, [True])

@@ -78,7 +78,7 @@ def test_bad_parameter_file_exits_2_with_file_and_line(tmp_path, parameters, lin
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_the_node_cleanly(number):
-    # Nothing tells from outside that the signal handlers stand, so wait for a line that the node logs later.
+    # The signal handlers cannot be observed from outside, so wait for a line that the node logs later.
     arguments = ["--ros-args", "-p", "qos_overrides./absent.subscription.depth:=1"]
     with subprocess.Popen([*RELAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None

@@ -29,7 +29,7 @@ from ship_replay.offline.black_box_replay import RecordedFiles
 @pytest.mark.parametrize(
     "rows",
     [
-        [[4e-10, 1e-7], [1e-7, 2.5e-5]],  # an angle in rad beside a clock offset in s
+        [[4e-10, 1e-7], [1e-7, 2.5e-5]],  # an angle in rad with a clock offset in s
         [[0.0, 0.0], [0.0, 2.5e-5]],  # the first is held fixed
         [[2.5e-5, 0.0], [0.0, 0.0]],
         [[0.0, 0.0], [0.0, 0.0]],
@@ -178,7 +178,7 @@ def test_an_unusable_file_is_set_aside_and_reported_until_the_next_save(tmp_path
     assert str(path) in saved.unreadable
     assert saved.unreadable.endswith(f"; set aside as {path}.unreadable")
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"alignment.yaml.unreadable": raw}
-    # A replay of the black box is given the same.
+    # A replay of the black box gets the same.
     recorded = RecordedFiles()
     for use in files.uses:
         recorded.expect(use)

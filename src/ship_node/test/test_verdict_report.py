@@ -47,7 +47,7 @@ def test_a_source_as_stated_is_ok_and_shows_its_figures() -> None:
     low, high = chi2.ppf([0.5e-7, 1.0 - 0.5e-7], 200) / 200  # of the mean of 200 squares
     assert status.values["NIS per component"].endswith(f"(expected {low:.2f} to {high:.2f})")
     assert set(status.values) >= {"factor of its sigma", "far off (%)", "bias up (sigma)", "correlation right"}
-    assert report.statuses() == [status]  # judged once, told as long as it is true
+    assert report.statuses() == [status]  # evaluated once, reported as long as it applies
     assert not report.pending
 
 

@@ -96,7 +96,7 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
                 raise BadInput(f"no two attitudes within {LONGEST_GAP_S:g} s of each other to resample", file=order.ins)
         timed += [imu_message(factory, INS, INS, sample) for sample in samples]
     else:
-        report.remarks.append("no attitude in it: gnss/fix alone")
+        report.remarks.append("no attitude in it: gnss/fix only")
         _remark_on_clock(report, [(log_ns, ns_from_stamp(message.header.stamp)) for log_ns, _, message in fixes])
     timed += fixes
     for name, path in sorted(order.references.items()):
@@ -146,7 +146,7 @@ def _remark_on_clock(report: LogReport, times_ns: list[tuple[int, int]]) -> None
     """
     delay_ns = int(np.median([receive_ns - stamp_ns for receive_ns, stamp_ns in times_ns]))
     if text := clock_problem(delay_ns, "the receive times"):
-        report.remarks.append(f"{text}: --time receive does without it")
+        report.remarks.append(f"{text}: use --time receive")
 
 
 def _read_with(path: Path, kinds: Sequence[str], rules: LogRules) -> tuple[list[InstrumentLine], LogReport]:

@@ -237,7 +237,7 @@ class Instrument:
                 names.add(transducer.id)
         for field in [field for field, values in told.items() if len(values) + len(self._transducers[field]) > 2]:
             several = ", ".join(sorted(self._transducers[field])[:_MOST_TOLD])
-            text = f"{field.partition('_')[0]} of {several}: name the air's in transducers"
+            text = f"{field.partition('_')[0]} of {several}: list the one of the air in transducers"
             self._report.reject("several transducers", line.number, text)
             del told[field]
         return MetReading(**{field: values[0] for field, values in told.items()})

@@ -103,7 +103,7 @@ def instrument_ns(stamp_ns: int, line: InstrumentLine, report: LineReport) -> in
         report.reject(WRONG_TIME, line.number, text)
     elif result_ns != stamp_ns:
         weeks = (result_ns - stamp_ns) // _ROLLOVER_NS * 1024
-        report.mended[f"instrument time put right by {weeks:+d} weeks (GPS week rollover)"] += 1
+        report.mended[f"instrument time corrected by {weeks:+d} weeks (GPS week rollover)"] += 1
     return result_ns
 
 

@@ -17,7 +17,7 @@ from ship_bags.nmea.dialects import dialect_fields, dialect_of
 
 BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
 UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"
-HALF_POSITION = "GGA without its position's N, S, E or W, or without a part of it"
+HALF_POSITION = "GGA with an incomplete position (N, S, E or W, or a coordinate missing)"
 WRONG_MINUTES, WRONG_POSITION = "GGA with 60 minutes or more", "GGA beyond 90° of latitude or 180° of longitude"
 """Details of an unparsed line: unknown to pynmea2, without values, or with impossible values."""
 

@@ -223,7 +223,7 @@ def worse_in(content: Saved, there: Saved) -> str:
     """
     own = content.sigmas()
     if not all(np.all(np.isfinite(sigma)) for sigma in own.values()):
-        return "finite numbers, the current state has not"
+        return "finite numbers, unlike the current state"
     for name, known in there.sigmas().items():
         if name not in own:
             return f"{name}, which is not configured here"
