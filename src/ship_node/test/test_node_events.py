@@ -58,7 +58,7 @@ def test_events_do_not_accumulate_in_the_executor(context):
         rounds += 1
     status = events.status()
     assert status.level is Level.ERROR
-    assert "more came than this node can take" in status.message
+    assert "too many events for this node" in status.message
 
     publisher.publish(sent[1])
     while seen[-1] != sent[1] and time.monotonic() < deadline_s:
