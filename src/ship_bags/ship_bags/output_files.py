@@ -137,7 +137,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def named(problem: OSError, path: Path) -> OSError:
-    """Return the error with the file name that the user knows."""
+    """Return the error with the final file name, as given by the user."""
     return OSError(problem.errno, problem.strerror or str(problem), str(path))
 
 

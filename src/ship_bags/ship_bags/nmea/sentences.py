@@ -165,7 +165,7 @@ def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
 
 
 def _pashr(content: Any) -> Any:
-    """Return the attitude of a PASHR, whose time pynmea2 knows with two or three decimals only; others unchanged."""
+    """Return the attitude of a PASHR, whose time pynmea2 accepts with two or three decimals only; others unchanged."""
     data = list(content.data)
     if len(data) < _PASHR_LEAST_FIELDS or not _TIME_OF_DAY.fullmatch(data[1]):
         return content

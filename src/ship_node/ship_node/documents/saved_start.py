@@ -217,7 +217,7 @@ class SavedStart(Generic[Prior]):
 
 
 def worse_in(content: Saved, there: Saved) -> str:
-    """Return the first quantity that a content knows less precisely than another; empty if there is none.
+    """Return the first quantity with a larger sigma in a content than in another; empty if there is none.
 
     A quantity that is missing counts as less precise.
     """

@@ -33,7 +33,7 @@ _FOLLOWS_WITHIN_NS = SECOND_NS
 """Longest time between the steps of the computer's clock and of an input that follows it, ns."""
 
 _UNCONTRADICTED_NS = 3 * SECOND_NS // 10
-"""Time for which nothing may contradict a step before it counts, ns."""
+"""Time without contradiction after which a step counts, ns."""
 
 _LONGEST_PERIOD_NS = SECOND_NS
 """Longest mean period of an input that a decision waits for, ns."""

@@ -153,7 +153,7 @@ class NodeParameters:
         return result
 
     def _retyped(self, parameter: Parameter) -> Parameter:
-        """Return an empty list with the parameter's element type, which the sender of the request cannot know."""
+        """Return an empty list with the parameter's element type, which a request does not contain."""
         description = self._descriptions.get(parameter.name)
         if description is None or _plain(parameter.value) != []:
             return parameter

@@ -88,7 +88,7 @@ class Senders:
         return self._returns >= _RETURNS and sum(not sender.is_silent(now_ns) for sender in self._senders) >= 2
 
     def end(self) -> None:
-        """Keep only the latest publisher: the middleware knows no other one."""
+        """Keep only the latest publisher: the middleware lists no other one."""
         self._senders, self._returns = [self._latest] if self._latest is not None else [], 0
 
 
