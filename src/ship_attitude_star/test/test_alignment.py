@@ -375,7 +375,7 @@ def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
     broken = dataclasses.replace(prior, covariance=prior.covariance * np.nan)
     assert worse_in(broken, prior)
     assert worse_in(prior, prior) == ""
-    assert worse_in(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).endswith("better")
+    assert worse_in(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).startswith("a smaller sigma of")
 
 
 def test_a_disk_that_takes_nothing_is_told_once_and_told_again_when_it_does(tmp_path: Path) -> None:
