@@ -49,7 +49,7 @@ def asked(environment, command, *arguments):
 
 def test_services_are_listed_and_called(environment):
     assert asked(environment, "call", NODE) == (0, "load_alignment\nreset\nsave_alignment\n", "")
-    assert asked(environment, "call", NODE, "reset") == (0, "done: the filter starts anew\n", "")
+    assert asked(environment, "call", NODE, "reset") == (0, "done: the filter was reset\n", "")
     code, said, _ = asked(environment, "call", NODE, "save_alignment")
     assert code == 1
     assert said.startswith("not done: parameter 'alignment_file' is empty")

@@ -171,4 +171,4 @@ def test_mend_12_a_node_without_sensors_warns_at_its_start(tmp_path: Path) -> No
     with LiveProcess(command, tmp_path / "node.log", live_environment(free_domain_id(), tmp_path / "ros")) as process:
         wait_for("no star_sensors, no references and no ship_baseline are configured", process)
         assert process.end() == 0
-        assert "nothing in it is for node '/ship_attitude', its sections are '/**/radar'" in process.log()
+        assert "no section is for node '/ship_attitude', its sections are '/**/radar'" in process.log()

@@ -64,7 +64,7 @@ def file(path: Path) -> None:
 
 
 TAKEN = {
-    file: "is there already: --force writes over it",
+    file: "already exists: use --force to overwrite",
     Path.mkdir: "is a folder: expected a file",
     os.mkfifo: "is a pipe: expected a file",
     link_to_device: "is a device: expected a file",

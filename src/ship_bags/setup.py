@@ -29,7 +29,7 @@ setup(
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
-    description="Bags: read, write, walk, recover, record, play; ship logs in; tables out.",
+    description="Bags: read, write, recover, record, play; import of ship logs; export of tables.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -26,6 +26,6 @@ setup(
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
-    description="The shell every node wears: guarded callbacks, parameters from dataclasses",
+    description="Node runtime: exception handling, parameters from dataclasses, QoS, input health",
     license="Apache-2.0",
 )

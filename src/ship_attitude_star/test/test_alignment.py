@@ -335,9 +335,9 @@ def test_a_more_accurate_file_is_kept_and_the_reason_is_reported(tmp_path: Path)
     better = known_better(path)
     run = drive(adapter, voyage())
     assert path.read_bytes() == better
-    (notice,) = [text for text in run.adapter.notices if "not saved by itself" in text]
+    (notice,) = [text for text in run.adapter.notices if "not saved automatically" in text]
     assert str(path) in notice
-    assert "better; ~/save_alignment replaces it" in notice
+    assert "; ~/save_alignment replaces it" in notice
     level, text = alignment_text(run.adapter, run.now_ns)
     assert (level, notice in text) == (1, True)
     assert run.adapter.service("save_alignment", run.now_ns).success
@@ -375,7 +375,7 @@ def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
     broken = dataclasses.replace(prior, covariance=prior.covariance * np.nan)
     assert worse_in(broken, prior)
     assert worse_in(prior, prior) == ""
-    assert worse_in(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).endswith("better")
+    assert worse_in(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).startswith("a smaller sigma of")
 
 
 def test_a_full_disk_is_reported_once_and_again_when_it_recovers(tmp_path: Path) -> None:
@@ -388,4 +388,4 @@ def test_a_full_disk_is_reported_once_and_again_when_it_recovers(tmp_path: Path)
     (tmp_path / "folder").unlink()
     drive(adapter, halves[1][len(halves[0]) :])
     assert path.exists()
-    assert adapter.notices[-1] == f"alignment is saved again by itself to {path}"
+    assert adapter.notices[-1] == f"alignment is saved automatically again to {path}"

@@ -109,7 +109,7 @@ def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None
     revised = run.innovations(Reason.REVISED)
     assert [m.source for m in revised] == ["star.starboard"]
     assert not revised[0].accepted
-    assert "now refused" in revised[0].reason_text
+    assert "now rejected" in revised[0].reason_text
     assert run.reasons(STARBOARD) == {"revised": 1}
 
 

@@ -1,7 +1,7 @@
-"""Makes messages as CDR bytes from plain values, without message objects.
+"""Encoder of messages as CDR bytes from plain values, without message objects.
 
-The values of a message are taken apart into its numbers, which are packed, and its texts and lengths of sequences,
-which decide by which template.
+The values of a message are split into its numbers, which are packed, and its texts and sequence lengths, which select
+the template.
 """
 
 import functools
@@ -20,7 +20,7 @@ _NS_PER_S = 1_000_000_000
 
 @functools.lru_cache(maxsize=4096)
 def cdr_text(text: str) -> bytes:
-    r"""A text as it stands in a message from an offset divisible by four on, filled up to the next such.
+    r"""Return a text as encoded from an offset divisible by four, padded to the next such offset.
 
     Example:
         >>> cdr_text("deck")
@@ -31,14 +31,14 @@ def cdr_text(text: str) -> bytes:
 
 
 class CdrEncoder:
-    """Makes messages of any types as bytes; each layout is laid out once.
+    """Encodes messages of any types; each layout is computed once.
 
     Args:
-        definitions: gives the definition of a type.
+        definitions: returns the definition of a type.
     """
 
     _MOST_TEMPLATES = 1000
-    """So many layouts are remembered: a text that always changes must not fill the memory."""
+    """Maximum number of cached layouts, so that changing texts do not fill the memory."""
 
     def __init__(self, definitions: Definitions) -> None:
         self._definitions = definitions
@@ -46,13 +46,13 @@ class CdrEncoder:
         self._templates: dict[tuple[Variable, ...], CdrTemplate] = {}
 
     def encoded(self, type_name: str, fields: Mapping[str, Any]) -> CdrMessage:
-        """A message; see :meth:`ship_bags.message_factory.MessageFactory.encoded`."""
+        """Return a message; see :meth:`ship_bags.message_factory.MessageFactory.encode`."""
         numbers: list[Any] = []
         template = self._taken_apart(type_name, fields, numbers, many=False)
         return template.message(template.pack(numbers))
 
     def encoded_rows(self, type_name: str, count: int, fields: Mapping[str, Any]) -> CdrRows:
-        """Messages; see :meth:`ship_bags.message_factory.MessageFactory.encoded_rows`."""
+        """Return messages; see :meth:`ship_bags.message_factory.MessageFactory.encode_rows`."""
         columns: list[Any] = []
         template = self._taken_apart(type_name, fields, columns, many=True)
         return CdrRows(template, template.encode_many(columns, count))
@@ -60,7 +60,7 @@ class CdrEncoder:
     def _taken_apart(
         self, type_name: str, fields: Mapping[str, Any], numbers: list[Any], many: bool
     ) -> CdrTemplate:
-        """The layout of a message, or of many; their numbers are appended."""
+        """Append the numbers of a message, or of many, and return their layout."""
         flattener = self._flatteners.get((type_name, many))
         if flattener is None:
             flattener = self._flatteners[type_name, many] = _Flattener(type_name, self._definitions, many)
@@ -78,12 +78,12 @@ class CdrEncoder:
 
 
 class _Flattener:
-    """Takes the fields of a type apart: into its numbers, and into what decides on its layout.
+    """Splits the fields of a type into numbers and the parts that determine the layout.
 
     Args:
         type_name: the type.
-        definitions: gives its definition, and those of all that it refers to.
-        many: whether the numbers are columns, of many messages with the same texts.
+        definitions: returns its definition, also of all types that it refers to.
+        many: True if the numbers are columns, of many messages with the same texts.
     """
 
     def __init__(self, type_name: str, definitions: Definitions, many: bool) -> None:
@@ -96,7 +96,7 @@ class _Flattener:
         """Append the parts of a message.
 
         Raises:
-            TypeError: a field is missing or unknown, or an array has not the length of its type.
+            TypeError: a field is missing or unknown, or an array has the wrong length.
         """
         if fields.keys() != self._names:
             missing, unknown = self._names - fields.keys(), fields.keys() - self._names
@@ -112,7 +112,7 @@ _Step = Callable[[Any, list[Any], list[Variable]], None]
 
 
 def _step(field: FieldType, definitions: Definitions, many: bool) -> _Step | None:
-    """What takes a field apart; None where it is one number."""
+    """Return the function that splits a field; None if the field is one number."""
     add_element = _element_step(field.element, definitions, many)
     if field.length is None and not field.is_sequence:
         return add_element
@@ -123,7 +123,7 @@ def _step(field: FieldType, definitions: Definitions, many: bool) -> _Step | Non
         elif len(values) != field.length:
             raise TypeError(f"{len(values)} elements: expected {field.length}")
         if add_element is None and many:
-            # An array of numbers has one column, as wide as itself.
+            # An array of n numbers is one column of width n.
             numbers.append(np.transpose(values))
         elif add_element is None:
             numbers.extend(values.tolist() if isinstance(values, np.ndarray) else values)

@@ -1,18 +1,18 @@
-"""Reads the messages of a topic by templates, where they differ in numbers alone."""
+"""Reader of a topic's messages by templates, for messages that differ only in numbers."""
 
 from ship_bags.cdr_template import CdrMessage, CdrTemplate, Definitions
 
 
 class CdrReader:
-    """Reads the messages of a topic by their layout, as long as they differ in numbers alone.
+    """Reads the messages of a topic by their layout, as long as they differ only in numbers.
 
     Args:
         type_name: the type.
-        definitions: gives its definition, and those of all that it refers to.
+        definitions: returns the definition of a type, also of all types that it refers to.
     """
 
     _MOST_TEMPLATES = 16
-    """So many lengths have a template: texts that always change must not fill the memory."""
+    """Maximum number of lengths with a template, so that changing texts do not fill the memory."""
 
     def __init__(self, type_name: str, definitions: Definitions) -> None:
         self._type_name = type_name
@@ -21,15 +21,15 @@ class CdrReader:
         self._templates: dict[int, CdrTemplate] = {}
 
     def message(self, data: bytes) -> CdrMessage | None:
-        """The message; None where a message object must read it: of another encapsulation, other texts, damaged.
+        """Return the message; None if a message object must read it: other encapsulation, other texts, damaged.
 
-        A type with sequences is read by message objects, for its layout changes from message to message.
+        Types with sequences are always read by message objects, because their layout changes from message to message.
         """
         template = self._templates.get(len(data)) or self._laid_out(data)
         return template.message(data) if template is not None and template.fits(data) else None
 
     def _laid_out(self, data: bytes) -> CdrTemplate | None:
-        """The template of the first message of a length, for all of this length."""
+        """Return a template for all messages of a length, from the first one."""
         if not self._is_fixed or len(self._templates) >= self._MOST_TEMPLATES:
             return None
         try:
@@ -41,7 +41,7 @@ class CdrReader:
 
 
 def _is_fixed(type_name: str, definitions: Definitions) -> bool:
-    """Whether messages of a type differ in their numbers and texts alone, and there are templates for them."""
+    """True if messages of a type differ only in numbers and texts, and all their fields have templates."""
     try:
         fields = definitions(type_name).values()
     except TypeError:

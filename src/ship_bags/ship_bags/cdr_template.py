@@ -1,10 +1,10 @@
-"""Messages as CDR bytes without message objects: a template for each layout that a type takes.
+"""Messages as CDR bytes without message objects: a template for each layout of a type.
 
-Where the texts of a message and the lengths of its sequences are known, every number stands at a known place. A
-:class:`CdrTemplate` walks these places once, from the definition; then its numbers are packed and read in one go. A
-message whose texts or lengths are others has another template. The encoding is plain CDR (XCDR1), little endian.
+If the texts of a message and the lengths of its sequences are known, every number has a known offset. A
+:class:`CdrTemplate` computes these offsets once, from the definition; then all numbers are packed and read at once. A
+message with other texts or lengths has another template. The encoding is plain CDR (XCDR1), little endian.
 
-Messages are made by templates in :mod:`ship_bags.cdr_encoder` and read in :mod:`ship_bags.cdr_reader`.
+:mod:`ship_bags.cdr_encoder` makes messages by templates, :mod:`ship_bags.cdr_reader` reads them.
 """
 
 import struct
@@ -15,19 +15,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 HEADER = b"\x00\x01\x00\x00"
-"""Encapsulation of plain CDR, little endian. Numbers are aligned from behind it on."""
+"""Encapsulation header of plain CDR, little endian. Numbers are aligned relative to its end."""
 
 TEXT = "string"
 _LENGTH_BYTES = 4
 
 
 class FieldType(NamedTuple):
-    """Type of a field: one element, an array of a fixed number of them, or a sequence.
+    """Type of a field: one element, an array of fixed length, or a sequence.
 
     Attributes:
-        element: code of a number as struct and numpy know it, ``"string"``, or the name of a message type.
-        length: elements of an array; None for one element, which is no array.
-        is_sequence: whether the message itself says how many there are.
+        element: code of a number for struct and numpy, ``"string"``, or the name of a message type.
+        length: number of elements of an array; None if it is not an array.
+        is_sequence: True if the message contains the number of elements.
     """
 
     element: str
@@ -39,20 +39,20 @@ Definition = Mapping[str, FieldType]
 """Field name → its type, in order."""
 
 Definitions = Callable[[str], Definition]
-"""The definition of a message type by its name."""
+"""Returns the definition of a message type by its name."""
 
 Variable = str | int
-"""A text of a message, or the length of one of its sequences."""
+"""Text of a message, or length of one of its sequences."""
 
 
 class CdrMessage:
-    """A message as its bytes, whose fields are read where somebody asks for them, as attributes.
+    """Message as its bytes, whose fields are decoded on access, as attributes.
 
-    Texts are str, arrays of numbers read-only numpy arrays, sequences and arrays of others lists; a message in it is
-    read whole. Every other name begins with an underscore, as no field's does.
+    Texts are str, arrays of numbers are read-only numpy arrays, other sequences and arrays are lists; a nested message
+    is decoded as a whole. All other names begin with an underscore, as no field does.
 
     Attributes:
-        __msgtype__: name of the type, as the message objects of rosbags have it.
+        __msgtype__: name of the type, as in the message objects of rosbags.
         __cdr__: the bytes.
     """
 
@@ -72,24 +72,24 @@ class CdrMessage:
 
 _Reader = Callable[[bytes], Any]
 _VariablePart = Callable[[FieldType, int], Variable]
-"""Gives the text or the length of a sequence that stands at an offset."""
+"""Returns the text or the sequence length at an offset."""
 
 
 class CdrTemplate:
-    """One layout of a message type.
+    """Layout of a message type for given texts and sequence lengths.
 
     Attributes:
         type_name: the type.
-        size: bytes of a message, encapsulation included.
+        size: bytes of a message, including the encapsulation header.
         dtype: the numbers of a message by dotted names, as ``orientation.x`` or ``transforms.0.header.stamp.sec``.
 
     Args:
         type_name: the type.
-        definitions: gives its definition, and those of all that it refers to.
-        variables: its texts and the lengths of its sequences in order of the definition.
+        definitions: returns its definition, also of all types that it refers to.
+        variables: its texts and sequence lengths in order of the definition.
 
     Raises:
-        ValueError: there are more or fewer of these than the definition has.
+        ValueError: the number of variables does not match the definition.
     """
 
     def __init__(self, type_name: str, definitions: Definitions, variables: tuple[Variable, ...]) -> None:
@@ -103,10 +103,10 @@ class CdrTemplate:
 
     @classmethod
     def of_message(cls, type_name: str, definitions: Definitions, data: bytes) -> "CdrTemplate":
-        """The template by which a message is laid out, as the message itself says.
+        """Return the template of a given message.
 
         Raises:
-            ValueError: the bytes are no such message, or of another encapsulation.
+            ValueError: the bytes are not such a message, or have another encapsulation.
         """
         template = cls.__new__(cls)
         try:
@@ -130,21 +130,21 @@ class CdrTemplate:
         self._pack = struct.Struct("<" + "".join(walk.codes)).pack
 
     def pack(self, numbers: list[Any]) -> bytes:
-        """The bytes of a message, by all its numbers in order of the definition; the list is changed."""
+        """Return the bytes of a message from all its numbers in order of the definition; the list is changed."""
         for place, constant in self._arguments:
             numbers.insert(place, constant)
         return self._pack(*numbers)
 
     def encode_many(self, columns: Sequence[Any], count: int) -> np.ndarray:
-        """The bytes of many messages, shape (count, size), uint8.
+        """Return the bytes of many messages, shape (count, size), uint8.
 
         Args:
-            columns: for each name in :attr:`dtype` the values of all messages, the first axis counts them; or one value
+            columns: for each name in :attr:`dtype` the values of all messages, counted by the first axis; or one value
                 for all.
             count: number of messages.
 
         Raises:
-            ValueError: there are more or fewer columns than names.
+            ValueError: the number of columns differs from the number of names.
         """
         rows = np.zeros((count, self.size), dtype=np.uint8)
         for start, constant in self._constants:
@@ -155,32 +155,32 @@ class CdrTemplate:
         return rows
 
     def decode_many(self, data: Any) -> np.ndarray:
-        """The numbers of many messages, shape (count,), of :attr:`dtype`: a view of bytes that stand in a row.
+        """Return the numbers of many messages, shape (count,), of :attr:`dtype`, as a view of contiguous bytes.
 
         Raises:
-            ValueError: the bytes are no whole number of messages, or one is laid out otherwise.
+            ValueError: the bytes are not a whole number of messages, or one has another layout.
         """
         rows = np.frombuffer(data, dtype=np.uint8).reshape(-1, self.size)
         others = np.flatnonzero(~self.fitting(rows))
         if others.size:
-            raise ValueError(f"message {others[0]} is no {self.type_name} of this layout")
+            raise ValueError(f"message {others[0]} is not a {self.type_name} of this layout")
         return rows.view(self.dtype)[:, 0]
 
     def fitting(self, rows: np.ndarray) -> np.ndarray:
-        """Of messages of the right length, shape (count, size), which are laid out by this template, shape (count,)."""
+        """Return for rows of the right length, shape (count, size), whether they have this layout, shape (count,)."""
         fitting = np.ones(len(rows), dtype=bool)
         for start, constant in self._constants:
             fitting &= (rows[:, start : start + len(constant)] == np.frombuffer(constant, dtype=np.uint8)).all(axis=1)
         return fitting
 
     def fits(self, data: bytes) -> bool:
-        """Whether a message is laid out by this template: its length, texts, and lengths of sequences are the same."""
+        """Return True if a message has this layout: the same length, texts and sequence lengths."""
         if len(data) != self.size:
             return False
         return all(data.startswith(constant, start) for start, constant in self._constants)
 
     def message(self, data: bytes) -> CdrMessage:
-        """The message of bytes that fit."""
+        """Return the message of bytes with this layout."""
         return CdrMessage(self.type_name, data, self._readers)
 
 
@@ -197,37 +197,37 @@ class CdrRows(NamedTuple):
 
     @property
     def type_name(self) -> str:
-        """The type of the messages."""
+        """Type of the messages."""
         return self.template.type_name
 
     @property
     def numbers(self) -> np.ndarray:
-        """The numbers of all of them by their names in the template, shape (count,)."""
+        """Numbers of all messages by their names in the template, shape (count,)."""
         return self.rows.view(self.template.dtype)[:, 0]
 
     def each(self) -> list[bytes]:
-        """The bytes of each of them."""
+        """Return the bytes of each message."""
         content, size = self.rows.tobytes(), self.template.size
         return [content[start : start + size] for start in range(0, len(content), size)]
 
     def some(self, which: slice) -> "CdrRows":
-        """Some of them."""
+        """Return some of the messages."""
         return CdrRows(self.template, self.rows[which])
 
     def message(self, number: int) -> CdrMessage:
-        """One of them."""
+        """Return one message."""
         return self.template.message(self.rows[number].tobytes())
 
 
 class _Walk:
-    """Walks through a message, field by field.
+    """Computes the layout of a message, field by field.
 
     Attributes:
-        end: offset behind what was walked, bytes.
+        end: offset of the end of the fields so far, bytes.
         names, formats, offsets: of the numbers, for numpy.
-        codes: of everything, for struct.
+        codes: of all parts, for struct.
         constants: offset and bytes of texts and lengths.
-        arguments: the same by their places among the arguments of struct.
+        arguments: the same by their index among the arguments of struct.
     """
 
     def __init__(self, definitions: Definitions, variable: "_VariablePart") -> None:
@@ -245,7 +245,7 @@ class _Walk:
         self.constants.clear()
 
     def message(self, type_name: str, prefix: str) -> dict[str, _Reader]:
-        """Walk a message; field name → what reads it."""
+        """Add a message; return field name → reader."""
         return {name: self._field(field, prefix + name) for name, field in self._definitions(type_name).items()}
 
     def _field(self, field: FieldType, name: str) -> _Reader:
@@ -270,7 +270,7 @@ class _Walk:
             self._constant(struct.pack("<I", len(content)) + content, _LENGTH_BYTES)
             return lambda _data: text
         readers = list(self.message(element, name + ".").items())
-        # Who asks for a part of a vector asks for all of them.
+        # A reader of one component of a vector usually reads all of them.
         return lambda data: SimpleNamespace(**{field: read(data) for field, read in readers})
 
     def _number(self, code: str, name: str) -> _Reader:
@@ -280,13 +280,13 @@ class _Walk:
 
     def _numbers(self, code: str, name: str, count: int) -> _Reader:
         if count == 0:
-            # Nothing is aligned for elements that are not there.
+            # An empty sequence has no alignment.
             return lambda _data: np.empty(0, dtype="<" + code)
         offset, dtype = self._place(code, name, count), np.dtype("<" + code)
         return lambda data: np.frombuffer(data, dtype, count, offset)
 
     def _place(self, code: str, name: str, count: int) -> int:
-        """Offset of numbers that stand one behind the other."""
+        """Add contiguous numbers; return their offset."""
         size = struct.calcsize("<" + code)
         self._skip_to(self._aligned(size))
         offset = self.end
@@ -316,7 +316,7 @@ class _Walk:
 
 
 def _variable_at(data: bytes, field: FieldType, offset: int) -> Variable:
-    """The text, or the length of the sequence, that stands in a message."""
+    """Return the text, or the sequence length, at an offset of a message."""
     (length,) = struct.unpack_from("<I", data, offset)
     start, end = offset + _LENGTH_BYTES, offset + _LENGTH_BYTES + length
     if length > len(data):

@@ -1,7 +1,7 @@
-"""The parts that all commands of the suite share: arguments, exit codes, interruption.
+"""Common parts of all commands of the suite: arguments, exit codes, interruption.
 
-Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. Where the reader of its output has
-left, as ``head`` does, it ends without a word. Progress is shown by :mod:`ship_bags.progress`.
+Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. If the reader of its output is gone,
+as with ``head``, it ends silently. Progress is shown by :mod:`ship_bags.progress`.
 """
 
 import argparse
@@ -26,16 +26,17 @@ EXIT_BOUND_NOT_MET = 1
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_NO_READER = 141
-"""As a shell tells of a program that SIGPIPE ended, and so of cat or grep before ``head``."""
+"""Exit code that a shell gives for a program ended by SIGPIPE, such as cat or grep before ``head``."""
 
 
 class CommandParser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line, and whose help ends with an example.
+    """Argument parser with one-line errors, whose help ends with an example.
 
-    Options are written out: an abbreviation would mean something else once another option begins like it.
+    Options must be written out: an abbreviation would change its meaning when an option with the same beginning is
+    added.
 
     Args:
-        example: a whole command line, as it is typed; empty for a tool that is no executable of the suite.
+        example: a whole command line; empty for a tool that is not an executable of the suite.
         options: as of argparse.
     """
 
@@ -44,18 +45,18 @@ class CommandParser(argparse.ArgumentParser):
         self._example = example
 
     def format_help(self) -> str:
-        """The help, and the example as it stands: long lines stay whole."""
+        """Return the help with the example, whose long lines are not wrapped."""
         return super().format_help() + (f"\nexample:\n  {self._example}\n" if self._example else "")
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help; leave with :data:`EXIT_NO_READER` where the reader of stdout is gone."""
+        """Print the help; exit with :data:`EXIT_NO_READER` if the reader of stdout is gone."""
         if file is not None:
             super().print_help(file)
         elif code := print_text(self.format_help()):
             self.exit(code)
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong with the arguments, in one line, and leave."""
+        """Exit with one line about the wrong arguments."""
         self.exit(EXIT_BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
@@ -73,7 +74,7 @@ def print_text(text: str) -> int:
 def run_command(
     parser: CommandParser, command: Callable[[argparse.Namespace], int], arguments: Sequence[str] | None
 ) -> int:
-    """Run a command; its bad input, or its interruption, becomes one line on stderr. Returns the exit code.
+    """Run a command and return its exit code; bad input or an interruption becomes one line on stderr.
 
     Args:
         parser: parser of the command's arguments.
@@ -101,10 +102,10 @@ def run_command(
 
 
 def serve_a_command(names: TopicNames | None = None) -> None:
-    """Begin a process that works for a command: Ctrl-C is the command's to answer, and progress is its own to show.
+    """Prepare a worker process of a command: Ctrl-C and progress are left to the command's own process.
 
     Args:
-        names: the command's names of topics, for the bags that this process reads.
+        names: the command's topic names, for the bags that this process reads.
     """
     use_names(names or TopicNames())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -112,16 +113,16 @@ def serve_a_command(names: TopicNames | None = None) -> None:
 
 
 def _nobody_reads() -> bool:
-    """Whether stdout is a pipe that nobody reads any more; what is still written to it is dropped then."""
+    """Return True if stdout is a pipe without reader; its remaining output is then discarded."""
     try:
         stdout = sys.stdout.fileno()
     except OSError:
-        return False  # no file, but what a test captures
+        return False  # not a file, as in a test
     watch = select.poll()
     watch.register(stdout, 0)
     if not any(event & select.POLLERR for _, event in watch.poll(0)):
         return False
-    # Python flushes it once more at the exit, and would complain.
+    # Python flushes it once more at the exit, which would raise.
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stdout)
     os.close(nowhere)
@@ -130,7 +131,7 @@ def _nobody_reads() -> bool:
 
 @contextlib.contextmanager
 def _one_interrupt() -> Iterator[None]:
-    """Let the first Ctrl-C end the work, and ignore further ones: the tidying up is short and must be finished."""
+    """Let the first Ctrl-C end the work and ignore further ones, so that the short clean-up is completed."""
     ours = threading.current_thread() is threading.main_thread()
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield

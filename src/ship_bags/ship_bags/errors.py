@@ -1,4 +1,4 @@
-"""The package's one exception for bad input, and how what it says is shown."""
+"""Exception of the package for bad input, and its display."""
 
 from ship_geometry.input_error import InputError
 
@@ -6,11 +6,11 @@ _LONGEST_LINE = 2000
 
 
 class BadInput(InputError):
-    """A file or an argument cannot be used; the text is one line that says which, and why."""
+    """A file or an argument cannot be used; the text is one line that names it and gives the reason."""
 
 
 def one_line(text: str) -> str:
-    """A text for the terminal in one line of bounded length: it may quote a file, and so hold control characters."""
+    """Return a text as one printable line of bounded length, because it may quote a file with control characters."""
     line = " ".join(text.split())
     if len(line) > _LONGEST_LINE:
         line = f"{line[:_LONGEST_LINE]} … ({len(line)} characters)"

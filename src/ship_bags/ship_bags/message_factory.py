@@ -1,4 +1,4 @@
-"""Messages by the name of their type, so that an adapter needs to know no middleware."""
+"""Messages made by the name of their type, so that an adapter depends on no middleware."""
 
 import abc
 import array
@@ -25,10 +25,10 @@ _TYPE_CODES = {
     "int64": "q",
     "uint64": "Q",
 }
-"""Code of each type of number, the same for array.array and numpy."""
+"""Code of each numeric type, the same for array.array and numpy."""
 
 _SEVERAL = re.compile(r"([\w/]+)\[(\d+)\]|sequence<([\w/]+)(?:, \d+)?>")
-"""An array or a sequence, as rosidl writes its type."""
+"""Pattern of an array or a sequence type as rosidl writes it."""
 
 _NS_PER_S = 1_000_000_000
 
@@ -37,19 +37,19 @@ _SCALARS |= {name: float if name in ("double", "float") else int for name in _TY
 
 
 _ELEMENTS = _TYPE_CODES | {"boolean": "?", "string": "string"}
-"""What templates call the elements of which messages are made. A byte is bytes to rclpy and a number to rosbags."""
+"""Codes of the elements in templates. A byte is bytes in rclpy and a number in rosbags."""
 
 
 class MessageFactory(Protocol):
-    """Makes messages from field values."""
+    """Interface: makes messages from field values."""
 
     def make(self, type_name: str, **fields: Any) -> Any:
-        """A message with every field given by keyword.
+        """Return a message; every field must be given by keyword.
 
         Args:
             type_name: as ``"ship_msgs/msg/ShipAttitude"``.
             fields: numbers, texts, 1-D numpy arrays for arrays of numbers, lists of texts. A field that is a message is
-                given as a dict of its own fields, or as a message made before; a list of messages likewise. A stamp is
+                given as a dict of its fields, or as a message made before; a list of messages likewise. A stamp is
                 given as integer ns of POSIX UTC, a field of type ``byte`` as an int.
 
         Raises:
@@ -58,9 +58,10 @@ class MessageFactory(Protocol):
         ...
 
     def encoded(self, type_name: str, **fields: Any) -> CdrMessage:
-        """A message as its bytes, from the same fields; a message in it is given as a dict.
+        """Return a message as its bytes, from the same fields; a nested message is given as a dict.
 
-        It is made without message objects, in a fraction of their time: for what goes out a hundred times a second.
+        It is made without message objects, which takes a fraction of the time: for messages published a hundred times a
+        second.
 
         Raises:
             TypeError: a field is missing or unknown.
@@ -68,11 +69,11 @@ class MessageFactory(Protocol):
         ...
 
     def encoded_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
-        """So many messages as their bytes, from the same fields.
+        """Return ``count`` messages as their bytes, from the same fields.
 
-        The texts and the lengths of sequences are the same in all. A number is given as an array with one of each
-        message, a stamp likewise, an array of n numbers as an array of shape (n, count); what is the same in all
-        messages may be given as for one.
+        Texts and lengths of sequences are the same in all messages. A number or a stamp is given as an array with one
+        value per message. An array of n numbers is given with shape (n, count). A value that is the same in all
+        messages may be given once.
 
         Raises:
             TypeError: a field is missing or unknown.
@@ -81,11 +82,11 @@ class MessageFactory(Protocol):
 
 
 Converters = dict[str, Callable[[Any], Any] | None]
-"""Field name → what makes of a plain value what a message class accepts; None where that is the value itself."""
+"""Field name → converter of a plain value to what a message class accepts; None if no conversion is needed."""
 
 
 class PlannedFactory(abc.ABC):
-    """A factory that looks at each type once: which class it is, and how its fields are converted.
+    """Factory that analyses each type once: its class, and the converters of its fields.
 
     See :class:`MessageFactory`.
     """
@@ -109,27 +110,27 @@ class PlannedFactory(abc.ABC):
         return kind(**fields)
 
     def encoded(self, type_name: str, **fields: Any) -> CdrMessage:
-        """See :meth:`MessageFactory.encoded`."""
+        """See :meth:`MessageFactory.encode`."""
         return self._encoder.encoded(type_name, fields)
 
     def encoded_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
-        """See :meth:`MessageFactory.encoded_rows`."""
+        """See :meth:`MessageFactory.encode_rows`."""
         return self._encoder.encoded_rows(type_name, count, fields)
 
     @abc.abstractmethod
     def definition(self, type_name: str) -> Definition:
-        """The fields of a type, in order.
+        """Return the fields of a type, in order.
 
         Raises:
-            TypeError: it has a field for which there is no template.
+            TypeError: a field has a type without template.
         """
 
     @abc.abstractmethod
     def plan(self, type_name: str) -> tuple[Any, Converters]:
-        """Class of a message, and the converters of all its fields."""
+        """Return the class of a message type and the converters of its fields."""
 
     def message_converter(self, type_name: str) -> Callable[[Any], Any]:
-        """The converter of a field that is itself a message, or a stamp. A message made before is left as it is."""
+        """Return the converter of a field that is a message or a stamp. A message made before is not converted."""
 
         def convert(value: Any) -> Any:
             if isinstance(value, dict):
@@ -142,7 +143,7 @@ class PlannedFactory(abc.ABC):
         return convert
 
     def list_converter(self, type_name: str) -> Callable[[Any], Any]:
-        """The converter of a field that is a list of messages."""
+        """Return the converter of a field that is a list of messages."""
         convert = self.message_converter(type_name)
         return lambda values: [convert(value) for value in values]
 
@@ -161,7 +162,10 @@ class RosidlFactory(PlannedFactory):
         return {name: _field_type(text) for name, text in texts.items()}
 
     def _converter(self, field_type: str) -> Callable[[Any], Any]:
-        """By the type of a field as rosidl writes it: ``double[9]``, ``sequence<string>``, ``std_msgs/Header``."""
+        """Return the converter of a field type as rosidl writes it.
+
+        Examples are ``double[9]``, ``sequence<string>``, ``std_msgs/Header``.
+        """
         if field_type in _SCALARS:
             return _SCALARS[field_type]
         if match := _SEVERAL.fullmatch(field_type):
@@ -176,7 +180,7 @@ class RosidlFactory(PlannedFactory):
 
 
 def _field_type(text: str) -> FieldType:
-    """The type of a field by what rosidl writes."""
+    """Return the field type of rosidl's text."""
     match = _SEVERAL.fullmatch(text)
     fixed, count, dynamic = match.groups() if match else (text, None, None)
     name = str(fixed or dynamic)
@@ -187,10 +191,10 @@ def _field_type(text: str) -> FieldType:
 
 
 def message_class(type_name: str) -> Any:
-    """The rosidl class of a message or service.
+    """Return the rosidl class of a message or service.
 
     Raises:
-        ImportError: its package is not installed or holds no such type.
+        ImportError: its package is not installed or has no such type.
     """
     package, kind, name = type_name.split("/")
     try:
@@ -200,5 +204,5 @@ def message_class(type_name: str) -> Any:
 
 
 def _as_array(type_code: str, values: Any) -> "array.array[Any]":
-    """An array.array, which rosidl takes without looking at each element."""
+    """Return an array.array, which rosidl accepts without checking each element."""
     return array.array(type_code, np.asarray(values, dtype=type_code).tobytes())

@@ -1,7 +1,7 @@
 """Message types without a ROS installation: `rosbags` types of ROS 2 Jazzy and those of ship_msgs.
 
-:func:`message_store` holds the types as this version of the suite defines them; :func:`store_with_definitions`
-adds those that a bag brings along, which rule for that bag.
+:func:`message_store` has the types as this version of the suite defines them. :func:`store_with_definitions` adds the
+definitions embedded in a bag, which take precedence for that bag.
 """
 
 import functools
@@ -22,7 +22,8 @@ from ship_bags.message_factory import Converters, PlannedFactory
 SHIP_MESSAGES = "ship_msgs"
 
 LARGEST_DEFINITION_CHARACTERS = 100_000
-"""Of a message definition with all that it refers to, without comments: ten times of what a large one has."""
+"""Maximum length of a message definition with all types that it refers to, without comments: ten times that of a large
+one."""
 
 _ARRAY_DTYPES = {"byte": "uint8", "char": "uint8"}
 _ELEMENTS = {
@@ -45,7 +46,7 @@ _REFERENCE_SEPARATOR = "/msg/"
 
 @functools.cache
 def message_store() -> Typestore:
-    """Types of ROS 2 Jazzy and of ship_msgs."""
+    """Return the types of ROS 2 Jazzy and of ship_msgs."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in sorted(ship_message_folder().glob("*.msg")):
         type_name = f"{SHIP_MESSAGES}{_REFERENCE_SEPARATOR}{path.stem}"
@@ -54,7 +55,7 @@ def message_store() -> Typestore:
 
 
 def ship_message_folder() -> Path:
-    """Folder of ship_msgs' message definitions: the installed package's, else the source tree's.
+    """Return the folder of ship_msgs' message definitions: of the installed package, else of the source tree.
 
     Raises:
         BadInput: there is neither.
@@ -69,24 +70,24 @@ def ship_message_folder() -> Path:
 
 
 def definition(type_name: str) -> str:
-    """Definition of a type with all that it refers to, as a bag embeds it ("ros2msg")."""
+    """Return the definition of a type with all types that it refers to, as a bag embeds it ("ros2msg")."""
     return message_store().generate_msgdef(type_name, ros_version=2)[0]
 
 
 def type_hash(type_name: str) -> str:
-    """Hash of a type as rosbag2 notes it (RIHS01)."""
+    """Return the hash of a type as rosbag2 stores it (RIHS01)."""
     return message_store().hash_rihs01(type_name)
 
 
 def serialize(message: Any) -> bytes:
-    """CDR bytes (little endian) of a message made by :class:`RosbagsFactory` or decoded from a bag."""
+    """Return the CDR bytes (little endian) of a message made by :class:`RosbagsFactory` or decoded from a bag."""
     if isinstance(message, CdrMessage):
         return message.__cdr__
     return bytes(message_store().serialize_cdr(message, message.__msgtype__, little_endian=True))
 
 
 def use_installed_definition(type_name: str) -> None:
-    """Make the store know a type that only this ROS installation has, and all that it refers to.
+    """Add a type that only this ROS installation has to the store, with all types that it refers to.
 
     The definitions are the .msg files that the type's package installed.
 
@@ -103,12 +104,12 @@ def use_installed_definition(type_name: str) -> None:
 
 
 class BagTypes(NamedTuple):
-    """The types for reading one bag.
+    """Types for reading one bag.
 
     Attributes:
-        store: in which the bag's definitions rule.
-        differences: type of the bag that differs from ours, in itself or in a part → one line per field.
-        unreadable: type of the bag whose definition cannot be used → why.
+        store: the types, with precedence of the bag's definitions.
+        differences: type of the bag that differs from the suite's, in itself or in a part → one line per field.
+        unreadable: type of the bag whose definition cannot be used → reason.
     """
 
     store: Typestore
@@ -117,10 +118,10 @@ class BagTypes(NamedTuple):
 
 
 def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
-    """Types for reading one bag; a definition that cannot be used costs its own type alone.
+    """Return the types for reading one bag; an unusable definition affects only its own type.
 
     Args:
-        definitions: type name → text of its definition, dependencies included; empty = not embedded, ours is taken.
+        definitions: type name → text of its definition with dependencies; empty: not embedded, the suite's is used.
     """
     ours = message_store()
     parsed: dict[str, Any] = {}
@@ -135,21 +136,21 @@ def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
     if not differences and all(parts.keys() <= ours.fielddefs.keys() for parts in parsed.values()):
         return BagTypes(ours, {}, unreadable)
     store = Typestore()
-    # Those that are as ours come first: another one's strange idea of a part must not cost them.
+    # Types equal to the suite's come first, so that a differing definition of a shared part does not affect them.
     for type_name in sorted(parsed, key=differences.__contains__):
         try:
             store.register(parsed[type_name])
-        except Exception as problem:  # noqa: PERF203 - a bag may define anything: the store fails over it in any way
+        except Exception as problem:  # noqa: PERF203 - the store may raise anything for a bag's definition
             unreadable[type_name] = f"its definition contradicts those of other topics: {problem}"
             differences.pop(type_name, None)
     return BagTypes(store, differences, unreadable)
 
 
 def _complete(parts: Any, ours: Typestore) -> Any:
-    """A parsed definition with all that it refers to; what it does not bring along is taken from ours.
+    """Return a parsed definition with all types that it refers to; missing ones are taken from the suite.
 
     Raises:
-        BadInput: it refers to a type that is not known here either.
+        BadInput: it refers to an unknown type.
     """
     complete = dict(parts)
     pending = {name for _, fields in parts.values() for name in _referred(fields)} - complete.keys()
@@ -171,10 +172,10 @@ def _part_differences(parts: Any, ours: Typestore) -> list[str]:
 
 
 def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
-    """One line per field that a bag's definition has otherwise than ours (name, type or place)."""
+    """Return one line per field that differs (name, type or order) between a bag's definition and the suite's."""
     their_fields, our_fields = dict(theirs), dict(ours)
     lines = [f"{type_name}.{name} is missing in the bag" for name in our_fields if name not in their_fields]
-    lines += [f"{type_name}.{name} is unknown here" for name in their_fields if name not in our_fields]
+    lines += [f"{type_name}.{name} is unknown to this suite" for name in their_fields if name not in our_fields]
     lines += [
         f"{type_name}.{name} is {_type_text(their_fields[name])} in the bag and {_type_text(our_fields[name])} here"
         for name in our_fields
@@ -182,15 +183,15 @@ def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
     ]
     if not lines and list(their_fields) != list(our_fields):
         moved = next(name for name, other in zip(their_fields, our_fields, strict=True) if name != other)
-        lines.append(f"{type_name}.{moved} stands at another place in the bag")
+        lines.append(f"{type_name}.{moved} has another position in the bag")
     return lines
 
 
 class RosbagsFactory(PlannedFactory):
     """Makes messages by the name of their type, for writing to bags (see ship_bags.message_factory).
 
-    Arrays of numbers may be any sequence; they become numpy arrays of the field's own type. A field of type byte
-    (DiagnosticStatus.level) takes an integer or, as in rclpy, one byte. A type that is unknown is a KeyError.
+    Arrays of numbers may be any sequence; they become numpy arrays of the field's type. A field of type byte
+    (DiagnosticStatus.level) takes an integer or, as in rclpy, one byte. An unknown type raises KeyError.
     """
 
     def plan(self, type_name: str) -> tuple[Any, Converters]:
@@ -204,7 +205,7 @@ class RosbagsFactory(PlannedFactory):
         return definition_in(message_store(), type_name)
 
     def _converter(self, node: Nodetype, content: Any) -> Callable[[Any], Any] | None:
-        """By the kind of a field and what it holds."""
+        """Return the converter for a kind of field and its content."""
         if node == Nodetype.NAME:
             return self.message_converter(content)
         if node == Nodetype.BASE:
@@ -218,10 +219,10 @@ class RosbagsFactory(PlannedFactory):
 
 
 def definition_in(store: Typestore, type_name: str) -> Definition:
-    """The fields of a type that a store knows, in order, as templates need them.
+    """Return the fields of a type in a store, in order, for templates.
 
     Raises:
-        TypeError: it has a field for which there is no template.
+        TypeError: a field has a type without template.
     """
     return {name: _field_type(node, content) for name, (node, content) in store.fielddefs[type_name][1]}
 
@@ -243,7 +244,7 @@ def _integer_from_byte(value: int | bytes) -> int:
 
 
 def _referred(fields: object) -> set[str]:
-    """Names of the message types in a parsed definition: the strings package/msg/Name in its description."""
+    """Return the names of message types (package/msg/Name) in a parsed definition."""
     if isinstance(fields, str):
         return {fields} if fields.count("/") == 2 else set()
     if isinstance(fields, tuple | list):
@@ -261,7 +262,7 @@ def _definition_text(type_name: str) -> str:
 
 
 def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
-    # Comments of a definition cost the parser as much as its fields do; lines may end as on Windows.
+    # Comments take the parser as long as fields; lines may end as on Windows.
     lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
     text = "".join(f"{line}\n" for line in lines)
     if len(text) > LARGEST_DEFINITION_CHARACTERS:
@@ -270,12 +271,12 @@ def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
     try:
         return get_types_from_msg(text, type_name)
     except Exception as problem:
-        # Any text may stand there: the parser fails over it in any way.
+        # The text is untrusted: the parser may raise anything.
         raise BadInput(f"definition of {type_name} cannot be parsed: {problem}", file=source) from problem
 
 
 def _type_text(description: Any) -> str:
-    """A field's type as a .msg file writes it."""
+    """Return a field's type as a .msg file writes it."""
     node, content = description
     if node == Nodetype.NAME:
         return str(content)

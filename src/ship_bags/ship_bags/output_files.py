@@ -1,11 +1,11 @@
-"""Files that are written: where that may be, files that get their name when they are whole, and the way onto the disk.
+"""Output files: permission to write, atomic writing, and sync to the disk.
 
-A command writes over nothing that is there unless it is told to. It never replaces a folder, device or pipe. It
-looks at that before the work begins, for a run of minutes must not be lost for a name.
+A command overwrites no existing file without ``--force``, and never replaces a folder, device or pipe. This is checked
+before the work begins, so that a long run is not lost because of a name.
 
-Until a file is whole it is written beside its name, as ``NAME.part``. A part is opened exclusively and follows no link,
-so that nobody else's file is written. A part that a killed program left is taken away; one that another program writes
-at this moment is not.
+A file is written next to its final name, as ``NAME.part``, until it is complete. A part is opened exclusively and
+follows no link, so that no file of another program is written. A part left by a killed program is removed; one that
+another program is writing is not.
 """
 
 import errno
@@ -36,29 +36,29 @@ _KINDS = {
 }
 
 _FORMULA_BEGINS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
-"""What a spreadsheet takes for the begin of a formula."""
+"""Characters that start a formula in a spreadsheet."""
 
 _REASONS = {
-    errno.EBUSY: "another program writes it",
-    errno.ELOOP: "it is a link: take it away",
-    errno.EEXIST: "it is there and no regular file: take it away",
+    errno.EBUSY: "another program is writing it",
+    errno.ELOOP: "it is a link: remove it",
+    errno.EEXIST: "it exists and is not a regular file: remove it",
 }
 
 
 def add_force(parser: "argparse.ArgumentParser") -> None:
-    """The option that :func:`check_file` and :func:`check_folder` ask about."""
-    parser.add_argument("--force", action="store_true", help="write over files that are there")
+    """Add the option ``--force``, which :func:`check_file` and :func:`check_folder` need."""
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
 def check_file(path: Path, force: bool) -> None:
-    """Make sure that a file can be written.
+    """Check that a file can be written.
 
     Args:
         path: of the file.
-        force: whether it may be there.
+        force: True if it may exist.
 
     Raises:
-        BadInput: it is there, is no regular file, or its folder is not there or cannot be written to.
+        BadInput: it exists, is not a regular file, or its folder is missing or not writable.
     """
     if not path.parent.is_dir():
         raise BadInput(f"cannot be written: there is no folder {path.parent}", file=path)
@@ -67,15 +67,15 @@ def check_file(path: Path, force: bool) -> None:
 
 
 def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
-    """Make sure that files can be written into a folder, which is made later where it is not there.
+    """Check that files can be written into a folder, which is made later if it is missing.
 
     Args:
         folder: the folder.
         names: of the files.
-        force: whether files of these names may be there.
+        force: True if files of these names may exist.
 
     Raises:
-        BadInput: one is there or is no regular file, or the folder cannot be made or written to.
+        BadInput: a file exists or is not a regular file, or the folder cannot be made or written to.
     """
     there = folder
     while not there.exists() and not there.is_symlink() and there != there.parent:
@@ -89,15 +89,15 @@ def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
 
 
 def part_of(path: Path) -> Path:
-    """Where a file is written until it is whole."""
+    """Return the path at which a file is written until it is complete."""
     return path.with_name(path.name + PART_SUFFIX)
 
 
 def open_new(path: Path) -> BinaryIO:
-    """Open a file for writing that no other program writes, and hold it until it is closed.
+    """Open a new file for writing and lock it until it is closed.
 
     Raises:
-        OSError: it cannot be made, is no regular file, or another program writes it.
+        OSError: it cannot be made, is not a regular file, or another program is writing it.
     """
     try:
         number = _created(path)
@@ -107,7 +107,7 @@ def open_new(path: Path) -> BinaryIO:
     try:
         _hold(number)
         if os.fstat(number).st_nlink == 0:
-            # Another program took this part for one that a killed program had left, and removed it.
+            # Another program has removed this part as a leftover of a killed program.
             raise _refusal(errno.EBUSY, path)
         return os.fdopen(number, "wb")
     except OSError:
@@ -116,10 +116,10 @@ def open_new(path: Path) -> BinaryIO:
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file that is either the old or the new one, never a part, whatever ends this program.
+    """Write a file atomically: it is either the old or the new one, even if this program is killed.
 
     Raises:
-        OSError: it cannot be written; it names the file, and nothing is left of the attempt.
+        OSError: it cannot be written; the error names the file, and no part of it is left.
     """
     part = part_of(path)
     try:
@@ -137,14 +137,14 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def named(problem: OSError, path: Path) -> OSError:
-    """The same problem, with the name of the file that the user knows."""
+    """Return the error with the final file name, as given by the user."""
     return OSError(problem.errno, problem.strerror or str(problem), str(path))
 
 
 def csv_text(text: str) -> str:
-    """Return a text as a cell of CSV that a spreadsheet takes for no formula: with ' in front where it would be one.
+    """Return a text as a CSV cell that a spreadsheet takes for no formula: with ' in front if needed.
 
-    A text that is a number, as -1.5, stays one.
+    A text that is a number, as -1.5, is not changed.
     """
     if not text.startswith(_FORMULA_BEGINS):
         return text
@@ -156,8 +156,8 @@ def csv_text(text: str) -> str:
 
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> Path:
-    """Write a table; returns its path."""
-    import csv  # only tables need it
+    """Write a table; return its path."""
+    import csv  # needed for tables only
 
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
@@ -168,10 +168,10 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) 
 
 
 class DiskSync:
-    """Brings what was written to a file onto the disk, in a thread of its own, one request at a time.
+    """Syncs a file to the disk in a thread of its own, one request at a time.
 
-    What was handed to the system survives the end of the process, however it ends; only a power cut needs the disk. A
-    busy disk takes hundreds of milliseconds for that, in which the writer must go on.
+    Data passed to the operating system survive the end of the process; only a power failure requires the disk. On a
+    busy disk a sync takes hundreds of milliseconds, during which the writer must go on.
 
     Args:
         number: file descriptor; it must stay open until :meth:`finish`.
@@ -183,7 +183,7 @@ class DiskSync:
         self._running: Future[None] | None = None
 
     def request(self) -> None:
-        """Begin a sync; nothing where the last one still runs: the next request makes up for it.
+        """Start a sync; do nothing while the last one runs: the next request includes its data.
 
         Raises:
             OSError: the last one failed.
@@ -195,7 +195,7 @@ class DiskSync:
         self._running = self._thread.submit(os.fsync, self._number)
 
     def finish(self) -> None:
-        """Wait for the last sync, whatever came of it; no request may follow."""
+        """Wait for the last sync, also a failed one; no request may follow."""
         self._thread.shutdown(wait=True)
 
 
@@ -211,7 +211,7 @@ def _check_name(path: Path, force: bool) -> None:
     if not path.is_file():
         raise BadInput(f"is {_kind(path)}: expected a file", file=path)
     if not force:
-        raise BadInput("is there already: --force writes over it", file=path)
+        raise BadInput("already exists: use --force to overwrite", file=path)
 
 
 def _kind(path: Path) -> str:
@@ -227,10 +227,10 @@ def _created(path: Path) -> int:
 
 
 def _take_away(path: Path) -> None:
-    """Remove what a killed program left.
+    """Remove a file left by a killed program.
 
     Raises:
-        OSError: it is no regular file, or another program writes it.
+        OSError: it is not a regular file, or another program is writing it.
     """
     mode = os.lstat(path).st_mode
     if not stat.S_ISREG(mode):
@@ -256,7 +256,7 @@ def _hold(number: int) -> None:
     except BlockingIOError:
         raise
     except OSError:
-        # Some disks know no locks: there the exclusive opening must be enough.
+        # Some file systems have no locks: the exclusive opening must suffice.
         return
 
 
@@ -265,8 +265,8 @@ def _refusal(number: int, path: Path) -> OSError:
 
 
 def _text(value: Any) -> Any:
-    """A number with five decimals: none that counts is lost, and every machine writes the same file; a text as text."""
+    """Return a number with five decimals, the same on every computer, for a table; a text as text."""
     if not isinstance(value, (float, np.floating)):
         return csv_text(value) if isinstance(value, str) else value
-    # Adding zero takes the sign from a negative number that was rounded to zero.
+    # Adding zero removes the sign of a negative number rounded to zero.
     return "" if np.isnan(value) else f"{round(float(value), 5) + 0.0:.5f}"

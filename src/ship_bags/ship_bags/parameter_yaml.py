@@ -1,7 +1,7 @@
-"""ROS 2 parameter files without ROS: their sections read, each value with its line, and written.
+"""ROS 2 parameter files without ROS: read with the line of each value, and written.
 
-A file holds sections ``node: {ros__parameters: {...}}``; a plain file holds nested parameters alone and no sections.
-Numbers are read as rcl reads them: ``1e-3`` is a number and ``1:30`` a text, unlike in plain YAML 1.1.
+A file has sections ``node: {ros__parameters: {...}}``; a plain file has nested parameters only and no sections. Numbers
+are read as by rcl: ``1e-3`` is a number and ``1:30`` a text, unlike in plain YAML 1.1.
 """
 
 import re
@@ -21,13 +21,13 @@ from ship_geometry.input_error import InputError
 PARAMETERS_KEY = "ros__parameters"
 
 BLACK_BOX_PARAMETER = "black_box"
-"""Every node's shell has it: path of the box, empty for none."""
+"""Parameter of every node: path of its black box, empty for none."""
 
 BLACK_BOX_PART_PARAMETER = "black_box_part_mb"
-"""Every estimator's shell has it: size from which on its box goes on in a new file."""
+"""Parameter of every estimator node: size at which its black box continues in a new file."""
 
 RELIABLE_INPUTS_PARAMETER = "reliable_inputs"
-"""Every node's shell has it: whether what is lost on the way to its inputs is sent again."""
+"""Parameter of every node: send messages lost on the way to its inputs again."""
 
 SHELL_PARAMETERS = (
     "use_sim_time",
@@ -38,10 +38,10 @@ SHELL_PARAMETERS = (
     RELIABLE_INPUTS_PARAMETER,
     TOPICS_PARAMETER,
 )
-"""First part of the names of parameters that belong to rclpy or the node's shell and not to a configuration."""
+"""First parts of the names of parameters that belong to rclpy or the node runtime, not to a configuration."""
 
 ANYWHERE = "/**/"
-"""Before the name of a node: in whatever namespace."""
+"""Prefix of a node name: in any namespace."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NULL = re.compile(r"~|null|Null|NULL|$")
@@ -53,7 +53,7 @@ _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\
 
 
 class _Dumper(yaml.SafeDumper):
-    """Texts always in quotes: what looks like a text to YAML may be a number to ROS."""
+    """YAML dumper with quotes around all texts: a text for YAML may be a number for ROS."""
 
 
 _Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"'))
@@ -61,12 +61,12 @@ _Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar("tag:y
 
 @dataclass(frozen=True)
 class Section:
-    """What a file says about one node.
+    """Section of a file for one node.
 
     Attributes:
         node: ``/NAMESPACE/NAME``, wildcards as written.
         parameters: value and line (from 1) by dotted name.
-        line: where its name stands.
+        line: line of its name.
     """
 
     node: str
@@ -76,12 +76,12 @@ class Section:
 
 @dataclass(frozen=True)
 class ParameterFile:
-    """The parameters of one node in one file.
+    """Parameters of one node in one file.
 
     Attributes:
-        name: the file, for messages.
-        values: nested mapping, those of rclpy and the node's shell left out.
-        lines: line (from 1) of each parameter and group by dotted name, all of them.
+        name: the file, for texts.
+        values: nested mapping without the parameters of rclpy and the node runtime.
+        lines: line (from 1) of every parameter and group by dotted name.
     """
 
     name: str
@@ -89,13 +89,13 @@ class ParameterFile:
     lines: dict[str, int]
 
     def line_of(self, parameter: str) -> int | None:
-        """Line of a parameter, or of the nearest group around it; None where the file names none of them."""
+        """Return the line of a parameter, or of the nearest group around it; None if the file has neither."""
         while parameter not in self.lines and "." in parameter:
             parameter = parameter.rpartition(".")[0]
         return self.lines.get(parameter)
 
     def error(self, problem: InputError) -> BadInput:
-        """A problem with parameters as bad input that names this file and the line of the first of them."""
+        """Return a problem with parameters as bad input with this file and the line of the first parameter."""
         line = self.line_of(problem.parameters[0]) if problem.parameters else None
         return BadInput(
             problem.reason, file=self.name, line=line, parameters=problem.parameters, value=problem.value
@@ -103,12 +103,12 @@ class ParameterFile:
 
 
 def is_shell_parameter(name: str) -> bool:
-    """Whether a dotted name belongs to rclpy or the node's shell."""
+    """Return True if a dotted name belongs to rclpy or the node runtime."""
     return name.split(".")[0] in SHELL_PARAMETERS
 
 
 def full_name(node_name: str, namespace: str = "") -> str:
-    """``/NAMESPACE/NAME`` of a node.
+    """Return ``/NAMESPACE/NAME`` of a node.
 
     Args:
         node_name: name without namespace.
@@ -118,18 +118,18 @@ def full_name(node_name: str, namespace: str = "") -> str:
 
 
 def anywhere(node_name: str) -> str:
-    """In the place of a full name: the node of that name in whatever namespace it ran."""
+    """Return a pattern, instead of a full name, for the node of that name in any namespace."""
     return ANYWHERE + node_name
 
 
 def read_sections(source: Path | str) -> tuple[str, list[Section]]:
-    """Name of the source for messages, and its sections in order, nested namespaces resolved.
+    """Return the name of the source for texts, and its sections in order with nested namespaces resolved.
 
     Args:
-        source: a path; a ``str`` is the text itself, whatever it holds.
+        source: a path; a ``str`` is the text itself.
 
     Raises:
-        BadInput: the file cannot be read or is no parameter file; names file, line and key.
+        BadInput: the file cannot be read or is not a parameter file; names file, line and key.
     """
     name, text = _text(source)
     root = composed(name, text)
@@ -140,10 +140,10 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
 
 
 def read_plain(source: Path | str) -> ParameterFile:
-    """A file that is nothing but nested parameters, without sections for nodes, with their lines.
+    """Return a file that has only nested parameters, without sections for nodes.
 
     Raises:
-        BadInput: the file cannot be read or holds no parameters.
+        BadInput: the file cannot be read or has no parameters.
     """
     name, text = _text(source)
     root = composed(name, text)
@@ -153,7 +153,7 @@ def read_plain(source: Path | str) -> ParameterFile:
 
 
 def merged(name: str, sections: Sequence[Section]) -> ParameterFile:
-    """Sections of a file as one: of a parameter that several give, the last value."""
+    """Merge the sections of a file into one; of several values of a parameter the last one applies."""
     file = ParameterFile(name, {}, {})
     for section in sections:
         for parameter, (value, line) in section.parameters.items():
@@ -164,7 +164,7 @@ def merged(name: str, sections: Sequence[Section]) -> ParameterFile:
 
 
 def sections_text(nodes: Mapping[str, Mapping[str, Any]]) -> str:
-    """The text of a parameter file for several nodes.
+    """Return the text of a parameter file for several nodes.
 
     Args:
         nodes: full name → parameters, by dotted names or nested.
@@ -174,7 +174,7 @@ def sections_text(nodes: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _text(source: Path | str) -> tuple[str, str]:
-    # A text, as an attachment of a bag, is never taken for the name of a file: it would read any file there is.
+    # A text, as an attachment of a bag, is never used as a file name: it could name any file.
     if isinstance(source, str):
         return "configuration", source
     try:
@@ -187,12 +187,12 @@ def _text(source: Path | str) -> tuple[str, str]:
 
 
 def _refuse_alias(name: str, root: yaml.Node) -> None:
-    """Refuse a file with aliases, with which rcl starts no node."""
+    """Refuse a file with aliases, which rcl cannot read."""
     seen, waiting = set(), [root]
     while waiting:
         node = waiting.pop()
         if id(node) in seen:
-            reason = "the value here is used again by an alias: ROS reads none, write it out"
+            reason = "the value here is used again by an alias, which ROS cannot read: write it out"
             raise BadInput(reason, file=name, line=node.start_mark.line + 1)
         seen.add(id(node))
         if isinstance(node, yaml.MappingNode):
@@ -205,26 +205,26 @@ def _sections(name: str, node: yaml.Node, path: str, path_line: int = 1) -> Iter
     has_parameters = False
     for key, line, value in _entries(name, node, path or "the file"):
         if has_parameters:
-            reason = f"'{key}' stands behind '{PARAMETERS_KEY}' of '{path}', where ROS reads none: put it before that"
+            reason = f"'{key}' follows '{PARAMETERS_KEY}' of '{path}', where ROS ignores it: put it in front"
             raise BadInput(reason, file=name, line=line)
         if key == PARAMETERS_KEY:
             has_parameters = True
             if not path:
-                raise BadInput(f"'{PARAMETERS_KEY}' must stand below the name of a node", file=name, line=line)
+                raise BadInput(f"'{PARAMETERS_KEY}' must be below the name of a node", file=name, line=line)
             yield Section(_node_name(name, path_line, path), dict(_parameters(name, value, "")), path_line)
         else:
-            # Names are put together as rcl does: a slash between them unless the first one ends with it.
+            # Names are joined as rcl does: by a slash unless the first one ends with it.
             joined = f"{path}{'' if not path or path.endswith('/') else '/'}{key}"
             yield from _sections(name, value, joined, line)
 
 
 def _node_name(name: str, line: int, path: str) -> str:
-    """The full name of a section; what rcl would not take at the start of a node is refused."""
+    """Return the full name of a section; refuse one that rcl would not accept."""
     full = path if path.startswith("/") else f"/{path}"
     for part in full[1:].split("/"):
         if part not in ("*", "**") and not _NAME.fullmatch(part):
             raise BadInput(
-                f"section '{path}' is no name of a node: expected letters, digits and _ between single "
+                f"section '{path}' is not a node name: expected letters, digits and _ between single "
                 "slashes, or * for any one part and ** for any number of them",
                 file=name, line=line,
             )
@@ -235,8 +235,8 @@ def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, 
     for key, line, value in _entries(name, node, prefix.rstrip(".") or PARAMETERS_KEY):
         if isinstance(value, yaml.MappingNode):
             if prefix and not value.value:
-                # rcl drops it: a device with nothing but defaults would not be there, and nobody would say so.
-                reason = f"group '{prefix}{key}' is empty: give it a parameter, or take it out"
+                # rcl drops it silently: a device with only defaults would be missing.
+                reason = f"group '{prefix}{key}' is empty: give it a parameter, or remove it"
                 raise BadInput(reason, file=name, line=line)
             yield from _parameters(name, value, f"{prefix}{key}.")
         else:
@@ -244,7 +244,7 @@ def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, 
 
 
 def _entries(name: str, node: yaml.Node, what: str) -> Iterator[tuple[str, int, yaml.Node]]:
-    """Key, line and value of each entry of a mapping."""
+    """Yield key, line and value of each entry of a mapping."""
     if not isinstance(node, yaml.MappingNode):
         line = node.start_mark.line + 1
         raise BadInput(f"{what}: expected 'name: value' entries, got {_kind(node)}", file=name, line=line)
@@ -254,7 +254,7 @@ def _entries(name: str, node: yaml.Node, what: str) -> Iterator[tuple[str, int, 
         if not isinstance(key, yaml.ScalarNode):
             raise BadInput(f"{what}: {_kind(key)} cannot be a name", file=name, line=line)
         if key.value in seen:
-            raise BadInput(f"'{key.value}' was given before, in line {seen[key.value]}", file=name, line=line)
+            raise BadInput(f"'{key.value}' is given twice, first in line {seen[key.value]}", file=name, line=line)
         seen[key.value] = line
         yield key.value, line, value
 
@@ -292,14 +292,14 @@ def _value(name: str, node: yaml.Node, parameter: str) -> Any:
 
 
 def _integer(text: str) -> int | None:
-    """A number that ROS can hold, otherwise None; of thousands of digits not even the value is asked for."""
+    """Return a number as an integer of 64 bits; None if it is larger, without converting thousands of digits."""
     digits = text.lstrip("+-0x")
     value = int(text, 16 if "x" in text else 10) if len(digits) <= _LONGEST_INTEGER else _FIRST_TOO_LARGE
     return value if -_FIRST_TOO_LARGE <= value < _FIRST_TOO_LARGE else None
 
 
 def _kind(node: yaml.Node) -> str:
-    """What a node is, for people."""
+    """Return the kind of a YAML node as text."""
     if isinstance(node, yaml.ScalarNode):
         return f"a single value ({node.value:.40})" if node.value else "nothing"
     return "a list" if isinstance(node, yaml.SequenceNode) else "a group"
@@ -310,7 +310,7 @@ def _is_null(node: yaml.ScalarNode) -> bool:
 
 
 def _put_line(lines: dict[str, int], parameter: str, line: int) -> None:
-    """The line of a parameter, and of the groups around it where they were not met before."""
+    """Store the line of a parameter, and of the groups around it if they are new."""
     lines[parameter] = line
     while "." in parameter:
         parameter = parameter.rpartition(".")[0]

@@ -1,7 +1,7 @@
-"""Progress of long work on stderr: share done and time left.
+"""Progress of long work on stderr: percentage done and time left.
 
-On a terminal one line is rewritten, and erased at the end. Elsewhere a line is written every ten seconds. Work of less
-than two seconds shows nothing. Output on stdout is not touched.
+On a terminal one line is rewritten, and erased at the end. Otherwise a line is written every ten seconds. Work of less
+than two seconds shows nothing. stdout is not used.
 """
 
 import sys
@@ -10,31 +10,31 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 _PATIENCE_S = 2.0
-"""Nothing is shown before this time."""
+"""Time before which nothing is shown, s."""
 
 _REWRITTEN_S = 0.25
-"""Least time between two states of the line on a terminal."""
+"""Minimum time between two updates of the line on a terminal, s."""
 
 _LINE_EVERY_S = 10.0
-"""Least time between two lines where stderr is no terminal."""
+"""Minimum time between two lines without a terminal, s."""
 
 _LEAST_SHARE = 0.02
-"""Share of the work that must be done before the time left is estimated."""
+"""Minimum ratio of work done for an estimate of the time left."""
 
 _ERASE = "\r\x1b[K"
 
 _on_terminal: list["Progress"] = []
-"""Progress whose line stands on the terminal now."""
+"""Progress objects whose line is on the terminal."""
 
 Item = TypeVar("Item")
 
 
 class Progress:
-    """The progress of one piece of work; a context, at whose end the line is erased.
+    """Progress of one task; a context that erases the line at its end.
 
     Args:
-        label: what is worked on, e.g. the name of a bag.
-        clock: returns seconds of a steady clock.
+        label: the task, e.g. the name of a bag.
+        clock: returns the time of a steady clock, s.
     """
 
     def __init__(self, label: str, clock: Callable[[], float] = time.monotonic) -> None:
@@ -51,7 +51,7 @@ class Progress:
         self.end()
 
     def show(self, share: float) -> None:
-        """Show the share of the work that is done, 0 to 1, unless something was shown a moment ago."""
+        """Show the ratio of work done, 0 to 1, unless the last update was a moment ago."""
         now_s = self._clock()
         if now_s < self._next_s:
             return
@@ -81,7 +81,7 @@ def erase_progress() -> None:
 
 
 def progress_text(label: str, share: float, elapsed_s: float) -> str:
-    """Return a line of progress: "night.mcap: 42 %, 1 min 20 s left"."""
+    """Return a line of progress: "voyage.mcap: 42 %, 1 min 20 s left"."""
     share = min(max(share, 0.0), 1.0)
     if share < _LEAST_SHARE:
         return f"{label}: {100.0 * share:.0f} %, {_length(elapsed_s)} so far"
@@ -91,14 +91,14 @@ def progress_text(label: str, share: float, elapsed_s: float) -> str:
 def with_progress(
     items: Iterable[Item], label: str, start: float, end: float, place: Callable[[Item], float]
 ) -> Iterator[Item]:
-    """Yield items in their order, and show how far they are from start to end.
+    """Yield items in their order, and show the progress from start to end.
 
     Args:
-        items: are yielded.
-        label: what is worked on.
-        start: place of the beginning, e.g. a time in ns.
-        end: place of the end.
-        place: returns the place of an item.
+        items: the items.
+        label: the task.
+        start: position of the beginning, e.g. a time in ns.
+        end: position of the end.
+        place: returns the position of an item.
     """
     length = max(end - start, 1)
     with Progress(label) as progress:
@@ -108,7 +108,7 @@ def with_progress(
 
 
 def with_count(items: Iterable[Item], label: str, count: int) -> Iterator[Item]:
-    """Yield items, and show how many of them are done."""
+    """Yield items, and show how many of ``count`` are done."""
     with Progress(label) as progress:
         for number, item in enumerate(items):
             progress.show(number / max(count, 1))

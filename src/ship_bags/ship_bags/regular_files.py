@@ -1,6 +1,6 @@
-"""Files that a node or a suite reads: regular ones only.
+"""Check that an input file of a node or a suite is a regular file.
 
-To open a pipe waits for its other end, and a device may have no end: neither may hold up the start of a node.
+Opening a pipe waits for its other end, and a device may have no end: neither may block the start of a node.
 """
 
 import errno
@@ -10,10 +10,10 @@ from pathlib import Path
 
 
 def check_regular(path: Path) -> None:
-    """Raise unless a path names a regular file, or nothing at all, which its opening reports.
+    """Raise unless a path is a regular file; a missing file is left to the opening.
 
     Raises:
-        OSError: EISDIR where it is a folder, ESPIPE where it is a pipe, a device or a socket.
+        OSError: EISDIR for a folder, ESPIPE for a pipe, a device or a socket.
     """
     try:
         mode = path.stat().st_mode
@@ -25,7 +25,7 @@ def check_regular(path: Path) -> None:
 
 
 def open_refusal(number: int) -> str:
-    """Return why a file could not be opened, by its error number, for people."""
+    """Return the text of an error at opening a file, by its error number."""
     if number == errno.EISDIR:
         return "it is a folder: expected a file"
     if number == errno.ESPIPE:

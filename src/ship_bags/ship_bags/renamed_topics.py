@@ -1,8 +1,8 @@
-"""Topics of bags under the names of the suite: by ``--remap OLD:=NEW`` and by the map ``topics`` of a suite file.
+"""Topics of bags under the suite's names: by ``--remap OLD:=NEW`` and by the map ``topics`` of a suite file.
 
-The map gives the ship's name of a topic by the suite's, as ``topics: {ins/imu: /imu/data}``. The names of a command
-hold for all bags that its process reads while it runs (:func:`ship_bags.command_line.run_command`): the reader of bags
-applies them, so that nothing else has to know of them.
+The map gives the ship's name of a topic for the suite's, as ``topics: {ins/imu: /imu/data}``. The names of a command
+apply to all bags that its process reads (:func:`ship_bags.command_line.run_command`). The bag reader applies them, so
+that no other code depends on them.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from ship_bags.topic_names import TRUTH_PREFIX, relative_topic, resolved_topic
 from ship_geometry.input_error import InputError
 
 TOPICS_PARAMETER = "topics"
-"""Group of parameters, the same in each node: the suite's name of an input → the ship's name of it."""
+"""Group of parameters, the same in each node: the suite's name of an input → the ship's."""
 
 BOX_METADATA = "black_box"
 """Name of the metadata record of a node's black box, in which topics have the suite's names."""
@@ -32,13 +32,13 @@ _SHIP_NAME = re.compile(rf"/?{_NAME}(/{_NAME})*", re.ASCII)
 
 @dataclass(frozen=True)
 class TopicNames:
-    """The names by which a command wants the topics of its bags.
+    """Names under which a command reads the topics of its bags.
 
     Attributes:
-        remaps: pairs of the name in the bag and the name wanted.
-        namespace: of the ship in the bag, in which names without a slash at their beginning are.
-        is_by_suite: whether the map ``topics`` of a suite file holds, too.
-        suite_file: with the map; None takes the suite file that is attached to the bag.
+        remaps: pairs of the name in the bag and the new name.
+        namespace: of the ship in the bag, for names without leading slash.
+        is_by_suite: True if the map ``topics`` of a suite file applies, too.
+        suite_file: file with the map; None takes the suite file attached to the bag.
     """
 
     remaps: tuple[tuple[str, str], ...] = ()
@@ -48,11 +48,11 @@ class TopicNames:
     _matched: set[str] = field(default_factory=set, compare=False, repr=False)
 
     def new_names(self, topics: Collection[str], attached_suite: str) -> dict[str, str]:
-        """Topic in a bag → its new name, for the topics that get one.
+        """Return topic in a bag → its new name, for the topics that get one.
 
         Args:
             topics: of the bag.
-            attached_suite: text of the suite file that is attached to it; empty for none.
+            attached_suite: text of the suite file attached to it; empty for none.
 
         Raises:
             BadInput: the suite file cannot be read, or its map is wrong.
@@ -64,13 +64,16 @@ class TopicNames:
         return {topic: self._full(new) if self.namespace else new for topic, new in in_bag.items() if new is not None}
 
     def unmatched(self, topics: Collection[str]) -> list[str]:
-        """Names to be replaced that no bag has had so far, this one neither, and no topic of the new name."""
+        """Return the names to be replaced that no bag so far has.
+
+        A name also counts as found if a bag has the new name.
+        """
         there = {f"/{relative_topic(topic)}" for topic in topics}
         self._matched.update(old for old, new in self.remaps if {self._full(old), self._full(new)} & there)
         return [old for old, _ in self.remaps if old not in self._matched]
 
     def _by_suite(self, attached_suite: str) -> dict[str, str]:
-        """Name in the bag → name in the suite."""
+        """Return name in the bag → name in the suite."""
         if not self.is_by_suite:
             return {}
         return self._of_file if self.suite_file is not None else _of_attached(attached_suite)
@@ -87,19 +90,19 @@ _names = TopicNames()
 
 
 def current_names() -> TopicNames:
-    """The names that hold now."""
+    """Return the names that apply now."""
     return _names
 
 
 def use_names(names: TopicNames) -> None:
-    """Let names hold from now on, for all threads of the process."""
-    global _names  # noqa: PLW0603 - bags are read deep inside the commands, and in threads of theirs
+    """Apply names from now on, for all threads of the process."""
+    global _names  # noqa: PLW0603 - bags are read deep inside the commands, and in their threads
     _names = names
 
 
 @contextlib.contextmanager
 def topic_names(names: TopicNames) -> Iterator[None]:
-    """Let names hold for all bags that are read inside this."""
+    """Apply names to all bags that are read in this context."""
     before = current_names()
     use_names(names)
     try:
@@ -113,7 +116,7 @@ def add_remap(parser: argparse.ArgumentParser, is_by_suite: bool = False) -> Non
 
     Args:
         parser: of a command that reads bags.
-        is_by_suite: whether the command knows topics by their names in the suite.
+        is_by_suite: True if the command uses topics by their names in the suite.
     """
     parser.add_argument(
         "--remap",
@@ -128,13 +131,13 @@ def add_remap(parser: argparse.ArgumentParser, is_by_suite: bool = False) -> Non
 
 
 def add_bag_names(parser: argparse.ArgumentParser, of_what: str = "of the ship's topics in the bag") -> None:
-    """Add the options by which a command finds the suite's topics in bags: ``--namespace`` and ``--remap``."""
+    """Add the options ``--namespace`` and ``--remap``, by which a command finds the suite's topics in bags."""
     parser.add_argument("--namespace", default="", help=f"namespace {of_what}")
     add_remap(parser, is_by_suite=True)
 
 
 def names_of(options: argparse.Namespace) -> TopicNames:
-    """The names that the options of a command give."""
+    """Return the topic names that the options of a command give."""
     suite_file = getattr(options, "config", None)
     return TopicNames(
         tuple(getattr(options, "remap", ())),
@@ -147,13 +150,13 @@ def names_of(options: argparse.Namespace) -> TopicNames:
 def remap_advice(
     wanted: str, type_name: str, topics: Mapping[str, str], known: Collection[str], namespace: str = ""
 ) -> str:
-    """Return the options that read topics of its type as a missing input, as ``type on /x: --remap /x:=wanted``.
+    """Return the options that map topics of the right type to a missing input, as ``type on /x: --remap /x:=wanted``.
 
     Args:
         wanted: the suite's name of the input.
         type_name: its type.
         topics: topic of the bag → type.
-        known: the suite's names of all its topics: what has one of them is no candidate.
+        known: the suite's names of all its topics, which are no candidates.
         namespace: of the ship in the bag.
     """
     of_type = {topic: relative_topic(topic, namespace) or "" for topic, kind in topics.items() if kind == type_name}
@@ -164,10 +167,10 @@ def remap_advice(
 
 
 def topic_map(parameters: Mapping[str, Any]) -> dict[str, str]:
-    """The suite's name of an input → the ship's, of a node's parameters by dotted names.
+    """Return the suite's name of an input → the ship's, from a node's parameters by dotted names.
 
     Raises:
-        InputError: names the parameter and what is expected.
+        InputError: names the parameter and what was expected.
     """
     entries = {name: value for name, value in parameters.items() if is_topic_parameter(name)}
     for name, value in entries.items():
@@ -189,18 +192,18 @@ def is_topic_parameter(name: str) -> bool:
 
 
 def ship_names(source: Path | str) -> dict[str, str]:
-    """The suite's name of an input → the ship's, of all sections of a suite file; see :func:`names_on_ship`."""
+    """Return the suite's name of an input → the ship's, of all sections of a suite file; see :func:`names_on_ship`."""
     return {suite_name: ship_name for ship_name, suite_name in names_on_ship(source).items()}
 
 
 def names_on_ship(source: Path | str) -> dict[str, str]:
-    """The ship's name of a topic → the suite's, of all sections of a suite file (a path, or the text itself).
+    """Return the ship's name of a topic → the suite's, of all sections of a suite file (a path, or the text itself).
 
     Raises:
-        BadInput: the file cannot be read; an entry is wrong; or two entries contradict one another for a bag, of which
-            all nodes read the same.
+        BadInput: the file cannot be read; an entry is wrong; or two entries contradict each other, although all nodes
+            read the same bag.
     """
-    from ship_bags.parameter_yaml import merged, read_sections  # most commands have no such file
+    from ship_bags.parameter_yaml import merged, read_sections  # needed for few commands
 
     name, sections = read_sections(source)
     found: dict[str, str] = {}
@@ -223,7 +226,7 @@ def names_on_ship(source: Path | str) -> dict[str, str]:
 
 
 def _of_attached(text: str) -> dict[str, str]:
-    """Return the map of an attached file; empty if the file cannot be used, as the command that needs it refuses it."""
+    """Return the map of an attached file; empty if the file is unusable, which the command that needs it reports."""
     if TOPICS_PARAMETER not in text:
         return {}
     try:

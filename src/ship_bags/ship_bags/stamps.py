@@ -1,4 +1,4 @@
-"""Times as integer nanoseconds of POSIX UTC: from stamps of messages, to stamps, and as people read them."""
+"""Times as integer nanoseconds of POSIX UTC: conversion from and to stamps and texts."""
 
 import math
 import re
@@ -14,7 +14,7 @@ from ship_bags.message_factory import MessageFactory
 NS_PER_S = 1_000_000_000
 
 END_OF_TIME_NS = 2**31 * NS_PER_S
-"""In 2038: the seconds of a stamp are a signed 32-bit number."""
+"""End of the range of a stamp, in 2038: its seconds are a signed 32-bit number."""
 
 _ENCAPSULATION = 4
 _STAMP_END = _ENCAPSULATION + 8
@@ -27,16 +27,16 @@ _UNITS = (
     ("days", 86_400.0, 94_672_800.0),
     ("years", 31_557_600.0, math.inf),
 )
-"""Unit, its length, and up to which duration it is the one to use, s."""
+"""Unit, its length, s, and the duration up to which it is used, s."""
 
 
 def ns_from_stamp(stamp: Any) -> int:
-    """Nanoseconds of a builtin_interfaces/Time."""
+    """Return the nanoseconds of a builtin_interfaces/Time."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def stamp_of_bytes(data: bytes) -> int | None:
-    """Return the stamp of a message that begins with a header, by its CDR bytes, ns; None where they are too few.
+    """Return the stamp of a message that begins with a header, from its CDR bytes, ns; None if they are too few.
 
     Example:
         >>> stamp_of_bytes(bytes.fromhex("00010000 05000000 e8030000"))
@@ -49,19 +49,19 @@ def stamp_of_bytes(data: bytes) -> int | None:
 
 
 def stamps_of_rows(numbers: np.ndarray) -> NDArray[np.int64]:
-    """The stamps of the headers of messages that are rows (:class:`ship_bags.cdr_template.CdrRows`), ns, shape (N,)."""
+    """Return the stamps of messages as rows (:class:`ship_bags.cdr_template.CdrRows`), ns, shape (N,)."""
     whole_ns = numbers["header.stamp.sec"].astype(np.int64) * NS_PER_S
     times_ns: NDArray[np.int64] = whole_ns + numbers["header.stamp.nanosec"]
     return times_ns
 
 
 def stamp_fields(ns: int) -> tuple[int, int]:
-    """Fields (sec, nanosec) of a builtin_interfaces/Time."""
+    """Return the fields (sec, nanosec) of a builtin_interfaces/Time."""
     return divmod(ns, NS_PER_S)
 
 
 def utc_text(time_ns: int) -> str:
-    """A POSIX time in nanoseconds as UTC with milliseconds, e.g. ``2014-08-01T00:00:00.170Z``."""
+    """Return a POSIX time in ns as UTC with milliseconds, e.g. ``2014-08-01T00:00:00.170Z``."""
     seconds, remainder_ns = divmod(time_ns, NS_PER_S)
     try:
         moment = datetime.fromtimestamp(seconds, tz=timezone.utc)
@@ -71,10 +71,10 @@ def utc_text(time_ns: int) -> str:
 
 
 def ns_from_utc_text(text: str) -> int:
-    """A time of UTC as people write it, e.g. ``2014-08-01T00:00:00.17Z``, as POSIX time in nanoseconds.
+    """Return the POSIX time of a UTC text, e.g. ``2014-08-01T00:00:00.17Z``, ns.
 
     Raises:
-        ValueError: it is none; the text says so.
+        ValueError: it is not such a text.
     """
     parts = _UTC_TEXT.fullmatch(text)
     try:
@@ -82,12 +82,12 @@ def ns_from_utc_text(text: str) -> int:
     except ValueError:
         parts = None
     if parts is None:
-        raise ValueError(f"'{text}' is no time of UTC like 2026-06-01T20:00:30.5Z")
+        raise ValueError(f"'{text}' is not a UTC time like 2026-06-01T20:00:30.5Z")
     return int(moment.timestamp()) * NS_PER_S + int((parts[2] or "").ljust(9, "0"))
 
 
 def duration_text(ns: int) -> str:
-    """A duration for people, in the unit that suits it."""
+    """Return a duration as text in a suitable unit."""
     seconds = abs(ns) * 1e-9
     if seconds < 120.0:
         return f"{seconds:.3f} s"
@@ -96,5 +96,5 @@ def duration_text(ns: int) -> str:
 
 
 def make_header(factory: MessageFactory, ns: int, frame_id: str = "") -> Any:
-    """A std_msgs/Header."""
+    """Return a std_msgs/Header."""
     return factory.make("std_msgs/msg/Header", stamp=ns, frame_id=frame_id)

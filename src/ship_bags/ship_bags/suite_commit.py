@@ -1,18 +1,18 @@
-"""The commit of the suite that writes a bag or a page."""
+"""Git commit of the suite that writes a bag or a page."""
 
 import functools
 import subprocess
 from pathlib import Path
 
 COMMIT_RECORD = "suite"
-"""Name of the metadata record of a bag with the commit of the suite that wrote it."""
+"""Name of the bag's metadata record with the commit of the suite that wrote it."""
 
 
 @functools.cache
 def suite_commit() -> str:
     """Return the git commit of this code, with "+changes" where files differ from it; empty outside a checkout.
 
-    A suite that is installed inside the checkout of another project has no commit: git must know this file.
+    A suite installed inside the checkout of another project has no commit: git must know this file.
     """
     source = Path(__file__).resolve()
     if _git(source, "ls-files", "--error-unmatch", source.name) is None:

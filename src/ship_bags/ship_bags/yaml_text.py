@@ -1,4 +1,4 @@
-"""YAML from files that may hold anything: a text that is too long, too deep or unfolds without end is refused."""
+"""YAML from untrusted files: a text that is too long, too deep or expands without end is refused."""
 
 import functools
 from typing import Any
@@ -8,19 +8,19 @@ import yaml
 from ship_bags.errors import BadInput
 
 LONGEST_TEXT = 4_000_000
-"""Longest text that is parsed, characters: the parser takes minutes for more."""
+"""Maximum length of a text, characters: the parser takes minutes for more."""
 
 DEEPEST_NESTING = 50
 MOST_NODES = 1_000_000
-"""Values of a document once its aliases are unfolded."""
+"""Maximum number of values of a document with its aliases expanded."""
 
 _LONGEST_INTEGER = 30
 _FIRST_TOO_LARGE = 2**63
-_TOO_DEEP = "nested too deeply, or a group that holds itself by an alias"
+_TOO_DEEP = "nested too deeply, or a group that contains itself by an alias"
 
 
 class _DataLoader(yaml.SafeLoader):
-    """Takes whole numbers of 64 bits only: a larger one would fail later, wherever it is used or shown."""
+    """YAML loader that accepts only integers of 64 bits: a larger one would fail later, where it is used or shown."""
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
         if len(node.value) <= _LONGEST_INTEGER:
@@ -33,24 +33,24 @@ class _DataLoader(yaml.SafeLoader):
 _DataLoader.add_constructor("tag:yaml.org,2002:int", _DataLoader.construct_yaml_int)
 
 
-# A node asks the same file twice while it starts: to check it before ROS reads it, and for the warnings about it.
+# A node parses the same file twice at its start: to check it before ROS reads it, and for the warnings about it.
 @functools.lru_cache(maxsize=1)
 def composed(name: str, text: str) -> yaml.Node | None:
-    """The document of a text as nodes with their lines; None where it holds nothing.
+    """Return the document of a text as YAML nodes with their lines; None if it is empty.
 
     Args:
-        name: of the file, for messages.
+        name: of the file, for texts.
         text: all of it.
 
     Raises:
-        BadInput: it is no YAML or goes beyond a bound; names the file and, where there is one, the line.
+        BadInput: it is not YAML or exceeds a bound; names the file and, if known, the line.
     """
     if len(text) > LONGEST_TEXT:
         raise BadInput(f"{len(text)} characters: expected a text of at most {LONGEST_TEXT}", file=name)
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         if root is not None and _size(root, {}, ()) > MOST_NODES:
-            raise BadInput(f"its aliases unfold to more than {MOST_NODES} values", file=name)
+            raise BadInput(f"its aliases expand to more than {MOST_NODES} values", file=name)
     except RecursionError as error:
         raise BadInput(_TOO_DEEP, file=name) from error
     except (yaml.YAMLError, ValueError) as error:
@@ -59,20 +59,20 @@ def composed(name: str, text: str) -> yaml.Node | None:
 
 
 def plain_data(name: str, text: str) -> Any:
-    """The document of a text as mappings, lists and scalars.
+    """Return the document of a text as mappings, lists and scalars.
 
     Raises:
-        BadInput: as :func:`composed`, or a value cannot be one: a day that is none, a number of too many digits.
+        BadInput: as :func:`compose`, or a value is invalid: an impossible date, a number with too many digits.
     """
     root = composed(name, text)
     return None if root is None else data_of(name, root)
 
 
 def data_of(name: str, node: yaml.Node) -> Any:
-    """A node of :func:`composed` as mappings, lists and scalars.
+    """Return a node of :func:`compose` as mappings, lists and scalars.
 
     Raises:
-        BadInput: names the file and the line of what cannot be a value.
+        BadInput: names the file and the line of the invalid value.
     """
     try:
         return _DataLoader("").construct_object(node, deep=True)
@@ -81,11 +81,11 @@ def data_of(name: str, node: yaml.Node) -> Any:
 
 
 def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int:
-    """Number of values of a node, its aliases unfolded.
+    """Return the number of values of a node with its aliases expanded.
 
     Raises:
         RecursionError: it is too deep.
-        ValueError: a text in it is none.
+        ValueError: a text in it is invalid.
     """
     if id(node) in known:
         return known[id(node)]
@@ -98,14 +98,14 @@ def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int
     elif isinstance(node, yaml.SequenceNode):
         children = node.value
     elif any("\ud800" <= character <= "\udfff" for character in node.value):
-        # An escape can give half of a character, which can be neither written nor shown.
-        raise ValueError(f"a character that is none, in line {node.start_mark.line + 1}")
+        # An escape can give half of a character, which cannot be encoded.
+        raise ValueError(f"an invalid character in line {node.start_mark.line + 1}")
     known[id(node)] = 1 + sum(_size(child, known, above) for child in children)
     return known[id(node)]
 
 
 def _refused(name: str, error: Exception, mark: yaml.Mark | None = None) -> BadInput:
-    """The error in one line, without a line of the text: a message must not show what a file holds."""
+    """Return the error as one line without the file's text, which must not appear in messages."""
     if isinstance(error, BadInput):
         return error
     reason = str(error)

@@ -1,4 +1,4 @@
-"""Bags as they come: in order, split, overlapping, cut, damaged, or no bags at all."""
+"""Bag reader: order, split, overlapping, truncated, damaged and invalid bags."""
 
 import gc
 import io
@@ -27,7 +27,7 @@ VECTOR = "geometry_msgs/msg/Vector3"
 
 
 def write_numbered(path, log_times, topics=("a",), **options):
-    """A bag of Vector3 (x = position in this list) through the mcap project's writer, with small chunks."""
+    """Write Vector3 messages (x = index in this list) with the mcap project's writer, in small chunks."""
     options = {"chunk_size": 1500, **options}
     with open(path, "wb") as file:
         writer = Writer(file, **options)
@@ -42,7 +42,7 @@ def write_numbered(path, log_times, topics=("a",), **options):
 
 
 def numbers(path):
-    """(log time, x) of all messages as read, and the problems."""
+    """Return (log time, x) of all messages as read, and the problems."""
     with read_bag(path) as bag:
         found = [(record.log_time_ns, int(record.decode().x)) for record in bag.records()]
         assert bag.message_count == len(found)
@@ -50,7 +50,7 @@ def numbers(path):
 
 
 def chunk_offsets(data):
-    """Byte at which each chunk record begins, its length, and its messages, by walking the records."""
+    """Return offset, length and messages of each chunk record, by scanning the records."""
     offset, chunks = 8, []
     while offset < len(data) - 8:
         opcode, length = struct.unpack_from("<BQ", data, offset)
@@ -61,7 +61,7 @@ def chunk_offsets(data):
 
 
 def whole_messages(data):
-    """Messages that the mcap project's StreamReader gets out of a cut file."""
+    """Return the messages that the mcap project's StreamReader reads from a truncated file."""
     count = 0
     try:
         for record in StreamReader(io.BytesIO(data)).records:
@@ -77,12 +77,12 @@ TIMES = [START_NS + number * 10_000_000 for number in range(MESSAGES)]
 
 @pytest.fixture
 def bag_bytes(tmp_path):
-    """A bag of twelve chunks."""
+    """Return a bag of twelve chunks."""
     return write_numbered(tmp_path / "whole.mcap", TIMES).read_bytes()
 
 
 def shuffled_times(seed):
-    """Log times that run forward by 10 ms but come up to 0.3 s out of order, with repetitions."""
+    """Return log times that increase by 10 ms but are up to 0.3 s out of order, with repetitions."""
     draw = random.Random(seed)
     return [START_NS + (10 * number + draw.randrange(0, 300, 10)) * 1_000_000 for number in range(2000)]
 
@@ -101,7 +101,7 @@ def test_messages_outside_chunks(tmp_path):
     assert found == sorted((time, number) for number, time in enumerate(times))
 
 
-def test_only_the_topics_asked_for(tmp_path):
+def test_only_the_requested_topics(tmp_path):
     path = write_numbered(tmp_path / "bag.mcap", range(1, 31), topics=("a", "b", "c"))
     with read_bag(path) as bag:
         assert [record.log_time_ns for record in bag.records({"b"})] == list(range(2, 31, 3))
@@ -140,7 +140,7 @@ def test_chunks_without_the_topics_are_not_read(tmp_path):
 
 
 @pytest.mark.parametrize("since", [0, 1, 500, 777, 1500])
-def test_from_a_time_on_and_what_lies_before_is_not_read(tmp_path, since):
+def test_earlier_chunks_are_not_read(tmp_path, since):
     times = [time // 1_000_000 for time in shuffled_times(3)]
     since_ns = min(times) + since
     path = write_numbered(tmp_path / "bag.mcap", times)
@@ -153,7 +153,7 @@ def test_from_a_time_on_and_what_lies_before_is_not_read(tmp_path, since):
 
 
 def test_memory_stays_small(tmp_path):
-    """A chunk is read when its time has come, not before."""
+    """A chunk is read at its time, not before."""
     path = write_numbered(tmp_path / "bag.mcap", range(1, 20_001))
     with read_bag(path) as bag:
         chunks = [place for file in bag._files for place in file.chunks]
@@ -203,7 +203,7 @@ def test_cut_file_gives_all_up_to_the_cut(tmp_path, bag_bytes, share):
 
 
 class GrowingFile(io.BytesIO):
-    """A file that another program writes: whenever somebody has looked for its end, that lies further on."""
+    """File that another program writes: whenever its end has been read, it grows."""
 
     def __init__(self, data, grown_by):
         super().__init__(data)
@@ -220,7 +220,7 @@ class GrowingFile(io.BytesIO):
 
 @pytest.mark.parametrize("share", [0.2, 0.77])
 @pytest.mark.parametrize("grown_by", ["a byte", "all the rest"])
-def test_a_file_that_grows_while_it_is_read_gives_what_it_had_when_it_was_opened(
+def test_a_growing_file_gives_its_content_at_opening(
     tmp_path, bag_bytes, monkeypatch, share, grown_by
 ):
     length = int(len(bag_bytes) * share)
@@ -241,7 +241,7 @@ def test_a_file_that_became_shorter_since_it_was_opened_has_no_whole_footer(tmp_
         assert [record.log_time_ns for record in bag.records()] == TIMES[: whole_messages(bag_bytes[:-3000])]
 
 
-def test_flipped_bits_in_a_chunk_cost_that_chunk_only(tmp_path, bag_bytes):
+def test_flipped_bits_in_a_chunk_lose_only_that_chunk(tmp_path, bag_bytes):
     chunks = chunk_offsets(bag_bytes)
     assert len(chunks) == 12
     path = tmp_path / "flipped.mcap"
@@ -266,14 +266,14 @@ def test_flipped_bits_in_a_chunk_cost_that_chunk_only(tmp_path, bag_bytes):
 
 
 def only_chunk(data, offset, length):
-    """One chunk and the end of a file, for the StreamReader."""
+    """Return one chunk and the end of a file, for the StreamReader."""
     footer = struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + b"\x89MCAP0\r\n"
     return data[offset : offset + length] + footer
 
 
 @pytest.mark.parametrize("field_offset", [0, 4, 9 + 3, 9 + 8 + 3, 9 + 16 + 6, 9 + 28])
-def test_flipped_bits_in_the_head_of_a_chunk(tmp_path, bag_bytes, field_offset):
-    """Opcode, length, times, uncompressed size and compression: lost is that chunk, nothing hangs or is disordered."""
+def test_flipped_bits_in_the_header_of_a_chunk(tmp_path, bag_bytes, field_offset):
+    """Opcode, length, times, uncompressed size and compression: only that chunk is lost, no hang, no disorder."""
     offset, length = chunk_offsets(bag_bytes)[2]
     flipped = bytearray(bag_bytes)
     flipped[offset + field_offset] ^= 0x40
@@ -300,7 +300,7 @@ def test_flipped_bit_in_the_summary_loses_nothing(tmp_path, bag_bytes):
 
 
 def test_every_byte_of_a_small_bag_may_be_wrong(tmp_path):
-    """Whatever byte is hit: no exception but BadInput, and no message that is not in the bag."""
+    """For any wrong byte: no exception except BadInput, and no message that is not in the bag."""
     path = tmp_path / "small.mcap"
     data = write_numbered(path, range(1, 61)).read_bytes()
     truth = {(time, time - 1) for time in range(1, 61)}
@@ -343,8 +343,8 @@ def test_unknown_encodings_are_skipped_by_name(tmp_path):
         assert any("the definition of x_msgs/msg/X is not in the bag" in line for line in bag.problems)
 
 
-def test_the_definition_in_the_bag_rules(tmp_path):
-    """A bag of another version of the message: decoded by its own definition, the difference told."""
+def test_the_definition_in_the_bag_takes_precedence(tmp_path):
+    """A bag of another version of the message is decoded by its own definition, and the difference reported."""
     path = tmp_path / "older.mcap"
     with open(path, "wb") as file:
         writer = Writer(file)
@@ -371,7 +371,7 @@ def test_bytes_that_are_not_the_message(tmp_path):
 
 
 def test_a_live_message_that_ends_with_an_empty_sequence_is_read(tmp_path):
-    """rclpy writes the padding before elements that are not there, of whatever was in its memory."""
+    """rclpy writes the padding for missing elements, with undefined bytes."""
     from rclpy.serialization import serialize_message
 
     from ship_msgs.msg import InputHealth
@@ -386,7 +386,7 @@ def test_a_live_message_that_ends_with_an_empty_sequence_is_read(tmp_path):
     assert (back.topic, back.received, list(back.reason_counts)) == ("ins/imu", 7, [])
 
 
-def test_damaged_attachment_is_told(tmp_path):
+def test_damaged_attachment_is_reported(tmp_path):
     path = write_imu_bag(tmp_path / "bag.mcap", 10, attachments=[("suite.yaml", "a: 12345\n")])
     path.write_bytes(path.read_bytes().replace(b"a: 12345", b"a: 12346"))
     with read_bag(path) as bag:
@@ -454,7 +454,7 @@ class TestBadInput:
         (path / "voyage_1.mcap").unlink()
         self.refused(path, r"voyage_1\.mcap: cannot be read: No such file")
 
-    def test_metadata_that_is_none(self, tmp_path):
+    def test_invalid_metadata(self, tmp_path):
         (tmp_path / "metadata.yaml").write_text("- a list\n")
         self.refused(tmp_path, "not the information file of a rosbag2 bag")
 

@@ -1,4 +1,4 @@
-"""What the writer promises: the same bytes each time, whole files only, readable by others."""
+"""Bag writer: the same bytes each time, complete files only, readable by other programs."""
 
 import itertools
 import json
@@ -28,7 +28,7 @@ def test_same_calls_same_bytes(tmp_path):
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_the_file_has_its_name_only_when_it_is_whole(tmp_path):
+def test_the_file_is_renamed_only_when_complete(tmp_path):
     path = tmp_path / "voyage.mcap"
     with BagWriter(path) as bag:
         bag.write("ins/imu", imu(START_NS), START_NS)
@@ -56,8 +56,8 @@ def test_flushed_messages_can_be_read_while_the_bag_is_still_open(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_mend_26_a_flipped_bit_in_a_bag_that_was_never_flushed_costs_a_second(tmp_path, seed):
-    """Such as a simulated one: all of its ten seconds fit into one chunk."""
+def test_a_flipped_bit_in_an_unflushed_bag_loses_one_second(tmp_path, seed):
+    """As in a simulated bag: all its ten seconds would fit into one chunk."""
     data = bytearray(write_imu_bag(tmp_path / "voyage.mcap", count=1000).read_bytes())
     draw = random.Random(seed)
     data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
@@ -70,8 +70,8 @@ def test_mend_26_a_flipped_bit_in_a_bag_that_was_never_flushed_costs_a_second(tm
 
 
 @pytest.mark.parametrize("finished", [False, True], ids=["killed", "finished"])
-def test_mend_26_a_recording_takes_a_clock_that_steps_back_and_a_message_larger_than_a_chunk(tmp_path, finished):
-    """In the order in which it came, and by ordinary reading in order of log time; recovered, it is the same."""
+def test_recording_with_a_clock_step_back_and_an_oversized_message(tmp_path, finished):
+    """It is kept in order of arrival, read in order of log time, and unchanged by a recovery."""
     bag = BagWriter(tmp_path / "voyage.mcap", atomic=False)
     log_times = [*range(0, 3 * HOUR_NS, HOUR_NS // 2), *range(0, 3 * HOUR_NS, HOUR_NS // 2), 10 * HOUR_NS]
     for number, time_ns in enumerate(log_times):
@@ -96,7 +96,7 @@ def test_mend_26_a_recording_takes_a_clock_that_steps_back_and_a_message_larger_
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_many_messages_are_written_as_one_after_another(tmp_path, seed):
-    """Chunks end where they are long, where time goes on by a second, and where it goes back by one."""
+    """Chunks end at their size limit, when time advances by a second, and when it goes back by one."""
     rng, count = np.random.default_rng(seed), 400
     steps_ns = rng.integers(0, 20_000_000, count)
     steps_ns[rng.integers(0, count, 5)] += rng.integers(-3, 4, 5) * NS_PER_S
@@ -147,7 +147,7 @@ def test_a_folder_that_is_not_there_is_bad_input(tmp_path):
 
 
 def test_other_readers_understand_the_bag(tmp_path):
-    """The mcap project's own reader and its ROS 2 decoder, which works from the embedded definition alone."""
+    """The mcap project's own reader and its ROS 2 decoder, which uses the embedded definition only."""
     path = write_imu_bag(tmp_path / "voyage.mcap", count=3)
     with open(path, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -161,7 +161,7 @@ def test_other_readers_understand_the_bag(tmp_path):
 
 
 @pytest.mark.parametrize(("latched", "durability"), [(False, "volatile"), (True, "transient_local")])
-def test_quality_of_service_is_noted_as_rosbag2_does(tmp_path, latched, durability):
+def test_quality_of_service_is_stored_as_by_rosbag2(tmp_path, latched, durability):
     path = tmp_path / "voyage.mcap"
     with BagWriter(path) as bag:
         bag.add_topic("v", "geometry_msgs/msg/Vector3", latched)

@@ -1,4 +1,4 @@
-"""Templates against what we did not write: rosbags' CDR, and rclpy's."""
+"""Templates compared with the CDR of rosbags and rclpy."""
 
 import math
 import random
@@ -33,7 +33,7 @@ FACTORIES = [RosbagsFactory, RosidlFactory]
 
 
 def random_fields(draw, type_name):
-    """Fields of a message of random numbers, texts and lengths."""
+    """Return a message's fields with random numbers, texts and lengths."""
     return {name: random_value(draw, field) for name, field in RosbagsFactory().definition(type_name).items()}
 
 
@@ -85,7 +85,7 @@ def test_rclpy_reads_what_was_encoded(type_name):
 
 @pytest.mark.parametrize("type_name", TYPES)
 @pytest.mark.parametrize("factory", FACTORIES)
-def test_fields_read_where_asked_are_those_of_the_message_object(type_name, factory):
+def test_fields_decoded_on_access_equal_those_of_the_message_object(type_name, factory):
     draw = random.Random(type_name)
     for _ in range(10):
         data = serialize(RosbagsFactory().make(type_name, **random_fields(draw, type_name)))
@@ -138,7 +138,7 @@ def test_columns_must_be_all_and_no_others():
 
 
 def test_rows_are_the_bytes_of_messages_encoded_one_by_one():
-    """Texts, a sequence and an array of messages are the same in all; each number is another in each."""
+    """Texts, a sequence and an array of messages are the same in all; each number differs."""
     draw, factory, count = random.Random(4), RosbagsFactory(), 20
     one_by_one = [random_fields(draw, "ship_msgs/msg/ShipAttitude") for _ in range(count)]
     for number, fields in enumerate(one_by_one):
@@ -155,7 +155,7 @@ def test_rows_are_the_bytes_of_messages_encoded_one_by_one():
         assert rows.message(number).__cdr__ == serialize(factory.make("ship_msgs/msg/ShipAttitude", **fields))
 
 
-def test_what_is_the_same_in_all_rows_is_given_once():
+def test_a_constant_value_of_all_rows_is_given_once():
     factory = RosbagsFactory()
     fields = {"x": 1.5, "y": np.array([1.0, 2.0]), "z": 0.0}
     rows = factory.encoded_rows("geometry_msgs/msg/Vector3", 2, **fields)
@@ -186,7 +186,7 @@ def test_a_signalling_nan_keeps_its_bits():
         lambda data: b"",
     ],
 )
-def test_what_is_unusual_is_left_to_message_objects(spoil):
+def test_unusual_messages_are_left_to_message_objects(spoil):
     factory = RosbagsFactory()
     data = serialize(factory.make("sensor_msgs/msg/Imu", **imu_fields(random.Random(2))))
     with pytest.raises(ValueError):  # noqa: PT011 - there is a text for each way of being spoilt
@@ -208,7 +208,7 @@ def test_a_reader_gives_other_texts_of_the_same_length_to_message_objects():
     assert reader.message(first).__cdr__ == first
 
 
-def test_texts_that_always_change_do_not_fill_the_memory():
+def test_changing_texts_do_not_fill_the_memory():
     draw, factory = random.Random(5), RosbagsFactory()
     reader = CdrReader("sensor_msgs/msg/Imu", factory.definition)
     frames = ["x" * length for length in range(0, 800, 8)]

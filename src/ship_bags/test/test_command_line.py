@@ -1,4 +1,4 @@
-"""Ctrl-C in the commands that work for long: one line, exit code 130, no half file; and a reader that leaves."""
+"""Ctrl-C in long commands: one line, exit code 130, no partial file; and a reader that is gone."""
 
 import errno
 import os
@@ -70,7 +70,7 @@ CASES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_mend_21_ctrl_c_is_one_line_and_leaves_no_half_file(case, tmp_path):
+def test_ctrl_c_is_one_line_and_leaves_no_partial_file(case, tmp_path):
     module, moments, arguments = CASES[case]
     if case == "simulate":
         (tmp_path / "short.yaml").write_text(SHORT)
@@ -88,7 +88,7 @@ def test_mend_21_ctrl_c_is_one_line_and_leaves_no_half_file(case, tmp_path):
 
 @pytest.mark.parametrize("unbuffered", ["", "1"], ids=["", "unbuffered"])
 @pytest.mark.parametrize("option", [[], ["--json"], ["--suite"]], ids=str)
-def test_a_command_whose_reader_has_left_ends_without_a_word(option, unbuffered, tmp_path):
+def test_a_command_whose_reader_is_gone_ends_silently(option, unbuffered, tmp_path):
     """As `info BAG | head -1`."""
     bag = write_imu_bag(tmp_path / "a.mcap", 3, attachments=[(SUITE_ATTACHMENT, "a: 1\n")])
     reader, writer = os.pipe()
@@ -100,7 +100,7 @@ def test_a_command_whose_reader_has_left_ends_without_a_word(option, unbuffered,
     assert (done.returncode, done.stderr) == (141, "")
 
 
-def test_another_pipe_that_breaks_is_told(capsys):
+def test_another_broken_pipe_is_reported(capsys):
     def command(_options):
         raise BrokenPipeError(errno.EPIPE, "Broken pipe", "/dev/sensor")
 

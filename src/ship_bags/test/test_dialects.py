@@ -1,4 +1,4 @@
-"""Sentences of makers as rows of one table, each with a sentence of a manual or a log; what else PASHR gives."""
+"""Sentences of common makers, each from a manual or a log; further fields of PASHR."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def said(text, needs_checksum=True):
 
 
 def messages_of(becomes, *texts, by_instrument=True):
-    """Messages of sentences that are received one after the other."""
+    """Return the messages of sentences received one after the other."""
     report = LineReport("test")
     instrument = Instrument(RosbagsFactory(), InstrumentRole(becomes, by_instrument), "a", report)
     found = []
@@ -59,7 +59,7 @@ def test_each_row_is_read(kind):
 
 
 @pytest.mark.parametrize("kind", ["PRDID", "PTNTHPR"])
-def test_a_sentence_without_time_has_that_of_the_zda_of_its_burst(kind):
+def test_a_sentence_without_time_uses_the_zda_of_its_burst(kind):
     (message,), _ = messages_of(INS, sentence("GPZDA,235410.00,09,03,2010,,"), SENTENCES[kind][0])
     assert ns_from_stamp(message.header.stamp) == RECEIVE_NS - NS_PER_S
 
@@ -81,7 +81,7 @@ def test_a_sentence_with_time_has_its_own():
         ("$PRDID,-4.44,2.12,154.26*56", "checksum failed"),
     ],
 )
-def test_what_cannot_be_used_is_refused_by_name(text, reason):
+def test_unusable_sentences_are_rejected_with_the_reason(text, reason):
     says = said(text)
     assert isinstance(says, Unusable)
     assert (says.detail or says.reason) == reason
@@ -92,7 +92,7 @@ def test_a_high_warning_is_no_alarm():
 
 
 @pytest.mark.parametrize("kind", DIALECTS)
-def test_without_checksum_none_of_the_cut_ones_is_used(kind):
+def test_truncated_sentences_without_checksum_are_not_used(kind):
     whole = SENTENCES[kind][0].partition("*")[0]
     assert isinstance(said(whole, needs_checksum=False), Sentence)
     for end in range(len(whole)):
@@ -100,7 +100,7 @@ def test_without_checksum_none_of_the_cut_ones_is_used(kind):
 
 
 def test_a_heading_has_the_turn_rate_of_its_burst():
-    """30 °/min to port are half a degree a second, left-handed about down and right-handed about up."""
+    """30 °/min to port are half a degree per second, negative about down and positive about up."""
     (message,), _ = messages_of(GYRO, SENTENCES["ROT"][0], sentence("HEHDT,10.0,T"))
     assert message.angular_velocity.z == pytest.approx(np.deg2rad(0.5))
     assert message.angular_velocity_covariance[0] == 1.0
@@ -129,6 +129,6 @@ def test_the_sigmas_of_a_pashr_are_those_of_the_ins_about_east_north_and_up():
 
 
 @pytest.mark.parametrize("accuracies", [",,", "0.010,0.020,", "0.000,0.020,0.030", "999.999,0.020,0.030", "nan,1,1"])
-def test_sigmas_that_are_none_leave_the_configured_ones(accuracies):
+def test_invalid_sigmas_leave_the_configured_ones(accuracies):
     (message,), _ = messages_of(INS, pashr(accuracies))
     assert not message.orientation_covariance.any()

@@ -1,4 +1,4 @@
-"""Topics of bags as tables, read back by readers that are not ours: csv, pyarrow, scipy."""
+"""Topics of bags as tables, read back by independent readers: csv, pyarrow, scipy."""
 
 import csv
 import re
@@ -34,7 +34,7 @@ PACKAGES = ("ship_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs", "std
 TYPES = [
     name
     for name in message_store().fielddefs
-    # Nothing is in Empty, and nobody sends WString: the decoder does not know it.
+    # Empty has no field, and WString is not supported by the decoder.
     if name.startswith(PACKAGES) and "/msg/" in name and not name.endswith(("/Empty", "/WString"))
 ]
 NUMBERED_UP_TO = 64
@@ -57,7 +57,7 @@ def constants(type_name):
 
 
 def read_table(path):
-    """Names of the columns and the rows, as csv, pyarrow or scipy give them; split integers are put together."""
+    """Return column names and rows as csv, pyarrow or scipy give them; split integers are combined."""
     if path.suffix == ".csv":
         with open(path, newline="", encoding="utf-8") as file:
             names, *rows = csv.reader(file)
@@ -81,7 +81,7 @@ def values(variable):
 
 
 class Rebuilder:
-    """Makes the messages of a topic from its tables, in the order in which the definition names the fields."""
+    """Makes the messages of a topic from its tables, in the order of the definition's fields."""
 
     def __init__(self, folder, stem, suffix):
         self.paths = {path.name.removesuffix(suffix): path for path in folder.glob(f"{stem}*{suffix}")}
@@ -147,7 +147,7 @@ class Rebuilder:
 
 
 def is_nothing(value):
-    """Whether it is what stands behind the end of an array in each format."""
+    """Return True for the value after the end of an array in each format."""
     return value in ("", None, 0) or value != value
 
 
@@ -168,7 +168,7 @@ def topic_of(type_name):
 
 @pytest.fixture(scope="module")
 def hard_bag(tmp_path_factory):
-    """Every type of the packages, five messages each, of values that are hard to keep."""
+    """Return a bag with five messages of every type of the packages, with extreme values."""
     rng = np.random.default_rng(13)
     path = tmp_path_factory.mktemp("bags") / "hard.mcap"
     with BagWriter(path) as bag:
@@ -239,7 +239,7 @@ def test_the_bags_of_the_repository_come_back_bit_for_bit(kind, name, tmp_path):
 
 
 def names_of(type_name, tmp_path):
-    """Columns of each table of one message."""
+    """Return the columns of each table of one message."""
     path = tmp_path / "one.mcap"
     with BagWriter(path) as bag:
         bag.write("a", random_message(type_name, message_store(), np.random.default_rng(1)), START_NS)
@@ -247,7 +247,7 @@ def names_of(type_name, tmp_path):
     return {table.name.removesuffix(".csv"): read_table(table)[0] for table in sorted((tmp_path / "out").iterdir())}
 
 
-def test_units_stand_in_the_names_as_the_definitions_say(tmp_path):
+def test_column_names_have_the_units_of_the_definitions(tmp_path):
     columns = names_of("ship_msgs/msg/ShipAttitude", tmp_path)["a"]
     assert columns[:8] == [
         "log_time_ns", "message_index", "stamp_ns", "frame_id", "heading_rad", "pitch_rad", "roll_rad",
@@ -290,7 +290,7 @@ def test_arrays_within_arrays_are_tables_that_name_both_places(tmp_path):
 
 
 def test_arrays_in_the_same_order_share_a_table_also_where_one_is_shorter(tmp_path):
-    """Of an innovation that was refused before it was compared there is no residual, see Innovation.msg."""
+    """An innovation rejected before the comparison has no residual, see Innovation.msg."""
     path = tmp_path / "a.mcap"
     with BagWriter(path) as bag:
         message = innovation(START_NS, "star.fore", [], [], float("nan"), components=["north", "up", "east"])
@@ -323,7 +323,7 @@ def test_a_source_of_an_error_budget_stands_with_its_covariance(tmp_path):
     ]
 
 
-def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
+def test_netcdf_has_the_required_attributes_and_no_path(tmp_path):
     assert main([str(ROOT / "bags" / "demo.mcap"), "--topics", "truth/attitude", "--out", str(tmp_path / "a.nc")]) == 0
     with netcdf_file(tmp_path / "a.nc", mmap=False) as file:
         assert file.Conventions == b"CF-1.8"
@@ -332,7 +332,7 @@ def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
         assert (axis.standard_name, axis.axis, axis.calendar) == (b"time", b"T", b"standard")
         assert axis.units == b"seconds since 2014-07-09 00:00:00"
         assert axis.dimensions == heading.dimensions == ("row",)
-        # Of the standard name table: clockwise from North, and as the message says it.
+        # From the standard name table: clockwise from North, as in the message.
         assert (heading.standard_name, heading.units) == (b"platform_orientation", b"rad")
         assert file.variables["pitch_rad"].standard_name == b"platform_pitch_fore_up"
         assert file.variables["roll_rad"].standard_name == b"platform_roll_starboard_down"
@@ -345,7 +345,7 @@ def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
 
 
 def flags(path):
-    """Name of a variable → what its values mean, as a NetCDF file says."""
+    """Return name of a variable → meanings of its values, as in a NetCDF file."""
     with netcdf_file(path, mmap=False) as file:
         flagged = {name: each for name, each in file.variables.items() if hasattr(each, "flag_meanings")}
         # The conventions ask for values of the kind of the variable itself; a single one is read as a plain number.
@@ -358,7 +358,7 @@ def flags(path):
 
 
 def netcdf_of(type_name, folder):
-    """A message of a type as NetCDF in a folder."""
+    """Write a message of a type as NetCDF into a folder."""
     with BagWriter(folder / "one.mcap") as bag:
         bag.write("a", random_message(type_name, message_store(), np.random.default_rng(1)), START_NS)
     assert main([str(folder / "one.mcap"), "--out", str(folder), "--format", "netcdf", "--force"]) == 0
@@ -408,7 +408,7 @@ def test_constants_of_a_bag_that_its_field_cannot_hold_are_no_values(tmp_path):
     assert flags(tmp_path / "a.nc") == {"status": {0: "VALID"}}
 
 
-def test_what_the_conventions_name_is_named_where_it_is_certain(tmp_path):
+def test_cf_standard_names_are_used_where_certain(tmp_path):
     topics = ["gnss/fix", "met/pressure", "met/temperature", "met/humidity"]
     arguments = [str(ROOT / "bags" / "demo.mcap"), "--topics", *topics, "--out", str(tmp_path)]
     assert main([*arguments, "--format", "netcdf"]) == 0
@@ -450,7 +450,7 @@ def test_many_batches_are_one_table(kind, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"long.mcap", out.name}
 
 
-def test_only_the_time_asked_for(tmp_path):
+def test_only_the_requested_time_range(tmp_path):
     write_imu_bag(tmp_path / "long.mcap", 100)  # from 2023-11-14T22:13:20.05Z on, at 100 Hz
     arguments = [str(tmp_path / "long.mcap"), "--out", str(tmp_path / "a.csv")]
     assert main([*arguments, "--from", "2023-11-14T22:13:20.1Z", "--to", "2023-11-14T22:13:20.15Z"]) == 0
@@ -467,7 +467,7 @@ def test_only_the_time_asked_for(tmp_path):
         ("2022-01-01T00:00:00Z", "2022-01-02T00:00:00Z", "the bag is from 2023-11-14T22:13:20.050Z to"),
     ],
 )
-def test_times_without_a_message_leave_what_is_there(since, until, why, imu_bag, tmp_path, capsys):
+def test_an_empty_time_range_keeps_existing_files(since, until, why, imu_bag, tmp_path, capsys):
     (tmp_path / "a.csv").write_text("precious")
     line = refusal([imu_bag, "--out", tmp_path / "a.csv", "--force", "--from", since, "--to", until], capsys)
     assert why in line
@@ -475,7 +475,7 @@ def test_times_without_a_message_leave_what_is_there(since, until, why, imu_bag,
     assert {path.name for path in tmp_path.iterdir()} == {"imu.mcap", "a.csv"}
 
 
-def test_a_topic_without_a_message_in_the_times_is_told_and_gets_no_file(tmp_path, capsys):
+def test_a_topic_without_messages_in_the_time_range_is_reported(tmp_path, capsys):
     with BagWriter(tmp_path / "two.mcap") as bag:
         bag.write("early", imu(START_NS), START_NS)
         bag.write("first", imu(START_NS), START_NS)
@@ -483,7 +483,7 @@ def test_a_topic_without_a_message_in_the_times_is_told_and_gets_no_file(tmp_pat
     arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out"), "--from", "2023-11-14T22:13:25Z"]
     for kind, suffix in SUFFIXES.items():
         assert main([*arguments, "--format", kind]) == 0
-        said = "nothing was logged between --from and --to, so no file is written, of 'early', 'first'"
+        said = "no message was logged between --from and --to, so no file is written, of 'early', 'first'"
         assert capsys.readouterr().err == f"export: {said}\n"
         assert [path.name for path in (tmp_path / "out").glob(f"*{suffix}*")] == [f"late{suffix}"]
     assert main([*arguments, "--topics", "early"]) == 2
@@ -492,11 +492,11 @@ def test_a_topic_without_a_message_in_the_times_is_told_and_gets_no_file(tmp_pat
 
 
 @pytest.mark.parametrize("text", ["yesterday", "2026-13-01T00:00:00Z", "2026-06-01T20:00:00.1234567890Z", "1700000000"])
-def test_a_time_that_is_none_is_refused(text, imu_bag, tmp_path, capsys):
+def test_an_invalid_time_is_refused(text, imu_bag, tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
         main([str(imu_bag), "--out", str(tmp_path / "a.csv"), "--from", text])
     assert left.value.code == 2
-    assert f"'{text}' is no time of UTC like 2026-06-01T20:00:30.5Z" in capsys.readouterr().err
+    assert f"'{text}' is not a UTC time like 2026-06-01T20:00:30.5Z" in capsys.readouterr().err
 
 
 def test_a_time_is_exact_to_the_nanosecond(tmp_path):
@@ -519,7 +519,7 @@ def test_a_rosbag2_folder_is_one_table(tmp_path):
 
 
 def refusal(arguments, capsys):
-    """The one line with which export refuses."""
+    """Return the one-line error of export."""
     assert main([str(argument) for argument in arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     return line
@@ -530,14 +530,14 @@ def imu_bag(tmp_path):
     return write_imu_bag(tmp_path / "imu.mcap", 20)
 
 
-def test_a_topic_that_is_not_there_is_told_with_the_nearest(imu_bag, tmp_path, capsys):
+def test_a_missing_topic_is_reported_with_the_most_similar_one(imu_bag, tmp_path, capsys):
     line = refusal([imu_bag, "--out", tmp_path / "out", "--topics", "ins/imv"], capsys)
     assert line.endswith("imu.mcap: no topic 'ins/imv': did you mean 'ins/imu'?")
     assert not (tmp_path / "out").exists()
 
 
-def test_the_truth_is_no_suggestion_for_a_topic_of_the_ship(tmp_path, capsys):
-    """Who took the suggestion would judge the suite by the truth itself."""
+def test_a_truth_topic_is_not_suggested_for_a_ship_topic(tmp_path, capsys):
+    """A user who follows the suggestion would evaluate the truth itself."""
     demo, options = ROOT / "bags" / "demo.mcap", ["--out", tmp_path / "out", "--topics"]
     for name in ("ship/attitude", "attitude", "ship/atitude"):
         line = refusal([demo, *options, name], capsys)
@@ -556,15 +556,15 @@ def test_the_slash_in_front_of_a_topic_may_be_there_or_not(imu_bag, tmp_path):
     assert main([str(imu_bag), "--out", str(tmp_path / "a.csv"), "--topics", "/ins/imu"]) == 0
 
 
-def test_what_is_there_is_not_written_over_unless_told(imu_bag, tmp_path, capsys):
+def test_existing_files_are_overwritten_only_with_force(imu_bag, tmp_path, capsys):
     out = tmp_path / "a.csv"
     out.write_text("precious")
-    assert "is there already: --force writes over it" in refusal([imu_bag, "--out", out], capsys)
+    assert "already exists: use --force to overwrite" in refusal([imu_bag, "--out", out], capsys)
     assert out.read_text() == "precious"
     assert main([str(imu_bag), "--out", str(out), "--force"]) == 0
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "ins.imu.csv").write_text("precious")
-    assert "ins.imu.csv: is there already" in refusal([imu_bag, "--out", tmp_path / "folder"], capsys)
+    assert "ins.imu.csv: already exists" in refusal([imu_bag, "--out", tmp_path / "folder"], capsys)
 
 
 def test_one_file_cannot_take_two_topics(tmp_path, capsys):
@@ -578,7 +578,7 @@ def test_format_and_name_must_agree(imu_bag, tmp_path, capsys):
 
 
 def test_an_empty_out_is_no_folder(imu_bag, tmp_path, capsys, monkeypatch):
-    """It comes from a variable that is not set, and would mean the folder in which the command runs."""
+    """It results from an unset variable, and would mean the current folder."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as left:
         main([str(imu_bag), "--out", ""])
@@ -588,7 +588,7 @@ def test_an_empty_out_is_no_folder(imu_bag, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["x.xls", "a.csv.gz", "night.2"])
-def test_an_ending_that_is_no_format_is_refused_unless_a_folder_bears_it(name, imu_bag, tmp_path, capsys):
+def test_an_unknown_suffix_is_refused_unless_it_is_a_folder(name, imu_bag, tmp_path, capsys):
     line = refusal([imu_bag, "--out", tmp_path / name], capsys)
     ending = Path(name).suffix
     assert f"{name}: --out ends in {ending}: a file ends in one of .csv, .parquet, .nc; a folder of that name" in line
@@ -599,7 +599,7 @@ def test_an_ending_that_is_no_format_is_refused_unless_a_folder_bears_it(name, i
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES.values())
-def test_an_ending_in_capital_letters_means_the_same(suffix, imu_bag, tmp_path):
+def test_a_suffix_in_capital_letters(suffix, imu_bag, tmp_path):
     path = tmp_path / f"A{suffix.upper()}"
     assert main([str(imu_bag), "--out", str(path)]) == 0
     assert path.is_file()
@@ -625,7 +625,7 @@ def test_a_hostile_name_of_a_topic_stays_in_the_folder(tmp_path):
 
 
 def unknown_schema_bag(path):
-    """ins/imu, and a topic whose type nobody here knows, without its definition."""
+    """Return a bag with ins/imu, and a topic of an unknown type without definition."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
@@ -640,7 +640,7 @@ def unknown_schema_bag(path):
     return path
 
 
-def test_a_topic_without_definition_is_skipped_by_name_and_refused_where_it_is_asked_for(tmp_path, capsys):
+def test_a_topic_without_definition_is_skipped_and_refused_if_requested(tmp_path, capsys):
     path = unknown_schema_bag(tmp_path / "secret.mcap")
     assert main([str(path), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
@@ -650,7 +650,7 @@ def test_a_topic_without_definition_is_skipped_by_name_and_refused_where_it_is_a
     assert "topic 'acme' cannot be exported: the definition of acme_msgs/msg/Secret is not in the bag" in line
 
 
-def test_a_truncated_bag_gives_all_up_to_the_cut_and_says_so(tmp_path, capsys):
+def test_a_truncated_bag_is_exported_up_to_its_end_with_a_report(tmp_path, capsys):
     whole = (ROOT / "bags" / "demo.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     assert main([str(tmp_path / "cut.mcap"), "--topics", "ins/imu", "--out", str(tmp_path / "a.csv")]) == 0
@@ -669,7 +669,7 @@ def test_messages_that_cannot_be_decoded_are_counted_and_named(tmp_path, capsys)
     assert len(read_table(tmp_path / "a.csv")[1]) == 1
 
 
-def test_without_pyarrow_a_plain_line_says_how_to_get_it(imu_bag, tmp_path, capsys, monkeypatch):
+def test_without_pyarrow_one_line_gives_the_remedy(imu_bag, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     line = refusal([imu_bag, "--out", tmp_path / "a.parquet"], capsys)
     assert "pip install pyarrow" in line
@@ -697,7 +697,7 @@ def test_a_full_disk_is_named_and_nothing_is_left(kind, tmp_path, capsys, small_
 
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_a_disk_that_is_full_at_the_last_table_leaves_the_old_ones_of_all(kind, tmp_path, capsys, small_files):
-    """Parquet holds its rows back up to the end, and NetCDF is as wide as its longest text, which comes last."""
+    """Parquet keeps its rows up to the end, and NetCDF is as wide as its longest text, which comes last."""
     string = message_store().types["std_msgs/msg/String"]
     with BagWriter(tmp_path / "texts.mcap") as bag:
         bag.write("a", string("first"), START_NS)
@@ -717,7 +717,7 @@ def test_a_disk_that_is_full_at_the_last_table_leaves_the_old_ones_of_all(kind, 
 
 @pytest.fixture
 def small_files():
-    """A bound on the length of files fails as a full disk does, in the middle of the content."""
+    """Limit the length of files, which fails like a full disk in the middle of the content."""
 
     @contextmanager
     def bound(length):
@@ -734,7 +734,7 @@ def small_files():
 
 
 def write_defined(path, text, data, topic="odd", name="x/msg/A"):
-    """One message of a type that is defined in the bag alone."""
+    """Write one message of a type that is defined only in the bag."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
@@ -789,7 +789,7 @@ def test_arrays_whose_places_read_the_same_have_two_tables(tmp_path):
 
 
 @pytest.mark.parametrize("kind", SUFFIXES)
-def test_fields_that_are_called_as_columns_are_get_names_of_their_own(kind, tmp_path):
+def test_fields_named_like_columns_get_unique_names(kind, tmp_path):
     text = "float64 time\nint64 stamp_ns\nint32 log_time_ns\nint32 stamp_ns_remainder\nint32 a_count\nint32[] a"
     data = struct.pack("<dqiiiI2i", 0.5, 2**62 + 1, 7, 8, 9, 2, 10, 11)
     path = write_defined(tmp_path / "odd.mcap", text, data)
@@ -808,7 +808,7 @@ def test_fields_that_are_called_as_columns_are_get_names_of_their_own(kind, tmp_
     assert [int(row[names.index("a")]) for row in rows] == [10, 11]
 
 
-def test_more_files_than_a_process_may_open_are_told(tmp_path, capsys):
+def test_too_many_open_files_are_reported(tmp_path, capsys):
     with BagWriter(tmp_path / "many.mcap") as bag:
         for number in range(60):
             bag.add_topic(f"t{number}", "std_msgs/msg/Float64")
@@ -828,8 +828,8 @@ def test_more_files_than_a_process_may_open_are_told(tmp_path, capsys):
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     write_imu_bag(tmp_path / "long.mcap", 30_000)
     options = [str(tmp_path / "long.mcap"), "--out", str(tmp_path / "out")]
-    # It leaves the processor to who watches it: on a busy machine it would else be done before it is seen. And it hears
-    # Ctrl-C where the tests run in the background of a shell, whose programs do not.
+    # Its low priority leaves the processor to this test: on a busy computer it would otherwise end before the signal.
+    # The default signal handler is needed if the tests run in the background of a shell.
     patient = ["env", "--default-signal=INT", "nice", "-n", "19"]
     command = [*patient, sys.executable, "-m", "ship_bags.commands.export", *options]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

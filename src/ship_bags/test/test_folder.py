@@ -1,4 +1,4 @@
-"""rosbag2 folders: split by size and time, with an information file that names every file at every moment."""
+"""rosbag2 folders: split by size and time, with an information file that lists every file at any time."""
 
 import time
 
@@ -74,7 +74,7 @@ def test_a_new_file_begins_by_time(tmp_path):
     assert len(rosbags_times(tmp_path / "voyage")) == 3
 
 
-def test_nothing_written_is_no_reason_for_a_new_file(tmp_path):
+def test_no_new_file_without_messages(tmp_path):
     bag = FolderWriter(tmp_path / "voyage", SplitLimits(time_s=1e-6))
     for _ in range(5):
         bag.flush()
@@ -82,7 +82,7 @@ def test_nothing_written_is_no_reason_for_a_new_file(tmp_path):
     assert information(tmp_path / "voyage")["relative_file_paths"] == ["voyage_0.mcap"]
 
 
-def test_the_information_is_there_and_names_every_file_while_recording(tmp_path):
+def test_the_information_file_lists_every_file_while_recording(tmp_path):
     bag = FolderWriter(tmp_path / "voyage", SplitLimits(size_bytes=3000))
     for part in range(12):
         write(bag, range(part * 10, part * 10 + 10))
@@ -94,13 +94,13 @@ def test_the_information_is_there_and_names_every_file_while_recording(tmp_path)
     bag.close()
 
 
-def test_a_folder_that_is_there_is_not_touched(tmp_path):
+def test_an_existing_folder_is_not_changed(tmp_path):
     with pytest.raises(BadInput, match="cannot be made: File exists"):
         FolderWriter(tmp_path, SplitLimits())
 
 
-def test_every_file_repeats_the_latched_messages_and_the_whole_holds_each_once(tmp_path):
-    """Two nodes on one topic, each once, and a topic that is said again."""
+def test_every_file_repeats_the_latched_messages_and_the_bag_has_each_once(tmp_path):
+    """Two nodes on one topic, one message each, and a topic that is published again."""
     bag = FolderWriter(tmp_path / "voyage", SplitLimits(size_bytes=3000))
     for topic in ("/tf_static", "/ship/calibration"):
         bag.add_topic(topic, VECTOR, latched=True)

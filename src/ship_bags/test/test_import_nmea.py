@@ -38,7 +38,7 @@ def line(receive_s, body):
 
 
 def seapath(times_s, angles_deg, delay_s=0.3):
-    """A log of bursts at given times with given roll, pitch, heading (rows, degrees), printed to 1e-9°."""
+    """Return a log of bursts at given times with given roll, pitch, heading (rows, degrees), printed to 1e-9°."""
     text = ""
     for time_s, (roll, pitch, heading) in zip(times_s, angles_deg, strict=True):
         clock = datetime(2014, 8, 1) + timedelta(seconds=float(time_s))  # noqa: DTZ001 - only to print it
@@ -49,7 +49,7 @@ def seapath(times_s, angles_deg, delay_s=0.3):
 
 @pytest.fixture
 def imported(tmp_path):
-    """Runs the import over texts; returns the messages by topic as (log time, message), metadata and report."""
+    """Import texts; return the messages by topic as (log time, message), metadata and report."""
 
     def run(*options, **texts):
         arguments = list(options)
@@ -154,7 +154,7 @@ def roll_deg(time_s):
 
 
 def rolling_log(seconds=60, missing=()):
-    """A ship that rolls, heading 300°, bow up 2°, at 1 Hz."""
+    """Return a log of a rolling ship, heading 300°, bow up 2°, at 1 Hz."""
     times_s = np.array([time_s for time_s in np.arange(seconds) + 0.7 if round(time_s - 0.7) not in missing])
     angles = np.column_stack([roll_deg(times_s), np.full(len(times_s), 2.0), np.full(len(times_s), 300.0)])
     return seapath(times_s, angles), times_s
@@ -178,7 +178,7 @@ def test_resampled_by_a_spline(imported):
 
 
 def test_angular_velocity_is_that_of_the_motion(imported):
-    """Against differences of the attitudes in the bag itself: (forward, left, up), in the deck."""
+    """Compared with differences of the attitudes in the bag: (forward, left, up), in the deck frame."""
     found, _, _ = imported("--resample", "50", ins=rolling_log()[0])
     messages = [message for _, message in found["ins/imu"]]
     quaternions = np.array([[m.orientation.x, m.orientation.y, m.orientation.z, m.orientation.w] for m in messages])
@@ -214,7 +214,7 @@ def test_references_are_never_resampled(imported):
 
 
 def test_pashr_with_the_day_from_the_receive_time(imported):
-    """Received a moment after midnight, valid a moment before."""
+    """Received just after midnight, valid just before."""
     text = line(0.1, "PASHR,235959.950,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0")
     found, _, _ = imported(ins=text)
     ((log_time_ns, message),) = found["ins/imu"]
@@ -225,7 +225,7 @@ def test_pashr_with_the_day_from_the_receive_time(imported):
 
 @pytest.mark.parametrize("time", ["235959", "235959.9", "235959.95", "235959.9500", "235959.950000"])
 def test_pashr_with_a_time_of_any_precision(imported, time):
-    """pynmea2 itself takes two or three decimals alone."""
+    """pynmea2 itself accepts only two or three decimals."""
     found, _, _ = imported(ins=line(0.1, f"PASHR,{time},224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"))
     ((_, message),) = found["ins/imu"]
     fraction = f"0.{time.partition('.')[2] or 0}"
@@ -234,7 +234,9 @@ def test_pashr_with_a_time_of_any_precision(imported, time):
 
 
 def test_pashr_of_a_system_that_is_not_aligned_is_no_attitude(imported, capsys):
-    """Its last two fields are 0 at NovAtel and Trimble; one of them alone is 0 at others that are well, as an RT300."""
+    """Both last fields are 0 for NovAtel and Trimble; for other makers one of them is 0 in a valid attitude, as for an
+    RT300.
+    """
     good = line(0.1, "PASHR,000000.050,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0")
     bad = line(0.2, "PASHR,000000.150,024.19,T,-11.26,+10.83,+00.10,9.900,9.900,9.900,0,0")
     void = line(0.3, "PASHR,000000.250,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,,")
@@ -244,7 +246,7 @@ def test_pashr_of_a_system_that_is_not_aligned_is_no_attitude(imported, capsys):
 
 
 def weeks_ago(text, weeks):
-    """A log of 2014-08-01 whose ZDA tell a day so many weeks earlier."""
+    """Return a log of 2014-08-01 whose ZDA state a day that many weeks earlier."""
     day = datetime(2014, 8, 1, tzinfo=timezone.utc) - timedelta(weeks=weeks)
     lines = [line.partition(" ")[::2] for line in text.splitlines()]
     bodies = [(time, body[1:-3].replace("01,08,2014", f"{day:%d,%m,%Y}")) for time, body in lines]
@@ -252,19 +254,19 @@ def weeks_ago(text, weeks):
 
 
 @pytest.mark.parametrize("rollovers", [1, 2, -1])
-def test_whole_gps_week_rollovers_are_put_right_and_said(imported, capsys, rollovers):
+def test_gps_week_rollovers_are_corrected_and_reported(imported, capsys, rollovers):
     """A receiver that lost 1024 weeks: 2014 becomes 1994, as on real ships."""
     found, _, counts = imported(ins=weeks_ago(S330, 1024 * rollovers), second=weeks_ago(S330, 1024 * rollovers))
     expected, _, _ = imported("--force", ins=S330, second=S330)
     for topic in ("ins/imu", "reference/second/imu", "gnss/fix"):
         stamps = [[ns_from_stamp(message.header.stamp) for _, message in run[topic]] for run in (found, expected)]
         assert stamps[0] == stamps[1]
-    said = f"instrument time put right by {1024 * rollovers:+d} weeks (GPS week rollover)"
+    said = f"instrument time corrected by {1024 * rollovers:+d} weeks (GPS week rollover)"
     assert counts["files"]["ins.log"]["put_right"] == {said: 1}
     assert f"{said} 1" in capsys.readouterr().out
 
 
-def test_a_single_wrong_time_costs_its_attitude_alone(imported, capsys):
+def test_a_single_wrong_time_rejects_only_its_attitude(imported, capsys):
     wrong = weeks_ago(S330, 3).replace("2014-08-01T00:00:00", "2014-08-01T00:00:01")
     zda = "$INZDA,000000.17,01,08,2014,,*7E"
     later = S330.replace("00:00:00", "00:00:09").replace(zda, sentence("INZDA,000009.17,01,08,2014,,"))
@@ -274,8 +276,8 @@ def test_a_single_wrong_time_costs_its_attitude_alone(imported, capsys):
     assert "instrument time: '2014-07-11T00:00:00Z is 21.0 days before the receive time'" in capsys.readouterr().out
 
 
-def test_a_time_of_day_that_is_not_that_of_the_receive_time_is_refused(imported):
-    """Local time for UTC: an hour off, in PASHR as in GGA."""
+def test_a_time_of_day_far_from_the_receive_time_is_rejected(imported):
+    """Local time instead of UTC: an offset of one hour, in PASHR and GGA."""
     good = "PASHR,000000.050,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"
     gga = "GPGGA,{},2200.112071,S,01756.360200,W,1,10,0.9,1.04,M,,M,,"
     text = line(0.1, good) + line(0.2, gga.format("000000.10")) + line(0.3, gga.format("010000.20"))
@@ -298,14 +300,14 @@ def test_a_minute_off_the_receive_time_may_be_a_delay_and_more_is_wrong(imported
         assert counts["files"]["ins.log"]["rejected"] == rejected
 
 
-def test_position_from_a_log_without_attitude_becomes_the_fix_alone(imported, capsys):
+def test_a_log_without_attitude_gives_only_the_fix(imported, capsys):
     positions = "".join(line for line in S330.splitlines(keepends=True) if "GGA" in line)
     found, _, _ = imported("--resample", "20", ins=positions + GYR1)
     assert set(found) == {"gnss/fix"}
-    assert "no attitude in it: gnss/fix alone" in capsys.readouterr().out
+    assert "no attitude in it: gnss/fix only" in capsys.readouterr().out
 
 
-def test_lines_that_are_no_good_are_counted_and_shown(imported, capsys):
+def test_unusable_lines_are_counted_and_shown(imported, capsys):
     bad = [
         "no time at all",
         "2014-08-01T00:00:01.000000Z $PSXN",
@@ -330,7 +332,7 @@ def test_lines_that_are_no_good_are_counted_and_shown(imported, capsys):
     assert "ins.log:9: no receive time: 'no time at all'" in printed
 
 
-def test_attitudes_that_the_seapath_calls_invalid(imported):
+def test_attitudes_marked_invalid_by_the_seapath(imported):
     invalid = S330.replace("$PSXN,20,1,0,0,0*3A", sentence("PSXN,20,1,0,0,2"))
     later = invalid.replace("2014-08-01T00:00:00", "2014-08-01T00:00:05").replace(
         "$INZDA,000000.17,01,08,2014,,*7E", sentence("INZDA,000005.17,01,08,2014,,")
@@ -407,8 +409,8 @@ def test_heading_passes_through_north(imported):
         assert message.angular_velocity.z == pytest.approx(-np.deg2rad(1.0), rel=1e-6)
 
 
-def test_weather_in_the_words_of_the_standard(imported):
-    """MDA: the example in pynmea2's source, of an Airmar PB150; XDR: Vaisala's WXT520 manual writes such lines."""
+def test_weather_by_mda_and_xdr(imported):
+    """MDA: the example in pynmea2's source, of an Airmar PB150; XDR: as in the manual of Vaisala's WXT520."""
     mda = "WIMDA,30.2269,I,1.0236,B,17.7,C,,,43.3,,5.0,C,131.5,T,128.6,M,0.8,N,0.4,M"
     xdr = "WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"
     found, _, _ = imported(ins=S330, weather=line(0.0, mda) + line(1.0, xdr) + line(2.0, "WIXDR,P,1.0095,B,0,U,24,V,1"))
@@ -419,18 +421,18 @@ def test_weather_in_the_words_of_the_standard(imported):
     assert pressure_pa == pytest.approx([102_360.0, 100_950.0, 100_950.0])
 
 
-def test_of_two_transducers_of_a_kind_none_is_taken_for_the_air(imported, capsys):
-    """Airmar's weather stations tell two wind chills as C; from the line on that shows it, neither is used."""
+def test_several_transducers_of_a_kind_are_not_used(imported, capsys):
+    """Airmar's weather stations send two wind chills as C; from the first such line on neither is used."""
     chills = "YXXDR,C,28.7,C,WCHR,C,28.6,C,WCHT,P,1.0149,B,STNP"
     found, _, counts = imported(ins=S330, weather=line(0.0, chills) + line(1.0, "YXXDR,C,20.0,C,WCHR"))
     assert "met/temperature" not in found
     assert len(found["met/pressure"]) == 1
     assert counts["files"]["weather.log"]["rejected"] == {"several transducers": 2}
-    assert "temperature of WCHR, WCHT: name the air's in transducers" in capsys.readouterr().out
+    assert "temperature of WCHR, WCHT: list the one of the air in transducers" in capsys.readouterr().out
 
 
 def test_heading_with_its_status(imported):
-    """THS (IEC 61162-1): mode A is used, V and the like are not; nor HDT beside it."""
+    """THS (IEC 61162-1): mode A is used, V and others are not, nor HDT of the same instrument."""
     gyro = line(0.0, "HETHS,218.53,A") + line(1.0, "HETHS,218.60,V") + line(1.5, "HETHS,,V") + line(2.0, "HEHDT,10.0,T")
     found, _, counts = imported(ins=S330, gyro=gyro)
     ((_, message),) = found["reference/gyro/imu"]
@@ -439,7 +441,7 @@ def test_heading_with_its_status(imported):
 
 
 @pytest.mark.parametrize("text", ["nan", "NaN", "inf", "sNaN"])
-def test_a_number_that_is_none_is_no_heading(imported, text):
+def test_an_invalid_number_is_no_heading(imported, text):
     found, _, counts = imported(ins=S330, gyro=GYR1 + line(1.0, f"HEHDT,{text},T"))
     assert len(found["reference/gyro/imu"]) == 1
     assert counts["files"]["gyro.log"]["rejected"] == {"unparsed": 1}

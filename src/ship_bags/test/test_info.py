@@ -1,4 +1,4 @@
-"""What a bag holds, and the suite file taken out of it."""
+"""Content of a bag, and extraction of its suite file."""
 
 import json
 from pathlib import Path
@@ -41,10 +41,10 @@ def test_a_bag_of_the_repository(capsys):
     assert "attached: suite.yaml" in text
     assert "attached: scenario.yaml, 1538 bytes, the scenario of a simulated bag" in text
     assert "metadata: simulation: seed=1" in text
-    assert text.splitlines()[-1] == "whole: footer, index and checksums are in order"
+    assert text.splitlines()[-1] == "complete: footer, index and checksums are valid"
 
 
-def test_what_is_said_as_json_are_the_same_numbers(capsys):
+def test_json_has_the_same_numbers(capsys):
     document = json.loads(said([DEMO, "--json"], capsys))
     topics = {topic["name"]: topic for topic in document["topics"]}
     assert topics["ins/imu"]["message_count"] == 12_001
@@ -66,7 +66,7 @@ def test_a_truncated_bag_is_counted_up_to_the_cut(tmp_path, capsys):
 
 @pytest.mark.parametrize("cut", [209_815, 500_000])
 def test_a_cut_within_an_index_is_no_damage(cut, tmp_path, capsys):
-    """Bytes of the index that is cut off look like the head of an attachment."""
+    """Bytes of a truncated index look like the header of an attachment."""
     (tmp_path / "cut.mcap").write_bytes(DEMO.read_bytes()[:cut])
     problems = [line for line in said([tmp_path / "cut.mcap"], capsys).splitlines() if line.startswith("problem:")]
     assert len(problems) == 1
@@ -90,7 +90,7 @@ def test_a_bag_without_index(tmp_path, capsys):
     assert "problem: tail.mcap:" in text
 
 
-def test_a_bag_without_messages_is_told_too(tmp_path, capsys):
+def test_a_bag_without_messages(tmp_path, capsys):
     with BagWriter(tmp_path / "empty.mcap") as bag:
         bag.add_topic("ins/imu", "sensor_msgs/msg/Imu")
     text = said([tmp_path / "empty.mcap"], capsys)
@@ -110,12 +110,12 @@ def test_a_folder_is_one_bag(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("content", [b"", b"no bag at all, but a text\n"])
-def test_what_is_no_bag_is_refused(content, tmp_path, capsys):
+def test_a_file_that_is_not_a_bag_is_refused(content, tmp_path, capsys):
     (tmp_path / "a.mcap").write_bytes(content)
     assert "a.mcap: " in refusal([tmp_path / "a.mcap"], capsys)
 
 
-def test_what_is_not_there_is_refused(tmp_path, capsys):
+def test_a_missing_file_is_refused(tmp_path, capsys):
     assert refusal([tmp_path / "none.mcap"], capsys).endswith("none.mcap: no such file or folder")
 
 
@@ -128,16 +128,16 @@ def test_the_suite_file_comes_out_byte_for_byte(tmp_path, capfdbinary):
     assert (tmp_path / "out.yaml").read_bytes() == suite
 
 
-def test_a_suite_file_writes_over_nothing_unless_told(tmp_path, capsys):
+def test_a_suite_file_is_overwritten_only_with_force(tmp_path, capsys):
     (tmp_path / "out.yaml").write_text("precious")
     line = refusal([DEMO, "--suite", tmp_path / "out.yaml"], capsys)
-    assert line.endswith("out.yaml: is there already: --force writes over it")
+    assert line.endswith("out.yaml: already exists: use --force to overwrite")
     assert (tmp_path / "out.yaml").read_text() == "precious"
     assert main([str(DEMO), "--suite", str(tmp_path / "out.yaml"), "--force"]) == 0
     assert "ship_attitude" in (tmp_path / "out.yaml").read_text()
 
 
-def test_a_bag_without_a_suite_file_says_what_it_has(tmp_path, capsys):
+def test_a_bag_without_a_suite_file_lists_its_attachments(tmp_path, capsys):
     write_imu_bag(tmp_path / "a.mcap", 3, attachments=[("notes.txt", "rain")])
     line = refusal([tmp_path / "a.mcap", "--suite"], capsys)
     assert "a.mcap: no suite file (suite.yaml) is attached to it, only notes.txt: " in line
@@ -147,7 +147,7 @@ def test_a_bag_without_a_suite_file_says_what_it_has(tmp_path, capsys):
     assert "b.mcap: no suite file (suite.yaml) is attached to it: take" in line
 
 
-def test_of_a_long_entry_of_metadata_its_length_is_told(tmp_path, capsys):
+def test_a_long_metadata_entry_is_shown_by_its_length(tmp_path, capsys):
     with BagWriter(tmp_path / "a.mcap") as bag:
         bag.write("a", imu(START_NS), START_NS)
         bag.add_metadata("rosbag2", {"ROS_DISTRO": "jazzy", "serialized_metadata": "version: 9\n" * 1000})

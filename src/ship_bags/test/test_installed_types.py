@@ -1,4 +1,4 @@
-"""What a live node writes into a bag as definition of a type, against the types that are built in here."""
+"""Definitions that a live node writes into a bag, compared with the built-in types."""
 
 import pytest
 

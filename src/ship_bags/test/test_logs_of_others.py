@@ -54,7 +54,7 @@ def pashr(time_s):
 
 @pytest.fixture
 def imported(tmp_path, capsys):
-    """Imports logs; returns topic → messages, and what was printed."""
+    """Import logs; return topic → messages, and the printed text."""
 
     def run(*options, **logs):
         arguments = list(options)
@@ -82,7 +82,7 @@ def headings_deg(messages):
 
 
 def assert_stamped_when_measured(messages, count):
-    """The heading was made from the time of each attitude: a stamp of another second is seen in it."""
+    """Check the stamps by the headings, which were computed from the time of each attitude."""
     assert len(messages) == count
     np.testing.assert_allclose(
         headings_deg(messages), [heading_deg(time_s) for time_s in stamps_s(messages)], atol=0.006
@@ -100,7 +100,7 @@ def assert_stamped_when_measured(messages, count):
         "$GPGGA,221000.00,4712.3456,N,01020.5000,W,1,10,0.9,12.3,M,48.1,M,,",
     ],
 )  # fmt: skip
-def test_a_sentence_without_checksum_is_used_whole_and_only_if_asked_for(text):
+def test_complete_sentences_without_checksum_are_used_only_on_request(text):
     def is_used(line, needs_checksum):
         return any(isinstance(heard.says, Sentence) for heard in heard_texts(line.encode(), needs_checksum))
 
@@ -126,7 +126,7 @@ def test_a_log_without_checksums_is_refused_by_default(imported, tmp_path, capsy
 
 
 def burst(time_s, *lines_after):
-    """Lines of a burst: (seconds after its time, sentence)."""
+    """Return the lines of a burst: (seconds after its time, sentence)."""
     return "".join(received(time_s + after_s, text) for after_s, text in sorted(lines_after, key=lambda line: line[0]))
 
 
@@ -167,8 +167,8 @@ def test_an_attitude_whose_own_zda_was_lost_is_not_stamped_by_another(imported, 
 
 @pytest.mark.parametrize("zda_after_s", [-0.005, 0.005])
 @pytest.mark.parametrize("first_s", [0.0, 0.4, 0.9])
-def test_of_ten_attitudes_to_a_zda_one_has_its_time(imported, zda_after_s, first_s):
-    """The log begins anywhere in the second; the attitude of a whole second lies beside its ZDA."""
+def test_one_of_ten_attitudes_per_zda_has_its_time(imported, zda_after_s, first_s):
+    """The log begins at any fraction of a second; the attitude of a whole second is next to its ZDA."""
     lines = [(time_s + 0.05, psxn(time_s)) for time_s in np.arange(300) / 10.0 + first_s]
     lines += [(time_s + 0.05 + zda_after_s, zda(time_s)) for time_s in range(31)]
     lines = [line for line in lines if line[0] >= first_s]
@@ -178,13 +178,13 @@ def test_of_ten_attitudes_to_a_zda_one_has_its_time(imported, zda_after_s, first
 
 
 @pytest.mark.parametrize("offset_s", [18.0, -18.0, 0.2, -6.0])
-def test_a_clock_that_is_ahead_or_behind_is_named(imported, offset_s):
+def test_a_clock_that_is_ahead_or_behind_is_reported(imported, offset_s):
     text = "".join(received(time_s, pashr(time_s + offset_s)) for time_s in range(20))
     _, printed = imported(ins=text)
     side = "ahead of" if offset_s > 0.0 else "behind"
     assert f"its clock is {abs(offset_s):.3g} s {side} the receive times" in printed
     assert ("GPS time for UTC" in printed) == (abs(offset_s) == 18.0)
-    assert "--time receive does without it" in printed
+    assert "use --time receive" in printed
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_a_clock_that_is_ahead_or_behind_is_named(imported, offset_s):
     [("", 0), ("Z", 0), ("+00:00", 0), ("+02:00", 2), ("-0500", -5), ("+05:30", 5.5), ("+02", 2)],
 )
 @pytest.mark.parametrize("fraction", ["", ".5", ",500", ".500000", ".500000000"])
-def test_the_offset_of_a_receive_time_is_understood(imported, offset, hours, fraction):
+def test_the_utc_offset_of_a_receive_time(imported, offset, hours, fraction):
     moments = [START + timedelta(hours=hours, seconds=time_s) for time_s in range(3)]
     text = "".join(f"{moment:%Y-%m-%dT%H:%M:%S}{fraction}{offset} {psxn(0)}\n" for moment in moments)
     found, _ = imported("--time", "receive", ins=text)
@@ -200,7 +200,7 @@ def test_the_offset_of_a_receive_time_is_understood(imported, offset, hours, fra
 
 
 @pytest.mark.parametrize("odd", ["+02:00Z", ".5000000001", ".500000000x", "+2:00", "+25:00", " +02:00", "z", "-"])
-def test_a_receive_time_that_is_not_wholly_understood_is_refused(imported, odd):
+def test_an_invalid_receive_time_is_rejected(imported, odd):
     text = received(0.0, psxn(0)) + f"2026-05-04T22:10:01{odd} {psxn(1)}\n"
     found, printed = imported("--time", "receive", ins=text)
     assert len(found["ins/imu"]) == 1
@@ -234,7 +234,7 @@ def test_the_quality_of_a_position(imported, quality, status):
     assert np.isnan(fix.latitude) == (status == -1)
 
 
-def test_quality_nine_is_a_fix_where_the_maker_means_it(imported):
+def test_quality_nine_is_a_fix_on_request(imported):
     found, _ = imported("--quality-9-is-fix", ins=received(0.1, gga(0, quality=9)))
     assert found["gnss/fix"][0][1].status.status == 1
 
@@ -242,10 +242,10 @@ def test_quality_nine_is_a_fix_where_the_maker_means_it(imported):
 @pytest.mark.parametrize(
     ("position", "problem"),
     [
-        ("4712.3456,,01020.5000,W", "GGA without its position's N, S, E or W"),
-        ("4712.3456,N,01020.5000,", "GGA without its position's N, S, E or W"),
-        ("4712.3456,E,01020.5000,N", "GGA without its position's N, S, E or W"),
-        ("4712.3456,N,,", "GGA without its position's N, S, E or W"),
+        ("4712.3456,,01020.5000,W", "GGA with an incomplete position"),
+        ("4712.3456,N,01020.5000,", "GGA with an incomplete position"),
+        ("4712.3456,E,01020.5000,N", "GGA with an incomplete position"),
+        ("4712.3456,N,,", "GGA with an incomplete position"),
         ("4775.3456,N,01020.5000,W", "GGA with 60 minutes or more"),
         ("4712.3456,N,01060.0000,W", "GGA with 60 minutes or more"),
         ("9000.0001,N,01020.5000,W", "GGA beyond 90° of latitude"),
@@ -253,7 +253,7 @@ def test_quality_nine_is_a_fix_where_the_maker_means_it(imported):
         ("-4712.3456,N,01020.5000,W", "unparsed"),
     ],
 )
-def test_a_position_that_is_none_is_refused_by_name(imported, position, problem):
+def test_an_invalid_position_is_rejected_with_the_reason(imported, position, problem):
     found, printed = imported(ins=received(0.1, gga(0)) + received(1.1, gga(1, position=position)))
     assert stamps_s(found["gnss/fix"]) == [0.0]
     assert problem in printed
@@ -268,7 +268,7 @@ def test_a_receiver_without_a_position_reports_no_fix(imported):
 
 
 def test_two_receivers_in_one_log_are_named_and_one_can_be_chosen(imported):
-    """A tenth of a minute of latitude, 185 m, apart."""
+    """A difference of a tenth of a minute of latitude, 185 m."""
     other = POSITION.replace("4712.3456", "4712.4456")
     text = "".join(
         received(t + 0.1, gga(t)) + received(t + 0.2, gga(t, "GN", other)) + received(t + 0.3, pashr(t))
@@ -302,7 +302,7 @@ def test_a_talker_is_two_capital_letters(tmp_path, capsys, talker):
 
 
 def test_bursts_of_random_layouts_never_get_the_time_of_another_burst(imported):
-    """Sentences of a burst in any order, lost at random, within 0.45 s, on a clock that is up to 0.3 s late."""
+    """Sentences of a burst in any order, randomly lost, within 0.45 s, on a clock that is up to 0.3 s late."""
     rng = np.random.default_rng(16)
     for trial in range(20):
         order, late_s = rng.permutation(3), float(rng.uniform(0.0, 0.3))

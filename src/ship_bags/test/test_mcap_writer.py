@@ -1,4 +1,4 @@
-"""Our writer of MCAP files against the mcap project's own: the same bytes, without its growth."""
+"""MCAP writer compared with the mcap project's own: the same bytes, without its growth."""
 
 import io
 import random
@@ -15,7 +15,7 @@ from ship_bags.mcap.mcap_writer import CHUNK_BYTES, McapWriter
 
 
 class Reference:
-    """The project's writer with the calls of ours."""
+    """The project's writer with the methods of the suite's."""
 
     def __init__(self, stream: io.BytesIO) -> None:
         self._writer = Writer(stream)
@@ -25,7 +25,7 @@ class Reference:
         self.flush = self._writer.flush
 
     def add_message(self, channel: int, log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int) -> None:
-        """The rule that the project's writer does not know: no chunk holds more than a second."""
+        """Apply the suite's additional rule: no chunk has more than one second."""
         chunk = self._writer._Writer__chunk_builder
         first_ns, last_ns = min(log_time_ns, chunk.message_start_time), max(log_time_ns, chunk.message_end_time)
         if chunk.num_messages and last_ns - first_ns > 1_000_000_000:
@@ -37,7 +37,7 @@ class Reference:
 
 
 def write_at_random(writer: McapWriter | Reference, seed: int, count: int) -> None:
-    """So many calls of all kinds; messages and definitions of all sizes, times that go back, chunks that overflow."""
+    """Make ``count`` random calls: messages and definitions of all sizes, times that go back, chunks that overflow."""
     rng = random.Random(seed)
     channels: list[int] = []
     for _ in range(count):
@@ -68,7 +68,7 @@ def test_the_same_bytes_as_the_projects_own_writer(tmp_path: Path, seed: int, co
 
 
 def chunk_times(data: bytes) -> list[tuple[int, int]]:
-    """First and last log time of each chunk, as its messages have them."""
+    """Return first and last log time of each chunk, by its messages."""
     records = StreamReader(io.BytesIO(data), emit_chunks=True).records
     chunks = [record for record in records if isinstance(record, Chunk)]
     times = [[r.log_time for r in breakup_chunk(chunk, True) if isinstance(r, Message)] for chunk in chunks]
@@ -76,7 +76,7 @@ def chunk_times(data: bytes) -> list[tuple[int, int]]:
 
 
 def written(tmp_path: Path, messages: list[tuple[int, int]]) -> bytes:
-    """A file of messages given by log time and size, without a flush."""
+    """Write a file of messages given by log time and size, without a flush."""
     stream = io.BytesIO()
     writer = McapWriter(stream, tmp_path, "ros2", "test")
     channel = writer.register_channel("topic", "cdr", writer.register_schema("schema", "ros2msg", b""), {})
@@ -89,7 +89,7 @@ def written(tmp_path: Path, messages: list[tuple[int, int]]) -> bytes:
 SECOND_NS = 1_000_000_000
 
 
-def test_mend_26_no_chunk_holds_more_than_a_second(tmp_path: Path) -> None:
+def test_no_chunk_has_more_than_one_second(tmp_path: Path) -> None:
     data = written(tmp_path, [(10**18 + number * 10_000_000, 100) for number in range(1000)])
     found = chunk_times(data)
     assert len(found) == 10
@@ -98,8 +98,8 @@ def test_mend_26_no_chunk_holds_more_than_a_second(tmp_path: Path) -> None:
     assert [message.sequence for _, _, message in reader.iter_messages()] == list(range(1000))
 
 
-def test_mend_26_a_clock_that_steps_back_begins_a_new_chunk(tmp_path: Path) -> None:
-    """So the span of none covers the hour between: reading in order of time holds one chunk and not all."""
+def test_a_clock_step_back_begins_a_new_chunk(tmp_path: Path) -> None:
+    """So no chunk spans the hour between: reading in order of time keeps one chunk in memory."""
     times = [10**18 + number * 10_000_000 for number in range(150)]
     earlier = [time_ns - 3600 * SECOND_NS for time_ns in times]
     data = written(tmp_path, [(time_ns, 10) for time_ns in times + earlier])
@@ -110,7 +110,7 @@ def test_mend_26_a_clock_that_steps_back_begins_a_new_chunk(tmp_path: Path) -> N
     assert [message.sequence for _, _, message in reader.iter_messages()] == [*range(150, 300), *range(150)]
 
 
-def test_mend_26_a_message_larger_than_a_chunk_ends_it_and_is_read(tmp_path: Path) -> None:
+def test_an_oversized_message_ends_its_chunk_and_is_read(tmp_path: Path) -> None:
     sizes = [10, 3 * CHUNK_BYTES, 10, 3 * CHUNK_BYTES, 3 * CHUNK_BYTES, 10]
     data = written(tmp_path, [(10**18 + number, size) for number, size in enumerate(sizes)])
     assert len(chunk_times(data)) == 4
@@ -118,7 +118,7 @@ def test_mend_26_a_message_larger_than_a_chunk_ends_it_and_is_read(tmp_path: Pat
     assert [len(message.data) for _, _, message in reader.iter_messages()] == sizes
 
 
-def test_many_chunks_cost_no_memory_and_no_file(tmp_path: Path) -> None:
+def test_many_chunks_need_no_memory(tmp_path: Path) -> None:
     path = tmp_path / "long.mcap"
     with path.open("wb") as stream:
         writer = McapWriter(stream, tmp_path, "ros2", "test")

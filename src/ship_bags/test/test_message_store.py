@@ -1,4 +1,4 @@
-"""Messages without a ROS installation are those of ROS: same bytes, same type hashes, same definitions."""
+"""Messages without a ROS installation equal those of ROS: same bytes, type hashes and definitions."""
 
 import json
 import os
@@ -51,8 +51,8 @@ def budget(factory):
 
 
 @pytest.mark.parametrize("make", [health, budget])
-def test_rclpy_and_we_read_each_other(make):
-    """Not compared byte by byte: what the middleware leaves between fields is whatever was in its memory."""
+def test_rclpy_and_rosbags_read_each_other(make):
+    """Not compared byte by byte, because the middleware leaves undefined bytes between fields."""
     from rclpy.serialization import deserialize_message, serialize_message
 
     ours, theirs = make(RosbagsFactory()), make(RosidlFactory())
@@ -62,7 +62,7 @@ def test_rclpy_and_we_read_each_other(make):
 
 
 def within_and_before(factory):
-    """One message made in one call, and the same made of messages made before."""
+    """Return one message made in one call, and the same made of existing messages."""
     make, header = factory.make, {"stamp": START_NS, "frame_id": "deck"}
     numbers = {"x": 0.5, "y": 1, "z": -2.0}
     kind = "geometry_msgs/msg/Vector3Stamped"
@@ -72,7 +72,7 @@ def within_and_before(factory):
 
 
 @pytest.mark.parametrize("factory", [RosbagsFactory(), RosidlFactory()])
-def test_a_message_within_another_is_given_as_its_fields_and_a_stamp_as_ns(factory):
+def test_a_nested_message_is_given_as_a_dict_and_a_stamp_as_ns(factory):
     whole, before = within_and_before(factory)
     assert whole == before
     assert (whole.header.stamp.sec, whole.header.stamp.nanosec) == divmod(START_NS, 10**9)
@@ -96,7 +96,7 @@ def test_type_hash_is_that_of_the_built_messages(type_name):
     assert type_hash(type_name) == hashes[type_name]
 
 
-def test_all_messages_of_the_contract_are_there():
+def test_all_messages_of_the_contract_exist():
     # system.md §2 lists 17 messages; Integrity, Alert, AlertArray, AttitudeDeg, TargetImage, TargetDirection,
     # EscortAdvice, Deflection, SuiteState, SuiteAngle and SuiteSource are among the new ones.
     assert len(SHIP_TYPES) == 28
@@ -141,8 +141,8 @@ def test_the_same_definitions_need_no_store_of_their_own():
     [
         (("float64 w", "float32 w"), "geometry_msgs/msg/Quaternion.w is float32 in the bag and float64 here"),
         (("string frame_id", "string frame"), "std_msgs/msg/Header.frame_id is missing in the bag"),
-        (("string frame_id", "string frame_id\nuint8 more"), "std_msgs/msg/Header.more is unknown here"),
-        (("float64 x\nfloat64 y", "float64 y\nfloat64 x"), "Quaternion.y stands at another place in the bag"),
+        (("string frame_id", "string frame_id\nuint8 more"), "std_msgs/msg/Header.more is unknown to this suite"),
+        (("float64 x\nfloat64 y", "float64 y\nfloat64 x"), "Quaternion.y has another position in the bag"),
         (("float64[9] linear", "float64[] linear"), "is float64[] in the bag and float64[9] here"),
     ],
 )
@@ -163,7 +163,7 @@ HEADER = "=" * 80 + "\nMSG: std_msgs/Header\n"
         (f"std_msgs/Header header\n{HEADER}uint8 seq\n", "its definition contradicts those of other topics"),
     ],
 )
-def test_a_definition_that_cannot_be_used_costs_its_own_type_alone(text, why):
+def test_an_unusable_definition_affects_only_its_type(text, why):
     types = store_with_definitions({"x_msgs/msg/X": text, "sensor_msgs/msg/Imu": definition("sensor_msgs/msg/Imu")})
     assert list(types.unreadable) == ["x_msgs/msg/X"]
     assert types.unreadable["x_msgs/msg/X"].startswith(why)
@@ -171,7 +171,7 @@ def test_a_definition_that_cannot_be_used_costs_its_own_type_alone(text, why):
     assert "sensor_msgs/msg/Imu" in types.store.fielddefs
 
 
-def test_what_a_definition_leaves_out_is_taken_from_ours():
+def test_missing_parts_of_a_definition_are_taken_from_the_suite():
     types = store_with_definitions({"x_msgs/msg/X": "std_msgs/Header header\nfloat64 value\n"})
     assert types.unreadable == {}
     assert {"std_msgs/msg/Header", "builtin_interfaces/msg/Time"} <= types.store.fielddefs.keys()

@@ -1,4 +1,4 @@
-"""Bags of other storages and hands: sqlite3, compressed folders, ROS 1, other definitions and encapsulations."""
+"""Bags of other storages and programs: sqlite3, compressed folders, ROS 1, other definitions and encapsulations."""
 
 import subprocess
 
@@ -26,7 +26,7 @@ CONVERSIONS = {
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """A folder with an INS and a latched topic, split into files."""
+    """Write a folder with an INS and a latched topic, split into files."""
     folder = tmp_path_factory.mktemp("plain") / "voyage"
     bag = FolderWriter(folder, SplitLimits(size_bytes=3000))
     bag.add_topic("/ship/lever", VECTOR, latched=True)
@@ -46,7 +46,7 @@ def contents(path):
 
 @pytest.fixture(params=CONVERSIONS)
 def converted(request, plain, tmp_path):
-    """The same in another storage, written by the tool of the library that reads it."""
+    """Convert it to another storage with the tool of the library that reads it."""
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS[request.param]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     return tmp_path / "other"
@@ -76,21 +76,21 @@ def test_a_damaged_file_of_sqlite3_is_one_line(plain, tmp_path):
         read_bag(tmp_path / "a.db3")
 
 
-def test_a_message_that_unfolds_beyond_its_bound_is_not_read(plain, tmp_path, monkeypatch):
+def test_a_message_that_decompresses_beyond_the_limit_is_not_read(plain, tmp_path, monkeypatch):
     monkeypatch.setattr(rosbags_file, "MAX_CHUNK_BYTES", 200)
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS["message"]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
-    with pytest.raises(BadInput, match=r"cannot be read: a message unfolds to more than 256 MB"):
+    with pytest.raises(BadInput, match=r"cannot be read: a message decompresses to more than 256 MB"):
         read_bag(tmp_path / "other")
 
 
-def test_files_that_unfold_to_more_than_the_disk_takes_are_refused_before(plain, tmp_path):
+def test_files_too_large_for_the_temporary_folder_are_refused(plain, tmp_path):
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS["file"]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     (part, *_) = (tmp_path / "other").glob("*.zstd")
     # The head of a frame of 2^60 bytes: all of its size field is given.
     part.write_bytes(b"\x28\xb5\x2f\xfd\xe0" + (2**60).to_bytes(8, "little") + bytes(8))
-    with pytest.raises(BadInput, match=r"other: unfolds to 1152921504607 MB: .* name another by TMPDIR"):
+    with pytest.raises(BadInput, match=r"other: needs 1152921504607 MB: .* name another by TMPDIR"):
         read_bag(tmp_path / "other")
 
 
@@ -103,7 +103,7 @@ def test_a_bag_of_ros_1_names_the_command_that_converts_it(tmp_path):
 
 
 def written(path, topics):
-    """A bag of an INS beside other topics: name → type, definition, bytes of its messages."""
+    """Write a bag of an INS and other topics: name → type, definition, bytes of its messages."""
     with open(path, "wb") as stream:
         writer = Writer(stream)
         writer.start("ros2", "other")
@@ -117,7 +117,7 @@ def written(path, topics):
 
 
 @pytest.mark.parametrize("text", ["float64 [", "other_msgs/Missing part", "\0", "std_msgs/Header header\nclass def"])
-def test_a_definition_that_cannot_be_read_costs_its_topic_alone(tmp_path, text):
+def test_an_unreadable_definition_affects_only_its_topic(tmp_path, text):
     good = (IMU, definition(IMU), serialize(imu(START_NS)))
     bag = written(tmp_path / "a.mcap", {"/strange": ("x_msgs/msg/X", text, bytes(12)), "/ins/imu": good})
     records, _, problems = contents(bag)
@@ -134,7 +134,7 @@ def test_windows_line_ends_in_a_definition_are_read(tmp_path):
         assert opened.differences == {}
 
 
-def test_a_head_of_xcdr2_is_read_where_the_padding_is_the_same(tmp_path):
+def test_xcdr2_is_read_if_the_padding_is_the_same(tmp_path):
     data = bytes(serialize(imu(START_NS)))
     bag = written(tmp_path / "a.mcap", {"/ins/imu": (IMU, definition(IMU), b"\0\7" + data[2:])})
     with read_bag(bag) as opened:

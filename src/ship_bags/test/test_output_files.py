@@ -1,6 +1,6 @@
-"""Files written beside their name: nobody else's file is touched, and nothing is left of what failed.
+"""Atomic output files: no file of another program is changed, and a failure leaves no part.
 
-Syncs in the background: they happen, they never hold up the caller, their failures are told.
+Syncs run in the background without delaying the caller, and their failures are raised.
 """
 
 import errno
@@ -39,7 +39,7 @@ WRITERS = {
 
 @pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
 class TestPart:
-    def test_mend_25_a_part_that_is_a_link_is_not_followed(self, tmp_path, write):
+    def test_a_part_that_is_a_link_is_not_followed(self, tmp_path, write):
         (tmp_path / "precious").write_text("mine")
         part_of(tmp_path / "out").symlink_to(tmp_path / "precious")
         with pytest.raises((OSError, BadInput)):
@@ -48,26 +48,26 @@ class TestPart:
         assert not (tmp_path / "out").exists()
 
     @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir], ids=["fifo", "folder"])
-    def test_mend_25_a_part_that_is_no_file_is_left_alone(self, tmp_path, write, make):
+    def test_a_part_that_is_not_a_file_is_not_changed(self, tmp_path, write, make):
         make(part_of(tmp_path / "out"))
         with pytest.raises((OSError, BadInput)):
             write(tmp_path / "out")
         assert [path.name for path in tmp_path.iterdir()] == ["out.part"]
 
-    def test_mend_25_what_a_killed_program_left_is_taken_away(self, tmp_path, write):
+    def test_a_part_left_by_a_killed_program_is_removed(self, tmp_path, write):
         part_of(tmp_path / "out").write_bytes(b"half")
         write(tmp_path / "out")
         assert [path.name for path in tmp_path.iterdir()] == ["out"]
         assert (tmp_path / "out").stat().st_size > 200_000 - 1
 
-    def test_mend_25_what_another_program_writes_is_left_to_it(self, tmp_path, write):
+    def test_a_part_locked_by_another_program_is_not_changed(self, tmp_path, write):
         with open(part_of(tmp_path / "out"), "wb") as other:
             fcntl.flock(other, fcntl.LOCK_EX)
             with pytest.raises((OSError, BadInput)):
                 write(tmp_path / "out")
             assert part_of(tmp_path / "out").exists()
 
-    def test_mend_25_a_failed_write_names_the_file_and_leaves_nothing(self, tmp_path, write):
+    def test_a_failed_write_names_the_file_and_leaves_no_part(self, tmp_path, write):
         """A bound on the length of files fails as a full disk does, in the middle of the content."""
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
@@ -79,7 +79,7 @@ class TestPart:
         assert caught.value.filename == str(tmp_path / "out")
         assert list(tmp_path.iterdir()) == []
 
-    def test_mend_25_an_interrupted_write_leaves_the_old_file(self, tmp_path, write, monkeypatch):
+    def test_an_interrupted_write_leaves_the_old_file(self, tmp_path, write, monkeypatch):
         (tmp_path / "out").write_text("old")
 
         def interrupt(number):
@@ -91,15 +91,15 @@ class TestPart:
         assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("out", "old")]
 
 
-def test_mend_25_two_writers_of_one_name_do_not_meet(tmp_path):
+def test_two_writers_of_one_name_exclude_each_other(tmp_path):
     part = tmp_path / "out.part"
-    with open_new(part), pytest.raises(OSError, match=r"out\.part: another program writes it") as caught:
+    with open_new(part), pytest.raises(OSError, match=r"out\.part: another program is writing it") as caught:
         open_new(part)
     assert caught.value.errno == errno.EBUSY
 
 
 @NEEDS_ROOT
-def test_mend_25_a_full_disk_is_named_and_nothing_is_left(tmp_path):
+def test_a_full_disk_is_reported_and_no_part_is_left(tmp_path):
     program = f"""
 import sys
 from pathlib import Path
@@ -127,7 +127,7 @@ def test_a_request_syncs_and_finish_waits_for_it(tmp_path, monkeypatch):
         assert synced == [file.fileno()]
 
 
-def test_a_slow_disk_does_not_hold_up_the_writer(tmp_path, monkeypatch):
+def test_a_slow_disk_does_not_delay_the_writer(tmp_path, monkeypatch):
     goes_on, synced = threading.Event(), []
 
     def slow(number):
@@ -146,10 +146,10 @@ def test_a_slow_disk_does_not_hold_up_the_writer(tmp_path, monkeypatch):
         assert len(synced) == 1
 
 
-def test_a_failed_sync_is_told_by_the_next_request(tmp_path):
+def test_a_failed_sync_is_raised_by_the_next_request(tmp_path):
     with open(tmp_path / "a", "wb") as file:
         number = file.fileno()
-    # The file is closed: what the system says then stands for a disk that fails.
+    # The file is closed: the error of the system stands for a failing disk.
     sync = DiskSync(number)
     sync.request()
     sync._thread.submit(lambda: None).result()

@@ -1,4 +1,4 @@
-"""Sections of parameter files: values as ROS reads them, the line of each, and what is refused with its place."""
+"""Sections of parameter files: values as ROS reads them, the line of each, and refusals with their location."""
 
 import math
 import os
@@ -14,7 +14,7 @@ from ship_geometry.input_error import InputError
 
 
 def whole(source: Path | str) -> ParameterFile:
-    """All sections of a file as one."""
+    """Return all sections of a file as one."""
     return merged(*read_sections(source))
 
 
@@ -25,8 +25,8 @@ def test_file_and_text_give_the_same(tmp_path):
     assert whole(path).values == whole(text).values == {"gate": {"probability": 0.9}}
 
 
-def test_mend_25_a_text_is_never_taken_for_a_path(tmp_path):
-    """An attachment without a line break named any file, which was read, and its lines shown."""
+def test_a_text_is_never_used_as_a_path(tmp_path):
+    """An attachment without a line break was once read as a file name, and lines of that file were shown."""
     (tmp_path / "secret").write_text("root: $6$hash\n")
     with pytest.raises(BadInput) as caught:
         whole(str(tmp_path / "secret"))
@@ -42,14 +42,14 @@ _SHARED = "  ros__parameters: {use_sim_time: false}\n"
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (f"/**:\n{_SHARED}{_SECTION}", ":3: 'ship_attitude' stands behind 'ros__parameters' of '/**'"),
-        (f"ns:\n{_SHARED}  deeper: {{x: {{ros__parameters: {{a: 1}}}}}}\n", ":3: 'deeper' stands behind"),
+        (f"/**:\n{_SHARED}{_SECTION}", ":3: 'ship_attitude' follows 'ros__parameters' of '/**'"),
+        (f"ns:\n{_SHARED}  deeper: {{x: {{ros__parameters: {{a: 1}}}}}}\n", ":3: 'deeper' follows"),
         ("x:\n  ros__parameters: {a: &p 1, b: *p}\n", ":2: the value here is used again by an alias"),
         ("x:\n  ros__parameters:\n", ":2: ros__parameters: expected 'name: value' entries, got nothing"),
-        ("x:\n  ros__parameters: {a: 1}\n  other: 3\n", ":3: 'other' stands behind 'ros__parameters' of 'x'"),
+        ("x:\n  ros__parameters: {a: 1}\n  other: 3\n", ":3: 'other' follows 'ros__parameters' of 'x'"),
         ("x:\n  other: 3\n", ":2: x/other: expected 'name: value' entries"),
         ("x:\n  ros__parameters: {a: }\n", ":2: parameter 'a' has no value"),
-        ("12:\n  ros__parameters: {a: 1}\n", ":1: section '12' is no name of a node"),
+        ("12:\n  ros__parameters: {a: 1}\n", ":1: section '12' is not a node name"),
         (f"/**:\n{_SECTION}{_SHARED}", ""),
         (f"/**:\n{_SHARED}ship_attitude:\n  ros__parameters: {{a: 1}}\n", ""),
         ("a:\n  b:\n    c: {ros__parameters: {a: 1}}\n  d:\n    ros__parameters: {a: 1}\n", ""),
@@ -58,7 +58,7 @@ _SHARED = "  ros__parameters: {use_sim_time: false}\n"
     ],
 )
 def test_a_file_is_refused_where_rcl_refuses_it(tmp_path, text, complaint):
-    """rcl itself is asked: what is called good must start a node, and what starts one must not be refused."""
+    """Compared with rcl itself: an accepted file must start a node, and a file that starts one must not be refused."""
     path, context = tmp_path / "suite.yaml", Context()
     path.write_text(text)
     try:
@@ -90,12 +90,12 @@ def test_a_file_is_refused_where_rcl_refuses_it(tmp_path, text, complaint):
             "a0: &a0 {x: 1}\n"
             + "".join(f"a{n}: &a{n} {{{', '.join(f'k{k}: *a{n - 1}' for k in range(9))}}}\n" for n in range(1, 12))
             + "ship: {ros__parameters: {x: *a11}}\n",
-            "configuration: its aliases unfold to more than 1000000 values",
+            "configuration: its aliases expand to more than 1000000 values",
         ),
     ],
     ids=["NUL", "digits", "hexadecimal", "65 bits", "nested list", "nested groups", "long", "aliases"],
 )
-def test_mend_25_what_unfolds_without_end_is_one_line(text, complaint):
+def test_endless_expansion_is_refused_in_one_line(text, complaint):
     with pytest.raises(BadInput) as caught:
         whole(text)
     assert complaint in str(caught.value)
@@ -142,9 +142,9 @@ def test_not_a_number_is_a_number():
     ("body", "line", "text"),
     [
         ("    a: 1\n    b: {c: 2\n", 5, "not YAML: expected ',' or '}'"),
-        ("    a: 1\n    a: 2\n", 4, "'a' was given before, in line 3"),
+        ("    a: 1\n    a: 2\n", 4, "'a' is given twice, first in line 3"),
         ("    a:\n", 3, "parameter 'a' has no value"),
-        ("    a: 1\n    b:\n      c: {}\n", 5, "group 'b.c' is empty: give it a parameter, or take it out"),
+        ("    a: 1\n    b:\n      c: {}\n", 5, "group 'b.c' is empty: give it a parameter, or remove it"),
         ("    a: [1, x]\n", 3, "parameter 'a' mixes int and str: all elements of a list must be of one type"),
         ("    a: [[1], [2]]\n", 3, "parameter 'a' is a list of lists: expected a plain list"),
         ("    a: [{b: 1}]\n", 3, "parameter 'a' is a list of groups: expected a plain list"),
@@ -166,24 +166,24 @@ def test_bad_files_are_refused_with_name_and_line(tmp_path, body, line, text):
     ("text", "complaint"),
     [
         ("\n", "configuration: empty: expected a section"),
-        ("ros__parameters:\n  a: 1\n", "configuration:1: 'ros__parameters' must stand below the name of a node"),
+        ("ros__parameters:\n  a: 1\n", "configuration:1: 'ros__parameters' must be below the name of a node"),
         ("ship:\n  lag_s: 2\n", "configuration:2: ship/lag_s: expected 'name: value' entries, got a single value (2)"),
         (
             "ship:\n  ros__parameters: {x: 1}\n/ship/:\n  ros__parameters: {x: 2}\n",
-            "configuration:3: section '/ship/' is no name of a node",
+            "configuration:3: section '/ship/' is not a node name",
         ),
         ("a: \x00\n", "configuration: not YAML"),
-        ("ship:\n  ros__parameters: &a {b: *a}\n", "configuration: nested too deeply, or a group that holds itself"),
+        ("ship:\n  ros__parameters: &a {b: *a}\n", "configuration: nested too deeply, or a group that contains itself"),
     ],
 )
-def test_what_is_no_parameter_file(text, complaint):
+def test_invalid_parameter_files(text, complaint):
     with pytest.raises(BadInput, match="configuration") as caught:
         whole(text)
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_file_that_cannot_be_whole(tmp_path):
+def test_contradicting_sections(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero")):
         with pytest.raises(BadInput, match="cannot be read: it is a pipe, a device or a socket: expected a file"):
@@ -195,7 +195,7 @@ def test_file_that_cannot_be_whole(tmp_path):
         whole(tmp_path / "bag.mcap")
 
 
-def test_what_is_written_is_read_again():
+def test_parameter_file_round_trip():
     sections = {"/a/ship": {"x": 1, "gate": {"name": "5", "on": True}}, "/**/boat": {"y.z": [1.5, 2.0]}}
     name, read = read_sections(sections_text(sections))
     assert name == "configuration"
@@ -205,7 +205,7 @@ def test_what_is_written_is_read_again():
     }
 
 
-def test_a_problem_with_a_parameter_gets_its_file_and_line_as_data():
+def test_a_parameter_error_has_file_and_line_as_data():
     file = read_plain("camera:\n  width_px: 5\n")
     problem = file.error(InputError("is too small", parameters=("camera.width_px", "camera.height_px"), value=5))
     assert str(problem) == "configuration:2: is too small"

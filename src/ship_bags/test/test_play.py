@@ -1,4 +1,4 @@
-"""play against a real node, odd bags and a terminal: resets by loops, latched messages, split folders, keys."""
+"""play with a real node, unusual bags and a terminal: resets by loops, latched messages, split folders, keys."""
 
 import contextlib
 import itertools
@@ -23,7 +23,7 @@ SUITE = "ship_attitude: {ros__parameters: {use_sim_time: true, ins: {frame_id: i
 
 
 class Domain:
-    """A domain of its own: an observer, and processes that end with the test."""
+    """ROS domain with an observer, and processes that end with the test."""
 
     def __init__(self, folder):
         domain_id = free_domain_id()
@@ -85,12 +85,12 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
         ]
 
     assert domain.graph.spin_until(lambda: "2" in counted())
-    # Between the jump and the first sample the node says that it knows nothing.
+    # Between the jump and the first sample the node publishes INVALID.
     attitudes = [message for message in attitudes if message.status != ShipAttitude.INVALID]
     stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in attitudes]
     jumps = [number for number, (earlier, later) in enumerate(itertools.pairwise(stamps), 1) if later <= earlier]
     assert len(jumps) == 2
-    # Each lap begins again with the first sample and says the same as the first did.
+    # Each loop begins again with the first sample and gives the same outputs as the first one.
     laps = [attitudes[start:end] for start, end in itertools.pairwise([0, *jumps, len(attitudes)])]
     assert [stamps[start] - START_NS for start in (0, *jumps)] == [0, 0, 0]
     shared = min(len(lap) for lap in laps)
@@ -107,7 +107,7 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
     assert set(counted()) <= {"0", "1", "2"}
 
 
-def test_a_start_offset_does_not_cost_what_latched_topics_said_before(domain, tmp_path):
+def test_a_start_offset_keeps_earlier_latched_messages(domain, tmp_path):
     from geometry_msgs.msg import Vector3
     from rclpy.qos import DurabilityPolicy
     from sensor_msgs.msg import Imu
@@ -161,7 +161,7 @@ def test_two_types_under_one_name_are_refused(domain, tmp_path):
 
 @contextlib.contextmanager
 def on_a_terminal(domain, *command):
-    """Start a process at a terminal of its own; yields the process, the terminal's far end, and its near one."""
+    """Start a process on a terminal of its own; yield the process, the terminal's far end, and its near end."""
     keys, terminal = pty.openpty()
     with open(domain.folder / "terminal.log", "wb") as log:
         process = subprocess.Popen(
@@ -229,7 +229,7 @@ def test_ctrl_c_on_a_terminal_ends_it_and_gives_the_terminal_back(domain, tmp_pa
         assert termios.tcgetattr(terminal) == before
 
 
-def test_a_job_in_the_background_of_a_shell_leaves_its_terminal_alone(domain, tmp_path):
+def test_a_background_job_does_not_change_its_terminal(domain, tmp_path):
     # Touching it would stop the job (SIGTTOU), for ever.
     play = [*executable("ship_bags", "play"), write_imu_bag(tmp_path / "in.mcap", count=20), "--wait-timeout", "0"]
     with on_a_terminal(domain, "bash", "-c", 'set -m; "$@" & wait $!', "shell", *play) as (process, _, _):

@@ -1,4 +1,4 @@
-"""play and record as processes of their own, over DDS: nothing lost, nothing changed, steered and ended cleanly."""
+"""play and record as processes over DDS: no loss, no change, control and clean end."""
 
 import itertools
 import os
@@ -33,7 +33,7 @@ RECORD = [sys.executable, "-m", "ship_bags.commands.record"]
 
 
 class Live:
-    """One domain: processes in it, and an observer beside them."""
+    """ROS domain with processes and an observer."""
 
     def __init__(self, folder, domain_id):
         self.folder = folder
@@ -53,7 +53,7 @@ class Live:
         return recorder
 
     def play(self, path, *options):
-        """Play to the end; returns what it printed."""
+        """Play to the end; return the printed text."""
         player = self.start(*PLAY, str(path), *options)
         assert self.observer.spin_until(lambda: player.exit_code is not None, 60), player.log()
         assert player.exit_code == 0, player.log()
@@ -74,7 +74,7 @@ def live(tmp_path, monkeypatch):
 
 
 def imu(factory, number):
-    """An Imu that tells its number; the other fields are filled so that a shift by one byte would show."""
+    """Return an Imu with its number; the other fields reveal a shift by one byte."""
     time_ns = START_NS + number * PERIOD_NS
     stamp = factory.make("builtin_interfaces/msg/Time", sec=time_ns // 10**9, nanosec=time_ns % 10**9)
     vector = factory.make("geometry_msgs/msg/Vector3", x=float(number), y=0.1 * number, z=-1.0 / 3.0)
@@ -91,7 +91,7 @@ def imu(factory, number):
 
 
 def make_bag(path, count):
-    """`count` Imu at 100 Hz, and every tenth of them as truth."""
+    """Write `count` Imu at 100 Hz, and every tenth of them as truth."""
     factory = RosbagsFactory()
     with BagWriter(path) as bag:
         for number in range(count):
@@ -103,7 +103,7 @@ def make_bag(path, count):
 
 
 def contents(path):
-    """Topic, without its leading slash → [(log time, payload)]; and what is wrong with the bag."""
+    """Return topic, without its leading slash → [(log time, payload)]; and the problems of the bag."""
     found = {}
     with read_bag(path) as bag:
         for record in bag.records():
@@ -229,7 +229,7 @@ def test_the_clock_is_never_further_behind_a_message_than_its_grid(tmp_path):
 
 
 @pytest.mark.parametrize("stride", [1, 7, 10**9])
-def test_mend_21_with_ticks_left_out_the_clock_is_no_further_behind_a_message(tmp_path, stride):
+def test_with_ticks_left_out_the_clock_is_not_late(tmp_path, stride):
     factory = RosbagsFactory()
     offsets_ns = (0, 1, 3_712_345_678, 3_712_345_679, 3_730_000_000, 10**12)
     with BagWriter(tmp_path / "in.mcap") as bag:
@@ -246,8 +246,8 @@ def test_mend_21_with_ticks_left_out_the_clock_is_no_further_behind_a_message(tm
     assert len(ticks) <= 10**12 // CLOCK_PERIOD_NS // stride + 20 * len(offsets_ns)
 
 
-def test_mend_21_a_year_at_a_rate_beyond_all_measure_is_played_at_once(live, tmp_path):
-    """Years of /clock at its period lay before the first message, and three billion ticks behind it."""
+def test_a_year_at_a_huge_rate_is_played_immediately(live, tmp_path):
+    """With all ticks, years of /clock would precede the first message, and three billion ticks follow it."""
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import Imu
 
@@ -266,7 +266,7 @@ def test_mend_21_a_year_at_a_rate_beyond_all_measure_is_played_at_once(live, tmp
     assert START_NS - 61 * 10**9 < ns(times[0]) < START_NS
 
 
-def test_mend_21_topics_that_nobody_wants_are_named_and_not_waited_for(live, tmp_path):
+def test_topics_without_subscribers_are_reported_and_not_waited_for(live, tmp_path):
     from sensor_msgs.msg import Imu
 
     factory = RosbagsFactory()
@@ -277,7 +277,7 @@ def test_mend_21_topics_that_nobody_wants_are_named_and_not_waited_for(live, tmp
     messages = []
     subscribe(live, "ins/imu", Imu, messages)
     said = live.play(tmp_path / "in.mcap", "--wait-timeout", "50")
-    assert "nobody takes /reference/gyro/imu; playing all the same" in said
+    assert "no subscriber of /reference/gyro/imu; playing nevertheless" in said
     assert "no match" not in said
     assert live.observer.spin_until(lambda: len(messages) == 10)
 
@@ -309,7 +309,7 @@ def test_pause_step_and_resume_by_services(live, tmp_path):
     source = make_bag(tmp_path / "in.mcap", 50)
     expected = ["--wait-for-subscribers", "ins/imu", "/clock"]
     player = live.start(*PLAY, str(source), "--paused", "--topics", "ins/imu", *expected)
-    # While it is paused a step plays one message, and the clock stands and is said again.
+    # While paused a step plays one message, and the clock is constant and published repeatedly.
     for number in range(3):
         assert call(live, "play_next").success
         assert live.observer.spin_until(lambda count=number + 1: len(messages) == count)
@@ -341,7 +341,7 @@ def test_offset_filter_and_remap(live, tmp_path):
     assert (original, truth) == ([], [])
 
 
-def test_a_type_that_is_not_installed_or_another_here_is_skipped_by_name(live, tmp_path):
+def test_a_type_that_is_missing_or_different_is_skipped(live, tmp_path):
     from sensor_msgs.msg import Imu
 
     message_store().register(get_types_from_msg("float64 x", "other_msgs/msg/Thing"))
@@ -365,7 +365,7 @@ def test_a_type_that_is_not_installed_or_another_here_is_skipped_by_name(live, t
         writer.finish()
     player = live.start(*PLAY, str(tmp_path / "changed.mcap"), "--wait-timeout", "0")
     assert player.wait(30) == 2
-    assert "std_msgs/msg/Float64.value is unknown here" in player.log()
+    assert "std_msgs/msg/Float64.value is unknown to this suite" in player.log()
     assert "none of its topics can be played" in player.log()
 
 
@@ -401,7 +401,7 @@ def test_play_refuses_in_one_line(live, tmp_path, options, expected):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--out", "there.mcap"], "there.mcap: is there already: --force writes over it"),
+        (["--out", "there.mcap"], "there.mcap: already exists: use --force to overwrite"),
         (["--out", "absent/out.mcap"], "absent/out.mcap: cannot be written: there is no folder"),
         (["--out", "new.mcap", "--flush-period-s", "-1"], "argument --flush-period-s: -1 is not a positive number"),
         ([], "the following arguments are required: --out"),
@@ -419,7 +419,7 @@ def test_record_refuses_in_one_line(live, tmp_path, options, expected):
 
 
 @pytest.mark.parametrize("command", [[*PLAY, "in.mcap"], [*RECORD, "--out", "out.mcap"]], ids=["play", "record"])
-def test_mend_19_play_and_record_refuse_to_run_unprotected(live, tmp_path, command):
+def test_play_and_record_refuse_to_run_unprotected(live, tmp_path, command):
     if dds_has_security(loaded_libraries()):
         pytest.skip("this DDS has security: they then start, or refuse for want of keys")
     make_bag(tmp_path / "in.mcap", 1)
@@ -427,7 +427,7 @@ def test_mend_19_play_and_record_refuse_to_run_unprotected(live, tmp_path, comma
     process = live.start(*command[:-1], str(tmp_path / command[-1]))
     assert process.wait(30) == 2
     (line,) = process.log().splitlines()
-    assert line.split(": ")[1].startswith("ROS_SECURITY_ENABLE=TRUE demands DDS security")
+    assert line.split(": ")[1].startswith("ROS_SECURITY_ENABLE=TRUE requests DDS security")
     assert not (tmp_path / "out.mcap").exists()
 
 
@@ -450,11 +450,11 @@ def test_a_killed_recorder_has_everything_but_its_last_flush_period(live, tmp_pa
     assert len(numbers) > 20
     # Without a gap from the first on, ...
     assert numbers == payloads(source, "ins/imu")[: len(numbers)]
-    # ... up to the last flush; as much again is allowed to a loaded machine for the message's way and the sync.
+    # ... up to the last flush; the same time is allowed for latency and sync on a loaded computer.
     assert killed_ns - got["ins/imu"][-1][0] < 2 * flush_period_s * 1e9
 
 
-def test_a_full_disk_is_said_and_leaves_whole_chunks(live, tmp_path):
+def test_a_full_disk_is_reported_and_leaves_complete_chunks(live, tmp_path):
     limit_bytes = 20_000
     source = make_bag(tmp_path / "in.mcap", 2000)
     path = tmp_path / "out.mcap"
@@ -465,8 +465,8 @@ def test_a_full_disk_is_said_and_leaves_whole_chunks(live, tmp_path):
     assert recorder.wait(40) == 2
     player.end()
     lines = recorder.log().splitlines()
-    assert len(lines) == 2, lines  # the first says where it records to
-    assert lines[1].startswith(f"record: {path}: recording ended: File too large; the file is whole up to")
+    assert len(lines) == 2, lines  # the first one has the path of the recording
+    assert lines[1].startswith(f"record: {path}: recording failed: File too large; the file is complete up to")
     got, problems = contents(path)
     assert path.stat().st_size <= limit_bytes
     assert len(problems) == 1
@@ -487,8 +487,8 @@ def test_a_recording_ends_by_itself(live, tmp_path, options):
         assert len(payloads(tmp_path / "out.mcap", "ins/imu")) == 20
 
 
-def test_mend_21_a_recording_is_not_kept_awake_by_nodes_that_have_nothing_to_say(live, tmp_path):
-    """The real node goes on to publish diagnostics, health, budgets and INVALID when its input has ended."""
+def test_status_messages_do_not_prolong_a_recording(live, tmp_path):
+    """The real node continues to publish diagnostics, health, budgets and INVALID after the end of its input."""
     source = make_bag(tmp_path / "in.mcap", 20)
     command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "-p", "slow_topics_period_s:=0.1"]
     node = live.start(*command)
@@ -523,7 +523,7 @@ def test_mend_21_a_recording_is_not_kept_awake_by_nodes_that_have_nothing_to_say
         ("rosgraph_msgs/msg/Clock", {}, False),
     ],
 )
-def test_mend_21_what_is_an_activity(type_name, fields, counts):
+def test_activity(type_name, fields, counts):
     from rclpy.serialization import serialize_message
 
     kind = message_class(type_name)

@@ -1,4 +1,4 @@
-"""Pause, step and stop of a playback. The clock runs at such rates that no test depends on the machine's speed."""
+"""Pause, step and stop of a playback. The rates are such that no test depends on the computer's speed."""
 
 import math
 import threading
@@ -14,7 +14,7 @@ SLOW = 1e-9
 DAY_NS = 86_400 * 10**9
 
 
-def test_an_event_is_let_through_when_it_is_due():
+def test_an_event_is_played_when_it_is_due():
     clock = PlaybackClock(FAST)
     clock.begin(0)
     assert clock.wait_until(DAY_NS, is_message=True)
@@ -28,7 +28,7 @@ def test_stop_ends_a_wait_and_every_later_one():
     assert not clock.wait_until(0, is_message=True)
 
 
-def test_a_paused_clock_lets_nothing_through_but_steps():
+def test_a_paused_clock_plays_only_steps():
     clock = PlaybackClock(FAST, paused=True)
     clock.begin(0)
     passed = []
@@ -47,7 +47,7 @@ def test_a_paused_clock_lets_nothing_through_but_steps():
     while passed != ["tick", "first"]:
         assert changed.wait(10)
         changed.clear()
-    # The tick after the message waits for the next step, which nobody takes.
+    # The tick after the message waits for the next step, which does not occur.
     clock.stop()
     player.join(10)
     assert passed == ["tick", "first"]
@@ -85,7 +85,7 @@ def test_a_step_is_refused_while_playing():
     clock.begin(0)
     assert not clock.step()
     clock.pause()
-    # The refused step is not owed after the pause.
+    # The refused step is not pending after the pause.
     threading.Timer(0.05, clock.stop).start()
     assert not clock.wait_until(0, is_message=True)
 
@@ -107,7 +107,7 @@ def test_toggle_changes_the_state(paused):
 
 
 @pytest.mark.parametrize("rate", [1e9, 1e18, 1e300, 1.7e308])
-def test_mend_21_a_rate_beyond_all_measure_is_as_fast_as_it_goes(rate):
+def test_a_huge_rate_is_as_fast_as_possible(rate):
     clock = PlaybackClock(rate)
     clock.begin(0)
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""Progress on stderr: a line now and then in a file, one line rewritten on a terminal, none left by Ctrl-C."""
+"""Progress on stderr: periodic lines in a file, one rewritten line on a terminal, none after Ctrl-C."""
 
 import contextlib
 import os
@@ -30,7 +30,7 @@ sys.exit(run_command(CommandParser(prog="work"), work, []))
 
 
 def shown(capsys, shares, seconds_between):
-    """Lines on a stderr that is no terminal, of work whose share grows at equal times."""
+    """Return the lines on a stderr that is no terminal, for work that advances uniformly."""
     times = iter([0.0, *(seconds_between * (number + 1) for number in range(len(shares)))])
     with Progress("night.mcap", lambda: next(times)) as progress:
         for share in shares:

@@ -1,4 +1,4 @@
-"""record into rosbag2 folders; disks that are full or read-only; clocks that step."""
+"""record into rosbag2 folders; full or read-only disks; clock steps."""
 
 import os
 import signal
@@ -53,10 +53,10 @@ class TestClockWatch:
         assert self.steps([10**18 + 50_000 * number for number in range(1000)]) == [None] * 1000
 
     @pytest.mark.parametrize("step_ns", [-3_600_000_000_000, -STEP_NS - 1, STEP_NS + 1, 86_400_000_000_000])
-    def test_a_step_is_told_once_with_its_size(self, step_ns):
+    def test_a_step_is_reported_once_with_its_size(self, step_ns):
         assert self.steps([10**18, 10**18, 10**18 + step_ns, 10**18 + step_ns]) == [None, None, step_ns, None]
 
-    def test_sleep_between_the_two_readings_is_no_step(self):
+    def test_a_pause_between_the_two_readings_is_no_step(self):
         watch = ClockWatch()
         assert watch.look(0, 10**18, 1000) is None
         # The process slept for 2 s after it read the steady clock.
@@ -110,7 +110,7 @@ def sample_numbers(path):
 
 
 def samples_on_disk(path):
-    """Number of samples that a recording which goes on has on the disk."""
+    """Return the number of samples that a running recording has on the disk."""
     try:
         return len(sample_numbers(path))
     except BadInput:
@@ -138,7 +138,7 @@ class TestLive:
         told = information(folder)
         assert len(told["relative_file_paths"]) > 3
         assert told["message_count"] == len(rosbags_times(folder)) == 1500
-        # What the publisher offered, as far as DDS tells it.
+        # The publisher's QoS, as far as DDS transmits it.
         profiles = told["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
         # A publisher of the test before may still be known to DDS.
         assert ("reliable", "volatile") in {(profile["reliability"], profile["durability"]) for profile in profiles}
@@ -188,7 +188,7 @@ class TestLive:
                 "to_ns": str(400 * 10**9),
             }
 
-    def test_a_disk_that_stalls_is_no_silence(self, tmp_path):
+    def test_a_stalled_disk_is_no_timeout(self, tmp_path):
         import rclpy
         from geometry_msgs.msg import Vector3
         from rclpy.parameter import Parameter
@@ -238,8 +238,8 @@ class TestLive:
                 )
                 assert recording.process.exit_code == 2
                 last = recording.process.log().splitlines()[-1]
-            assert last.startswith(f"record: {path}: recording ended: No space left on device; ")
-            assert "record --recover finishes it" in last
+            assert last.startswith(f"record: {path}: recording failed: No space left on device; ")
+            assert "use record --recover to finish it" in last
             assert list(path.parent.rglob("*.part")) == []
             kept = sample_numbers(path)
             assert len(kept) > 100

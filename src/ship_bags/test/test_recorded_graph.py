@@ -1,4 +1,4 @@
-"""A recorder asks the nodes on the network for their parameters, and a replay of the recording uses them."""
+"""A recorder queries the nodes' parameters, and a replay of the recording uses them."""
 
 import sys
 
@@ -29,8 +29,8 @@ def command(module, *arguments):
 
 
 @pytest.mark.parametrize("name", ["voyage.mcap", "voyage"])
-def test_mend_22_a_recording_holds_the_parameters_of_the_nodes_it_hears(name, tmp_path, monkeypatch):
-    """A folder and a file; beside the node one that never answers."""
+def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkeypatch):
+    """A folder and a file, with a node that never answers."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id = free_domain_id()
     environment = live_environment(domain_id, tmp_path)
@@ -52,14 +52,14 @@ def test_mend_22_a_recording_holds_the_parameters_of_the_nodes_it_hears(name, tm
         LiveProcess(node, tmp_path / "node.log", environment) as running,
         LiveProcess(recorder, tmp_path / "record.log", environment) as recording,
     ):
-        # In the graph, with its services, and nobody serves them.
+        # In the graph with its services, but without answers.
         mute = rclpy.create_node("mute", context=observer.node.context)
         there = observer.wait_for({"/aurora/ship/attitude": 1}, {"/aurora/ship/attitude": 1, "/aurora/ins/imu": 1})
         assert there, running.log() + recording.log()
         with LiveProcess(player, tmp_path / "play.log", environment) as playing:
             assert observer.spin_until(lambda: playing.exit_code is not None, 30), playing.log()
         assert recording.end() == 0, recording.log()
-        assert "record: /mute did not say its parameters" in recording.log()
+        assert "record: /mute did not report its parameters" in recording.log()
         assert "ship_attitude did not say" not in recording.log()
         assert running.exit_code is None, running.log()
         mute.destroy_node()

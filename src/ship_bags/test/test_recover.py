@@ -1,4 +1,4 @@
-"""Damaged and unfinished bags made whole: nothing lost but the chunk that is hit, and that is named."""
+"""Recovery of damaged and unfinished bags: only the damaged chunk is lost, and it is named."""
 
 import random
 from collections import Counter
@@ -28,7 +28,7 @@ PERIOD_NS = 10_000_000
 
 @pytest.fixture(scope="module")
 def unfinished(tmp_path_factory):
-    """Bytes of a recording of two topics, 300 messages in 30 flushed chunks, as a kill leaves it."""
+    """Return the bytes of a recording of two topics, 300 messages in 30 flushed chunks, after a kill."""
     path = tmp_path_factory.mktemp("recording") / "voyage.mcap"
     bag = BagWriter(path, atomic=False)
     bag.add_attachment("suite.yaml", "ship_attitude: {}\n")
@@ -94,7 +94,7 @@ def test_an_unfinished_file_is_read_by_both_readers_after_recovery(unfinished, t
 
 
 def test_a_finished_recording_needs_no_recovery(unfinished, tmp_path):
-    """Definitions that stand twice disturb neither reader, nor the one of this package."""
+    """Duplicate definitions disturb no reader."""
     path = tmp_path / "whole.mcap"
     path.write_bytes(finished_bytes(unfinished, tmp_path))
     assert by_mcap(path) == by_rosbags(path) == sorted(original(unfinished, tmp_path))
@@ -104,7 +104,7 @@ def test_a_finished_recording_needs_no_recovery(unfinished, tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_cut_anywhere_gives_every_chunk_before_the_cut(unfinished, tmp_path, seed):
+def test_a_truncated_file_gives_every_complete_chunk(unfinished, tmp_path, seed):
     cut = random.Random(seed).randrange(places(unfinished)[3][0], len(unfinished))
     whole = sum(opcode == Opcode.CHUNK and offset + length <= cut for offset, opcode, length in places(unfinished))
     source = tmp_path / "voyage.mcap"
@@ -120,7 +120,7 @@ def test_cut_anywhere_gives_every_chunk_before_the_cut(unfinished, tmp_path, see
 
 @pytest.mark.slow
 @pytest.mark.parametrize("finished", [False, True], ids=["killed", "finished"])
-def test_a_flipped_bit_costs_the_chunk_that_it_hits_and_names_it(unfinished, tmp_path, finished):
+def test_a_flipped_bit_loses_and_names_only_its_chunk(unfinished, tmp_path, finished):
     whole = finished_bytes(unfinished, tmp_path) if finished else unfinished
 
     def check(seed):
@@ -152,7 +152,7 @@ def check_a_flipped_bit(seed, whole, unfinished, tmp_path):
 
 
 @pytest.mark.parametrize("part", ["opcode", "length", "start time", "checksum", "data"])
-def test_the_first_chunk_which_defines_the_topics_may_be_the_one_hit(unfinished, tmp_path, part):
+def test_damage_in_the_first_chunk_with_the_definitions(unfinished, tmp_path, part):
     offset = next(offset for offset, opcode, _ in places(unfinished) if opcode == Opcode.CHUNK)
     data = bytearray(unfinished)
     data[offset + {"opcode": 0, "length": 2, "start time": 12, "checksum": 34, "data": 90}[part]] ^= 0x10
@@ -166,7 +166,7 @@ def test_the_first_chunk_which_defines_the_topics_may_be_the_one_hit(unfinished,
 
 
 @pytest.mark.parametrize("byte", range(9))
-def test_any_byte_of_the_head_of_a_chunk_or_of_what_stands_between_may_be_wrong(unfinished, tmp_path, byte):
+def test_any_wrong_byte_in_headers_and_between_chunks(unfinished, tmp_path, byte):
     """Opcode and length of each kind of record after the third chunk: no message of another chunk is lost."""
     chunks = [number for number, (_, opcode, _) in enumerate(places(unfinished)) if opcode == Opcode.CHUNK]
     expected = original(unfinished, tmp_path)
@@ -185,7 +185,7 @@ def test_any_byte_of_the_head_of_a_chunk_or_of_what_stands_between_may_be_wrong(
 
 
 def finished_bytes(unfinished, folder):
-    """The same recording, ended in order, with its small chunks."""
+    """Return the same recording, finished, with its small chunks."""
     path = folder / "finished.mcap"
     bag = BagWriter(path, atomic=False)
     bag.add_attachment("suite.yaml", "ship_attitude: {}\n")
@@ -201,7 +201,7 @@ def finished_bytes(unfinished, folder):
 
 
 def hit_messages(unfinished, expected, position):
-    """Messages of the chunk at a byte."""
+    """Return the messages of the chunk at a byte."""
     chunks = [(offset, length) for offset, opcode, length in places(unfinished) if opcode == Opcode.CHUNK]
     for number, (offset, length) in enumerate(chunks):
         if offset <= position < offset + length:
@@ -210,7 +210,7 @@ def hit_messages(unfinished, expected, position):
 
 
 def names_time_range(problems, lost):
-    """Whether a line names the chunk's times, or those of its neighbours where its head is gone."""
+    """Return True if a line names the chunk's times, or those of its neighbours if its header is damaged."""
     start_ns, end_ns = lost[0][0], lost[-1][0]
     before = "the start" if start_ns == START_NS else utc_text(start_ns - PERIOD_NS)
     ranges = [
@@ -222,7 +222,7 @@ def names_time_range(problems, lost):
 
 
 def killed_folder(path):
-    """A folder of three files, the last of which was being written; 240 messages."""
+    """Write a folder of three files, the last of which is unfinished; 240 messages."""
     bag = FolderWriter(path, SplitLimits(size_bytes=4000))
     for number in range(240):
         time_ns = START_NS + number * PERIOD_NS
@@ -258,7 +258,7 @@ def test_a_folder_becomes_a_folder_that_rosbags_reads(tmp_path):
 
 
 class TestCommand:
-    def test_several_files_and_one_that_is_none(self, unfinished, tmp_path, capsys):
+    def test_several_files_with_an_invalid_one(self, unfinished, tmp_path, capsys):
         for name in ("a.mcap", "c.mcap"):
             (tmp_path / name).write_bytes(unfinished)
         (tmp_path / "b.mcap").write_bytes(b"SQLite format 3\x00" * 10)
@@ -268,7 +268,7 @@ class TestCommand:
         assert said.out.count("300 messages on 2 topics, all read back by mcap and rosbags") == 2
         assert not (tmp_path / "b.recovered.mcap").exists()
 
-    def test_nothing_is_written_over(self, unfinished, tmp_path, capsys):
+    def test_nothing_is_overwritten(self, unfinished, tmp_path, capsys):
         source = tmp_path / "a.mcap"
         source.write_bytes(unfinished)
         for target in (tmp_path / "b.mcap", source):
@@ -276,7 +276,7 @@ class TestCommand:
                 target.write_bytes(b"precious")
             before = target.read_bytes()
             assert main(["--recover", str(source), "--out", str(target)]) == 2
-            assert "is there already" in capsys.readouterr().err
+            assert "already exists" in capsys.readouterr().err
             assert target.read_bytes() == before
 
     @pytest.mark.parametrize(
@@ -300,8 +300,8 @@ class TestCommand:
         assert "--out names one result" in capsys.readouterr().err
 
 
-def test_a_result_that_does_not_read_back_gets_no_name(unfinished, tmp_path, monkeypatch):
-    """A disk that stores something else than was written: one byte of the copy changes under the hand."""
+def test_a_result_that_fails_the_read_back_is_discarded(unfinished, tmp_path, monkeypatch):
+    """A disk that stores other bytes: one byte of the copy is changed."""
     source = tmp_path / "voyage.mcap"
     source.write_bytes(unfinished)
     replaced = []

@@ -1,4 +1,4 @@
-"""DDS security that is demanded and not there: nothing starts. And which Fast DDS profile counts."""
+"""Requested DDS security that is not available: no start. Selection of the Fast DDS profile."""
 
 import os
 import subprocess
@@ -33,30 +33,30 @@ def library(folder: Path, content: bytes, name: str = "libfastrtps.so.2.14") -> 
     return [folder / "not_looked_at.so", path]
 
 
-def test_mend_19_security_is_told_by_what_the_library_exports(tmp_path: Path) -> None:
+def test_security_is_detected_by_the_exported_symbols(tmp_path: Path) -> None:
     assert dds_has_security(library(tmp_path, WITHOUT)) is False
     assert dds_has_security(library(tmp_path, WITH)) is True
     assert dds_has_security(library(tmp_path, b"neither")) is None
     assert dds_has_security(library(tmp_path, WITH, "libddsc.so.0")[:1]) is None
 
 
-def test_mend_19_the_installed_dds_says_what_its_headers_say() -> None:
-    """Over a Jazzy installation of Ubuntu it has security, in the wheels it has not: told either way."""
+def test_detected_security_of_the_installed_dds_matches_its_headers() -> None:
+    """A Jazzy installation of Ubuntu has security, the wheels do not: both are detected."""
     assert dds_has_security(loaded_libraries()) is not None
 
 
 @pytest.mark.parametrize("spelling", ["", " ", "false", "False", "FALSE", "0", "no", "off"])
-def test_what_is_clearly_no_demands_nothing(spelling: str) -> None:
+def test_clear_negations_request_no_security(spelling: str) -> None:
     assert not is_demanded({ENABLE: spelling, STRATEGY: "Enforce"})
     assert not is_demanded({STRATEGY: "Enforce"})
 
 
 @pytest.mark.parametrize("strategy", ["", "Permissive", "Enforce", "enforce", "nonsense"])
 @pytest.mark.parametrize("spelling", ["true", "TRUE", "True", "1", "yes", "on", " true ", "2", "ture"])
-def test_mend_19_every_spelling_that_is_not_clearly_no_is_a_demand(spelling: str, strategy: str) -> None:
+def test_any_other_spelling_requests_security(spelling: str, strategy: str) -> None:
     demand = {ENABLE: spelling, STRATEGY: strategy}
     assert is_demanded(demand)
-    with pytest.raises(BadInput, match=r"demands DDS security, and the DDS of this installation was built without it"):
+    with pytest.raises(BadInput, match=r"requests DDS security, and the DDS of this installation was built without it"):
         spelled_demand(demand, has_security=False)
     enforced = strategy in ("Enforce", "enforce")
     # ROS takes only these spellings for a demand.
@@ -65,18 +65,18 @@ def test_mend_19_every_spelling_that_is_not_clearly_no_is_a_demand(spelling: str
     if enforced:
         assert spelled_demand(demand, has_security=None) == spelled
     else:
-        with pytest.raises(BadInput, match=r"cannot be told: set ROS_SECURITY_STRATEGY=Enforce"):
+        with pytest.raises(BadInput, match=r"this DDS has it: set ROS_SECURITY_STRATEGY=Enforce"):
             spelled_demand(demand, has_security=None)
 
 
 @pytest.mark.parametrize(("spelling", "strategy"), [("true", "Permissive"), ("1", "Enforce"), ("true", "Enforce")])
-def test_mend_19_a_node_refuses_in_one_line(spelling: str, strategy: str) -> None:
+def test_a_node_refuses_in_one_line(spelling: str, strategy: str) -> None:
     if dds_has_security(loaded_libraries()):
         pytest.skip("this DDS has security: it then starts, or refuses for want of keys")
     environment = os.environ | {ENABLE: spelling, STRATEGY: strategy}
     result = subprocess.run(RELAY, capture_output=True, text=True, timeout=60, check=False, env=environment)
     assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
-    assert result.stderr.startswith(f"relay: {ENABLE}={spelling} demands DDS security")
+    assert result.stderr.startswith(f"relay: {ENABLE}={spelling} requests DDS security")
 
 
 OWN = str(DDS_PROFILE)
@@ -91,7 +91,7 @@ OWN = str(DDS_PROFILE)
         ({QOS_FROM_PROFILE_VARIABLE: "0"}, (OWN, "0")),
     ],
 )
-def test_the_profile_of_the_suite_counts_unless_people_set_another(
+def test_the_suite_profile_applies_unless_the_user_sets_another(
     monkeypatch: pytest.MonkeyPatch, before: dict[str, str], after: tuple[str, str | None]
 ) -> None:
     for name in (PROFILE_VARIABLE, QOS_FROM_PROFILE_VARIABLE):

@@ -1,4 +1,4 @@
-"""The commit of the suite: that of its checkout, and none where another project's checkout is around it."""
+"""Commit of the suite: that of its checkout, and none inside another project's checkout."""
 
 import shutil
 import subprocess
@@ -12,7 +12,7 @@ NAMED = ("-c", "user.name=A", "-c", "user.email=a@example.org", "-c", "commit.gp
 
 
 def commit_in(folder):
-    """Commit that a copy of the module in a folder states."""
+    """Return the commit that a copy of the module in a folder states."""
     done = subprocess.run([sys.executable, "-c", COMMIT_TEXT], cwd=folder, capture_output=True, text=True, check=True)
     return done.stdout.strip()
 
@@ -21,7 +21,7 @@ def git(folder, *words):
     return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_the_commit_of_its_own_checkout_alone(tmp_path):
+def test_only_the_commit_of_its_own_checkout(tmp_path):
     file = Path(ship_bags.suite_commit.__file__)
     shutil.copy(file, tmp_path)
     assert commit_in(tmp_path) == ""

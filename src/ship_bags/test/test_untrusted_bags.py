@@ -1,4 +1,4 @@
-"""Bags made to do harm: what unfolds beyond its bound is refused with its place, in bounded memory."""
+"""Malicious bags: data that decompress beyond a limit are refused with their offset, in bounded memory."""
 
 import re
 import struct
@@ -52,7 +52,7 @@ def chunk_bytes(content, compression, stated, checked=True):
 
 
 def with_chunks(path, *chunks):
-    """A bag of a hundred good messages with more chunks behind them, and no end. Returns the first one's place."""
+    """Write a bag of a hundred good messages with more chunks after them, unfinished; return the first one's offset."""
     data = write_imu_bag(path).read_bytes()
     end = next(offset for offset, opcode, _ in places(data[:-8]) if opcode == Opcode.DATA_END)
     path.write_bytes(data[:end] + b"".join(chunks))
@@ -63,13 +63,13 @@ def with_chunks(path, *chunks):
 @pytest.mark.parametrize(
     ("compression", "stated", "complaint"),
     [
-        ("zstd", None, "it says that it unfolds to 300 MB: at most 256 are taken"),
-        ("zstd", 1000, "it unfolds to more than 256 MB"),
-        ("lz4", 1000, "it unfolds to more than 256 MB"),
-        ("zstd", 2**63, "at most 256 are taken"),
+        ("zstd", None, "its stated size is 300 MB decompressed: at most 256 are read"),
+        ("zstd", 1000, "it decompresses to more than 256 MB"),
+        ("lz4", 1000, "it decompresses to more than 256 MB"),
+        ("zstd", 2**63, "at most 256 are read"),
     ],
 )
-def test_mend_25_a_chunk_beyond_its_bound_is_refused_with_its_place(tmp_path, compression, stated, complaint):
+def test_an_oversized_chunk_is_refused_with_its_offset(tmp_path, compression, stated, complaint):
     content = message(TOO_MANY_BYTES) if stated == 1000 or stated is None else message(10)
     offset = with_chunks(tmp_path / "a.mcap", chunk_bytes(content, compression, stated))
     with read_bag(tmp_path / "a.mcap") as bag:
@@ -79,7 +79,7 @@ def test_mend_25_a_chunk_beyond_its_bound_is_refused_with_its_place(tmp_path, co
     assert complaint in told[0]
 
 
-def test_mend_25_a_chunk_of_empty_messages_is_refused_before_it_fills_the_memory(tmp_path):
+def test_a_chunk_of_too_many_empty_messages_is_refused(tmp_path):
     content = message(0) * (MAX_CHUNK_RECORDS + 1)
     offset = with_chunks(tmp_path / "a.mcap", chunk_bytes(content, "zstd", None))
     with read_bag(tmp_path / "a.mcap") as bag:
@@ -87,7 +87,7 @@ def test_mend_25_a_chunk_of_empty_messages_is_refused_before_it_fills_the_memory
         assert any(f"byte {offset} is damaged (it holds more than 1000000 records)" in line for line in bag.problems)
 
 
-def test_mend_25_a_cut_chunk_without_checksum_is_damaged(tmp_path):
+def test_a_truncated_chunk_without_checksum_is_damaged(tmp_path):
     whole = message(1000) * 3
     cut = COMPRESS["zstd"](whole)[:-3]
     chunk = Chunk("zstd", cut, START_NS, START_NS, 0, len(whole))
@@ -96,11 +96,11 @@ def test_mend_25_a_cut_chunk_without_checksum_is_damaged(tmp_path):
     with_chunks(tmp_path / "a.mcap", builder.end())
     with read_bag(tmp_path / "a.mcap") as bag:
         assert sum(1 for _ in bag.records()) == 100
-        assert any("bytes and says 3093" in line for line in bag.problems)
+        assert any("bytes instead of 3093" in line for line in bag.problems)
 
 
-def test_mend_25_chunks_that_all_overlap_are_refused_before_they_fill_the_memory(tmp_path):
-    """Each is within its bound; together a file of a megabyte would hold any memory."""
+def test_too_many_overlapping_chunks_are_refused(tmp_path):
+    """Each is within its limit; together a file of a megabyte would fill any memory."""
     content = message(20_000_000)
     with_chunks(tmp_path / "a.mcap", *[chunk_bytes(content, "zstd", None)] * 30)
     with (
@@ -110,8 +110,8 @@ def test_mend_25_chunks_that_all_overlap_are_refused_before_they_fill_the_memory
         list(bag.records())
 
 
-def test_mend_25_a_bag_that_unfolds_to_more_than_it_may_takes_no_more_memory(tmp_path):
-    """Stated size, frame and chunk agree; only the bound stands against them."""
+def test_an_oversized_chunk_needs_bounded_memory(tmp_path):
+    """Stated size, frame and chunk are consistent; only the limit protects."""
     with_chunks(tmp_path / "a.mcap", chunk_bytes(message(600_000_000), "zstd", 1000, checked=False))
     program = f"""
 import resource
@@ -133,7 +133,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", [b"{secret}", b"\x00" * 1000, b"9" * 5000, b"[" * 100_000, b"a: &a [*a]", b"\xff\xfe"])
-def test_mend_25_an_attached_configuration_is_one_line_and_no_file_is_read(tmp_path, capsys, text):
+def test_a_bad_attached_configuration_is_one_line_and_no_file_is_read(tmp_path, capsys, text):
     (tmp_path / "secret").write_text("root:$6$hash:19000\n")
     attached = text.replace(b"{secret}", str(tmp_path / "secret").encode())
     bag = write_imu_bag(tmp_path / "in.mcap", attachments=[("suite.yaml", attached)])
@@ -168,11 +168,11 @@ INFORMATION = "rosbag2_bagfile_information:\n"
         *(
             (
                 INFORMATION + f"  storage_identifier: mcap\n  relative_file_paths: ['{name}']\n",
-                f"relative_file_paths: '{name}' is no file of this folder",
+                f"relative_file_paths: '{name}' is not a file of this folder",
             )
             for name in ("../a.mcap", "/etc/passwd", "sub/../../a.mcap")
         ),
-        (INFORMATION + "  storage_identifier: mcap\n  relative_file_paths: [[1], 2]\n", "is no file of this folder"),
+        (INFORMATION + "  storage_identifier: mcap\n  relative_file_paths: [[1], 2]\n", "is not a file of this folder"),
         *(
             (
                 INFORMATION + f"  storage_identifier: mcap\n  compression_mode: {mode}\n  relative_file_paths: [a]\n",
@@ -187,7 +187,7 @@ INFORMATION = "rosbag2_bagfile_information:\n"
         ),
     ],
 )
-def test_mend_25_a_false_information_file_is_one_line(tmp_path, text, complaint):
+def test_a_false_information_file_is_refused_in_one_line(tmp_path, text, complaint):
     (tmp_path / "metadata.yaml").write_text(text)
     with pytest.raises(BadInput) as caught:
         read_bag(tmp_path)
@@ -218,8 +218,8 @@ def write_topics(path, count, definition="string data", type_name="std_msgs/msg/
     return path
 
 
-def test_each_topic_costs_info_the_same(tmp_path, monkeypatch):
-    """Of 65 000 topics, as many as MCAP has numbers for: the start of the bag is looked for once, not once a topic."""
+def test_time_of_info_grows_linearly_with_the_topics(tmp_path, monkeypatch):
+    """For 65 000 topics, the maximum of MCAP: the start of the bag is found once, not once per topic."""
     asked = []
     start = BagContent.start_ns
     monkeypatch.setattr(BagContent, "start_ns", property(lambda content: asked.append(1) or start.fget(content)))

@@ -180,7 +180,7 @@ def test_machine_that_slept_raises_no_false_alarm(faulty: Path) -> None:
 def test_what_a_node_says_of_itself_holds_for_as_long_as_it_says_it() -> None:
     """A black box that ended is a warning; when the node is gone, so is what it said."""
     keeper = AlertKeeper(Limits(), None, 0, lambda _: None)
-    ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing ended: No space left on device")
+    ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing failed: No space left on device")
     for second in range(8):
         keeper.take_status(ended, second * NS_PER_S)
         keeper.look(second * NS_PER_S, CLOCK_NS)

@@ -59,7 +59,7 @@ class Ship:
                 message.covariance = [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
                 self.attitudes.publish(message)
             if self.box_level is not None:
-                text, values = "writing ended: No space left on device", [KeyValue(key="bytes", value="1")]
+                text, values = "writing failed: No space left on device", [KeyValue(key="bytes", value="1")]
                 name = "ship_attitude: black box"
                 status = DiagnosticStatus(level=self.box_level, name=name, message=text, values=values)
                 self.diagnostics.publish(DiagnosticArray(status=[status]))

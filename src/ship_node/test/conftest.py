@@ -1,4 +1,4 @@
-"""Nodes of these tests meet only each other: this machine, a domain of their own."""
+"""Fixtures: the nodes of these tests use only this computer and a ROS domain of their own."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""When a node is behind, and when it keeps up again, by made-up waiting times."""
+"""Overload detection with given waiting times."""
 
 import pytest
 
@@ -9,7 +9,7 @@ STEP_NS = 10 * MS
 
 
 class Node:
-    """A node that takes a message every 10 ms of steady time; ``rate`` is the rate of /clock."""
+    """Node that processes a message every 10 ms of steady time; ``rate`` is the rate of /clock."""
 
     def __init__(self, rate: float = 1.0) -> None:
         self.steady_ns, self.running_ns = 10**12, 10**15
@@ -27,7 +27,7 @@ class Node:
         return [change for change in changes if change is not Change.NONE]
 
 
-def test_a_node_whose_messages_wait_long_all_the_while_is_behind_after_a_second() -> None:
+def test_persistent_long_waiting_times_are_an_overload_after_one_second() -> None:
     node = Node()
     assert node.judge_for(10.0, 900.0) == []
     assert node.judge_for(0.9, 1100.0) == []
@@ -35,7 +35,7 @@ def test_a_node_whose_messages_wait_long_all_the_while_is_behind_after_a_second(
     assert node.backlog.is_behind
 
 
-def test_a_node_that_stood_still_and_takes_what_came_meanwhile_is_not_behind() -> None:
+def test_a_standstill_is_no_overload() -> None:
     node = Node()
     assert node.judge(2900.0, step_ns=2900 * MS) is Change.NONE
     # It takes messages faster than they came.
@@ -43,18 +43,18 @@ def test_a_node_that_stood_still_and_takes_what_came_meanwhile_is_not_behind() -
     assert not node.backlog.is_behind
 
 
-def test_what_waited_for_more_than_three_seconds_is_cut_at_once() -> None:
+def test_messages_waiting_over_three_seconds_are_cut_immediately() -> None:
     assert Node().judge(3100.0) is Change.BEHIND
 
 
 @pytest.mark.parametrize("rate", [1.0, 20.0])
-def test_the_time_of_the_clock_that_rules_is_what_counts(rate: float) -> None:
+def test_waiting_time_is_measured_by_sim_time_if_used(rate: float) -> None:
     node = Node(rate)
     assert node.judge_for(0.9 / rate, 1100.0) == []
     assert node.judge_for(0.4 / rate, 1100.0) == [Change.BEHIND]
 
 
-def test_a_node_keeps_up_again_after_a_second_of_short_waits_though_its_clock_stands() -> None:
+def test_overload_ends_after_one_second_of_short_waits_with_a_frozen_clock() -> None:
     node = Node()
     node.judge(3100.0)
     assert node.judge_for(0.5, 250.0) == []
@@ -70,7 +70,7 @@ def test_a_node_keeps_up_again_after_a_second_of_short_waits_though_its_clock_st
 
 
 def judge_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> list[Change]:
-    """What changes while the node stands still for so long each 0.9 s, and then takes what came meanwhile."""
+    """Return the changes while the node stands still for ``hiccup_ms`` each 0.9 s and then processes the queue."""
     changes = []
     for _ in range(round(seconds / 0.9)):
         changes += node.judge_for(0.9, 0.0)
@@ -81,7 +81,7 @@ def judge_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> li
 
 @pytest.mark.parametrize("rate", [1.0, 5.0, 10.0, 20.0])
 @pytest.mark.parametrize("hiccup_ms", [25, 50, 140])
-def test_small_hiccups_with_a_fast_clock_keep_no_node_behind(rate: float, hiccup_ms: int) -> None:
+def test_short_standstills_with_a_fast_clock_end_the_overload(rate: float, hiccup_ms: int) -> None:
     node = Node(rate)
     node.judge(3100.0)
     assert judge_hiccups(node, 3.0, hiccup_ms, rate) == [Change.KEEPS_UP]
@@ -89,14 +89,14 @@ def test_small_hiccups_with_a_fast_clock_keep_no_node_behind(rate: float, hiccup
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0, 10.0])
-def test_long_hiccups_with_a_fast_clock_keep_a_node_behind(rate: float) -> None:
+def test_long_standstills_with_a_fast_clock_keep_the_overload(rate: float) -> None:
     node = Node(rate)
     node.judge(3100.0)
     assert judge_hiccups(node, 10.0, 250, rate) == []
     assert node.backlog.is_behind
 
 
-def test_a_clock_that_goes_back_begins_another_time_of_work() -> None:
+def test_a_clock_jump_back_resets_the_working_time() -> None:
     node = Node()
     node.judge_for(0.9, 1100.0)
     node.running_ns -= 10**12
@@ -105,7 +105,7 @@ def test_a_clock_that_goes_back_begins_another_time_of_work() -> None:
     assert node.judge_for(0.2, 1100.0) == [Change.BEHIND]
 
 
-def test_work_before_a_clock_that_went_back_puts_nothing_off() -> None:
+def test_working_time_before_a_clock_jump_back_delays_no_detection() -> None:
     node = Node()
     node.judge_for(100.0, 0.0)
     node.running_ns -= 10**12
@@ -114,7 +114,7 @@ def test_work_before_a_clock_that_went_back_puts_nothing_off() -> None:
     assert node.judge_for(0.2, 1500.0) == [Change.BEHIND]
 
 
-def test_the_text_names_node_seconds_cores_and_load() -> None:
+def test_overload_text() -> None:
     told = overload(3_240 * MS, {"ins/imu": 320})
     assert (told.behind_s, told.cut) == (3.24, {"ins/imu": 320})
     assert told.cores >= 1

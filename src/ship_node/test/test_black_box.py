@@ -1,4 +1,4 @@
-"""The black box without a live node: order, names, a slow disk, a full disk, what is attached."""
+"""Black box without a live node: order, names, a slow disk, a full disk, attachments."""
 
 import json
 import resource
@@ -50,7 +50,7 @@ EVENTS: list[Event] = [
     Tick(),
     ClockJumpedBack(),
     ClockStepped(-300_000_000_123),
-    Contested("ins/imu", "two publishers send on ins/imu: /a and /b; end all but one"),
+    Contested("ins/imu", "two publishers send on ins/imu: /a and /b; stop all but one"),
     ParametersChanged({"gate.probability": 0.1 + 0.2, "offsets_s": [1e-300, 2.0]}, None),
     ParametersChanged({"gate.count": 13}, "not wanted"),
     ChangeRefused({"gate.probability": 1.5, "frame_id": "ins"}, "out of range"),
@@ -70,17 +70,17 @@ def new_box(path: Path | str, failures: list[str] | None = None, part_bytes: int
 
 
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: type(event).__name__)
-def test_events_come_back_as_they_were(event: Event) -> None:
+def test_event_text_round_trip(event: Event) -> None:
     assert event_from_text(event_text(event)) == event
 
 
 @pytest.mark.parametrize("text", ["", "7", "[]", "{}", '{"event": "dance"}', '{"event": "tick", "x": 1}', "{no json"])
-def test_what_is_no_event_is_bad_input(text: str) -> None:
-    with pytest.raises(BadInput, match="is no event of a black box"):
+def test_invalid_event_text_is_bad_input(text: str) -> None:
+    with pytest.raises(BadInput, match="is not an event of a black box"):
         event_from_text(text)
 
 
-def test_the_file_keeps_the_order_of_use_when_the_clock_goes_back(tmp_path: Path) -> None:
+def test_order_of_use_is_kept_when_the_clock_goes_back(tmp_path: Path) -> None:
     box = new_box(tmp_path / "box.mcap")
     box.put("ins/imu", b"first", 20 * SECOND_NS)
     box.put("ship/attitude", b"its result", 20 * SECOND_NS)
@@ -96,8 +96,8 @@ def test_the_file_keeps_the_order_of_use_when_the_clock_goes_back(tmp_path: Path
     ]
 
 
-def test_mend_26_a_message_larger_than_a_chunk_and_a_clock_that_goes_back(tmp_path: Path) -> None:
-    """Between two flushes: the order of use is that of the file, whatever the chunks are."""
+def test_order_of_use_with_an_oversized_message_and_a_clock_jump_back(tmp_path: Path) -> None:
+    """Between two flushes the order of use is that of the file, independent of the chunks."""
     box = new_box(tmp_path / "box.mcap")
     given = []
     for number, time_s in enumerate([20, 20, 25, 3, 3, 25, 4000, 2]):
@@ -108,7 +108,7 @@ def test_mend_26_a_message_larger_than_a_chunk_and_a_clock_that_goes_back(tmp_pa
     assert entries(tmp_path / "box.mcap")[:-1] == given
 
 
-def test_what_comes_before_the_first_time_gets_the_first_time(tmp_path: Path) -> None:
+def test_entries_before_the_first_time_get_the_first_time(tmp_path: Path) -> None:
     box = new_box(tmp_path / "box.mcap")
     box.put_event(ParametersChanged({"gate.count": 4}, None), 0)
     box.put_event(Tick(), 7 * SECOND_NS)
@@ -132,7 +132,7 @@ def test_parameters_versions_and_identity_are_attached(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frame_id", ["", "1e3", "yes", "~", "a: b # c", "Bö 'x' \"y\"", "two\nlines", "0x10"])
-def test_parameters_as_a_file_give_the_same_parameters(frame_id: str) -> None:
+def test_parameter_file_round_trip(frame_id: str) -> None:
     config = build(
         RelayConfig,
         {
@@ -145,7 +145,7 @@ def test_parameters_as_a_file_give_the_same_parameters(frame_id: str) -> None:
     assert load_config(RelayConfig, parameter_text("relay", config), "relay") == config
 
 
-def test_an_earlier_box_is_never_written_over(tmp_path: Path) -> None:
+def test_an_existing_black_box_is_never_overwritten(tmp_path: Path) -> None:
     for expected in ("box.mcap", "box_2.mcap", "box_3.mcap"):
         box = new_box(tmp_path / "box.mcap")
         assert box.path.name == expected
@@ -155,7 +155,7 @@ def test_an_earlier_box_is_never_written_over(tmp_path: Path) -> None:
     assert free_path(tmp_path / "box.mcap").name == "box_4.mcap"
 
 
-def test_in_a_folder_the_box_has_the_nodes_name(tmp_path: Path) -> None:
+def test_black_box_in_a_folder_has_the_node_name(tmp_path: Path) -> None:
     for folder in (f"{tmp_path}", f"{tmp_path}/new/"):
         box = new_box(folder)
         assert box.path == Path(folder) / "relay.mcap"
@@ -163,13 +163,13 @@ def test_in_a_folder_the_box_has_the_nodes_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["box.bag", "file/box.mcap", "box"])
-def test_a_path_that_cannot_be_used_is_bad_input(tmp_path: Path, name: str) -> None:
+def test_unusable_path_is_bad_input(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BadInput, match=r"parameter 'black_box' = '.*'"):
         new_box(tmp_path / name)
 
 
-def test_a_disk_that_is_too_slow_costs_entries_and_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entries_lost_by_a_slow_disk_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(black_box, "LONGEST_QUEUE", 3)
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     box = new_box(tmp_path / "box.mcap")
@@ -189,7 +189,7 @@ def test_a_disk_that_is_too_slow_costs_entries_and_is_said(tmp_path: Path, monke
     ]
 
 
-def test_mend_18_what_waits_for_the_disk_is_bounded_in_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queue_for_the_disk_is_bounded_in_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(black_box, "LARGEST_QUEUE_BYTES", 2500)
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     box = new_box(tmp_path / "box.mcap")
@@ -204,7 +204,7 @@ def test_mend_18_what_waits_for_the_disk_is_bounded_in_bytes(tmp_path: Path, mon
     assert events == [EntriesLost(3), Closed()]
 
 
-def test_mend_18_what_waits_for_the_first_clock_is_bounded(tmp_path: Path) -> None:
+def test_entries_before_the_first_clock_are_bounded(tmp_path: Path) -> None:
     box = new_box(tmp_path / "box.mcap")
     for number in range(MOST_BEFORE_TIME + 5):
         box.put("ins/imu", number.to_bytes(4, "little"), 0)
@@ -215,7 +215,7 @@ def test_mend_18_what_waits_for_the_first_clock_is_bounded(tmp_path: Path) -> No
     assert EntriesLost(5) in [what for topic, what, _ in entries(box.path) if topic == EVENTS_TOPIC]
 
 
-def test_a_full_disk_ends_the_box_and_not_the_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_ends_the_black_box_not_the_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     failures: list[str] = []
     box = new_box(tmp_path / "box.mcap", failures)
@@ -238,7 +238,7 @@ def test_a_full_disk_ends_the_box_and_not_the_node(tmp_path: Path, monkeypatch: 
     assert box.path.stat().st_size == whole_bytes
 
 
-def test_after_a_full_disk_the_box_goes_on_in_a_new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_black_box_continues_in_a_new_file_after_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     monkeypatch.setattr(black_box, "RETRY_S", 0.0)
     lines: list[str] = []
@@ -252,7 +252,7 @@ def test_after_a_full_disk_the_box_goes_on_in_a_new_file(tmp_path: Path, monkeyp
             box.put("ins/imu", number.to_bytes(4, "little") * 8, SECOND_NS + number)
         box._guarded(box._write_all)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
-        for _ in range(3):  # it is tried again and again, and nothing is left of that
+        for _ in range(3):  # repeated attempts leave no file
             box.put("ins/imu", b"lost", 2 * SECOND_NS)
             box._guarded(box._write_all)
         assert [path.name for path in tmp_path.iterdir()] == ["box.mcap"]
@@ -261,7 +261,7 @@ def test_after_a_full_disk_the_box_goes_on_in_a_new_file(tmp_path: Path, monkeyp
     box.put("ins/imu", b"after", 3 * SECOND_NS)
     box.close()
     assert [line.partition(": ")[0] for line in lines] == [
-        f"black box {tmp_path}/box.mcap", f"black box goes on in {tmp_path}/box.part2.mcap"
+        f"black box {tmp_path}/box.mcap", f"black box continues in {tmp_path}/box.part2.mcap"
     ]  # fmt: skip
     assert "1003 entries lost: the disk was slow or full" in box.status().message
     with read_bag(tmp_path / "box.mcap") as bag:
@@ -271,8 +271,8 @@ def test_after_a_full_disk_the_box_goes_on_in_a_new_file(tmp_path: Path, monkeyp
     assert events == [EntriesLost(1003), Closed()]
 
 
-def test_a_box_goes_on_in_a_new_file_when_one_is_full(tmp_path: Path) -> None:
-    """The first one is opened, and all are read as one; each is a box with its parameters by itself."""
+def test_black_box_continues_in_a_new_file_at_the_size_limit(tmp_path: Path) -> None:
+    """All files are read as one through the first; each is also a black box with its parameters."""
     box = new_box(tmp_path / "box.mcap", part_bytes=20_000)
     random = np.random.default_rng(1)
     given = [(SECOND_NS * number, random.bytes(100)) for number in range(1, 301)]
@@ -294,7 +294,7 @@ def test_a_box_goes_on_in_a_new_file_when_one_is_full(tmp_path: Path) -> None:
     (tmp_path / "box.part2.mcap").unlink()
     with read_bag(tmp_path / "box.mcap") as bag:
         assert bag.problems == ["box.mcap: part 2 of the black box is missing"]
-    # An earlier box's files are not taken for those of a later one of the same name.
+    # Files of an earlier black box are not used for a later one of the same name.
     (tmp_path / "box.mcap").unlink()
     new_box(tmp_path / "box.mcap").close()
     with read_bag(tmp_path / "box.mcap") as bag:
@@ -306,7 +306,7 @@ class RaisingRelay(RelayAdapter):
         raise RuntimeError("a defect")
 
 
-def test_a_use_that_raises_is_noted_nevertheless(tmp_path: Path) -> None:
+def test_a_call_that_raises_is_recorded(tmp_path: Path) -> None:
     box = new_box(tmp_path / "box.mcap")
     calls = AdapterCalls(RaisingRelay(CONFIG, RosidlFactory()), {}, NotedFiles(), box)
     with pytest.raises(RuntimeError, match="a defect"):
@@ -317,7 +317,7 @@ def test_a_use_that_raises_is_noted_nevertheless(tmp_path: Path) -> None:
     assert [what for _, what, _ in entries(box.path)] == [b"bytes", ServiceCalled("explode", None, None), Closed()]
 
 
-def test_files_are_noted_with_content_or_error(tmp_path: Path) -> None:
+def test_files_are_recorded_with_content_or_error(tmp_path: Path) -> None:
     files = NotedFiles()
     files.write(tmp_path / "new" / "a.yaml", b"content")
     assert files.read(tmp_path / "new" / "a.yaml") == b"content"

@@ -1,4 +1,4 @@
-"""The parameter ``black_box`` of a live node: what it notes, says and refuses."""
+"""Parameter ``black_box`` of a live node: records, reports, refusals."""
 
 import subprocess
 import sys
@@ -35,7 +35,7 @@ def set_parameter(relay, name: str, value: object):
 
 
 @pytest.mark.smoke
-def test_everything_is_in_the_box_in_the_order_of_use(live_relay, tmp_path):
+def test_black_box_contains_everything_in_order_of_use(live_relay, tmp_path):
     relay = live_relay(*RELIABLE_INPUT, *SIM_TIME, "-p", f"black_box:={tmp_path}/box.mcap")
     publisher, set_time = relay.imu_publisher(), relay.clock_publisher()
     assert set_parameter(relay, "gate.bias_deg", 1.5).successful
@@ -73,7 +73,7 @@ def test_everything_is_in_the_box_in_the_order_of_use(live_relay, tmp_path):
     assert list(map(str, outputs)) == list(map(str, relay.attitudes))
 
 
-def test_box_and_changed_parameters_are_in_the_diagnostics(live_relay, tmp_path):
+def test_black_box_and_changed_parameters_are_in_the_diagnostics(live_relay, tmp_path):
     relay = live_relay("-p", f"black_box:={tmp_path}/box.mcap")
     relay.wait_until(lambda: relay.reports("relay: black box", DiagnosticStatus.OK))
     assert relay.diagnostics["relay: black box"].message == f"writing {tmp_path}/box.mcap"
@@ -95,7 +95,7 @@ def test_box_and_changed_parameters_are_in_the_diagnostics(live_relay, tmp_path)
         ("frame_id", [b"a", b"b"]),
     ],
 )
-def test_a_change_that_never_reaches_the_adapter_is_in_log_box_and_diagnostics(
+def test_a_change_refused_before_the_adapter_is_in_log_black_box_and_diagnostics(
     live_relay, tmp_path, capfd, name, value
 ):
     relay = live_relay("-p", f"black_box:={tmp_path}/box.mcap", "-p", "sensors.fore.elevation_deg:=45")
@@ -113,7 +113,7 @@ def test_a_change_that_never_reaches_the_adapter_is_in_log_box_and_diagnostics(
     assert noted == [ChangeRefused({name: told}, reason)]
 
 
-def test_the_parameter_is_read_only_and_without_it_there_is_no_box(live_relay, tmp_path):
+def test_black_box_parameter_is_read_only_and_optional(live_relay, tmp_path):
     relay = live_relay()
     result = set_parameter(relay, "black_box", f"{tmp_path}/box.mcap")
     assert not result.successful

@@ -1,4 +1,4 @@
-"""The inputs on which two publishers send: by name, and by their values."""
+"""Inputs on which two publishers send: by name, and by their values."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import exp_rotation
 from ship_node.edge.contested import ATTITUDE, ContestedInputs
 
-NAMES = "two publishers send on ins/imu: /a and /b; end all but one"
+NAMES = "two publishers send on ins/imu: /a and /b; stop all but one"
 
 
 def see(inputs: ContestedInputs, first: int, count: int, off_deg: float) -> list[int]:
-    """Numbers of the samples with which the text may have changed; every second one is off."""
+    """Return the indices of the samples with which the text may have changed; every second sample has an offset."""
     changed = []
     for number in range(first, first + count):
         up = 0.001 * np.sin(0.1 * number) + np.deg2rad(off_deg) * (number % 2)
@@ -21,16 +21,16 @@ def see(inputs: ContestedInputs, first: int, count: int, off_deg: float) -> list
     return changed
 
 
-def test_the_values_tell_two_streams_and_that_there_is_one_again() -> None:
+def test_two_streams_and_their_end_are_detected_by_the_values() -> None:
     inputs = ContestedInputs({"ins/imu": ATTITUDE})
     assert see(inputs, 0, 100, 0.5) == [WINDOW - 1]
-    assert inputs.text("ins/imu") == "two streams alternate on ins/imu, 0.5° apart: end one of its two publishers"
+    assert inputs.text("ins/imu") == "two streams alternate on ins/imu, 0.5° apart: stop one of its two publishers"
     assert len(see(inputs, 100, 100, 0.0)) == 1
     assert inputs.text("ins/imu") == ""
 
 
-def test_what_the_values_have_told_ends_with_both_streams() -> None:
-    """Ticks come each second; both streams end at 5 s."""
+def test_detection_by_values_ends_after_a_timeout_of_both_streams() -> None:
+    """Ticks occur each second; both streams end at 5 s."""
     inputs = ContestedInputs({"ins/imu": ATTITUDE})
     ended_s = []
     for now_s in range(60):
@@ -41,7 +41,7 @@ def test_what_the_values_have_told_ends_with_both_streams() -> None:
     assert ended_s == [35]
 
 
-def test_a_restart_forgets_what_the_values_have_told_and_keeps_the_names() -> None:
+def test_a_restart_resets_the_value_check_and_keeps_the_names() -> None:
     inputs = ContestedInputs({"ins/imu": ATTITUDE})
     see(inputs, 0, 100, 0.5)
     inputs.restart()
@@ -51,7 +51,7 @@ def test_a_restart_forgets_what_the_values_have_told_and_keeps_the_names() -> No
     assert inputs.text("ins/imu") == NAMES
 
 
-def test_names_come_first_and_end_what_the_values_have_told() -> None:
+def test_publisher_names_take_precedence_and_reset_the_value_check() -> None:
     inputs = ContestedInputs({"ins/imu": ATTITUDE})
     see(inputs, 0, 100, 0.5)
     inputs.name("ins/imu", NAMES)
@@ -60,7 +60,7 @@ def test_names_come_first_and_end_what_the_values_have_told() -> None:
     assert inputs.text("ins/imu") == ""
 
 
-def test_an_input_without_continuous_values_has_names_alone() -> None:
+def test_an_input_without_continuous_values_uses_names_only() -> None:
     inputs = ContestedInputs({})
     assert see(inputs, 0, 100, 0.5) == []
     inputs.name("theodolite/beacons", NAMES)

@@ -1,4 +1,4 @@
-"""What a node says of itself as bytes is what the message objects of rclpy and of rosbags give."""
+"""Diagnostics encoded as bytes equal those of the message objects of rclpy and of rosbags."""
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,7 +17,7 @@ STATUSES = [
 
 
 def made(factory, statuses, hardware_id):
-    """The same by message objects."""
+    """Return the same array by message objects."""
     told = [
         {
             "level": int(status.level),
@@ -41,7 +41,7 @@ def test_bytes_are_those_of_message_objects(statuses, full_name):
 
 
 @pytest.mark.parametrize("value", ["", "1", "12", "123", "1234", "12345", "12″"])
-def test_the_last_text_is_not_filled_up(value):
+def test_the_last_text_is_not_padded(value):
     statuses = [DiagnosticStatus("a", Level.OK, "b", {"key": value})]
     assert serialize(diagnostic_array(NOW_NS, "node", statuses)) == serialize(made(RosbagsFactory(), statuses, "node"))
 

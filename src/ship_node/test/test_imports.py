@@ -1,4 +1,4 @@
-"""Adapters and the offline replay use most of this package where no ROS is."""
+"""Adapters and the offline replay use most of this package without ROS."""
 
 import subprocess
 import sys
@@ -24,7 +24,7 @@ WITHOUT_ROS = [
 
 
 @pytest.mark.parametrize("module", WITHOUT_ROS)
-def test_module_imports_alone_and_without_ros(module):
+def test_module_imports_by_itself_and_without_ros(module):
     check = (
         f"import sys, {module}; sys.exit(any(m.split('.')[0] in ('rclpy', 'ship_msgs') for m in sys.modules))"
     )

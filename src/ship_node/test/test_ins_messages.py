@@ -1,4 +1,5 @@
-"""The messages of an INS read together are those read one by one, to the last bit, as long as they are alike."""
+"""INS messages read as a batch equal those read one by one, to the last bit, as long as they do not differ otherwise.
+"""
 
 import functools
 from typing import Any
@@ -22,7 +23,7 @@ CONFIGS = {
 
 
 def message(number: int, **changes: Any) -> Any:
-    """An Imu of a ship that turns, its quaternion only nearly of unit length."""
+    """Return an Imu of a turning ship whose quaternion has almost unit norm."""
     rng = np.random.default_rng(number)
     quaternion = rng.standard_normal(4)
     quaternion *= rng.uniform(0.995, 1.005) / np.linalg.norm(quaternion)
@@ -50,7 +51,7 @@ def received(count: int = COUNT) -> np.ndarray:
 
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
-def test_a_block_is_what_its_messages_are(config: InsInputConfig) -> None:
+def test_a_batch_equals_its_messages(config: InsInputConfig) -> None:
     messages = [message(number) for number in range(COUNT)]
     found = ins_block(rows(messages), received(), config)
     alone = [ins_sample(one, config, int(now_ns)) for one, now_ns in zip(messages, received(), strict=True)]
@@ -80,12 +81,12 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("changes", REFUSED.values(), ids=REFUSED)
-def test_a_block_ends_before_a_message_that_is_not_as_the_others(changes: dict[str, Any]) -> None:
+def test_a_batch_ends_before_a_differing_message(changes: dict[str, Any]) -> None:
     messages = [message(number, **(changes if number == ODD else {})) for number in range(COUNT)]
     assert len(ins_block(rows(messages), received(), InsInputConfig()).samples.times_ns) == ODD
 
 
-def test_a_block_ends_before_a_second_of_nanoseconds() -> None:
+def test_a_batch_ends_before_an_invalid_stamp() -> None:
     messages = [message(number) for number in range(COUNT)]
     messages[ODD].header.stamp.nanosec = 1_000_000_000
     assert len(ins_block(rows(messages), received(), InsInputConfig()).samples.times_ns) == ODD
@@ -100,7 +101,7 @@ def test_a_block_ends_before_a_second_of_nanoseconds() -> None:
     ],
     ids=["covariance", "no orientation", "frame"],
 )
-def test_of_a_block_of_bad_messages_nothing_is_read(changes: dict[str, Any], config: InsInputConfig) -> None:
+def test_a_batch_of_bad_messages_is_empty(changes: dict[str, Any], config: InsInputConfig) -> None:
     messages = [message(number, **changes) for number in range(COUNT)]
     assert len(ins_block(rows(messages), received(), config).samples.times_ns) == 0
     with pytest.raises(Refused):
@@ -112,7 +113,7 @@ def test_of_a_block_of_bad_messages_nothing_is_read(changes: dict[str, Any], con
     [(np.zeros(9), InsInputConfig()), (np.r_[-1.0, np.zeros(8)], InsInputConfig(accept_unset_covariance=True))],
     ids=["zero", "minus one accepted"],
 )
-def test_an_unknown_covariance_is_told(unknown: np.ndarray, config: InsInputConfig) -> None:
+def test_an_unknown_covariance_is_marked(unknown: np.ndarray, config: InsInputConfig) -> None:
     messages = [message(number, orientation_covariance=unknown) for number in range(COUNT)]
     found = ins_block(rows(messages), received(), config)
     assert (len(found.samples.times_ns), found.covariance_known) == (COUNT, False)

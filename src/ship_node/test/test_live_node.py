@@ -1,4 +1,4 @@
-"""A real node over real DDS: relays, survives, refuses, follows the clock."""
+"""Real node over real DDS: relaying, exceptions, refusals, clocks."""
 
 import math
 import os
@@ -84,7 +84,7 @@ def test_exception_in_handle_is_reported_and_the_next_message_is_relayed(live_re
     assert "relay_adapter.py:" in text
 
 
-def test_message_refused_by_the_adapter_is_counted_and_shown(live_relay):
+def test_message_rejected_by_the_adapter_is_counted_and_shown(live_relay):
     relay = live_relay(*RELIABLE_INPUT, "-p", "frame_id:=ins")
     publisher = relay.imu_publisher()
     publisher.publish(imu_message(time.time_ns(), "radar"))
@@ -107,7 +107,7 @@ def test_a_step_of_the_systems_clock_is_reported_once(live_relay, monkeypatch):
     assert [round(step_ns / 1e9, 2) for step_ns in relay.adapter.clock_steps] == [-300.0, 900.0]
 
 
-def test_services_answer_also_where_the_adapter_raises(live_relay):
+def test_services_answer_also_if_the_adapter_raises(live_relay):
     relay = live_relay()
     assert relay.call(Trigger, "reset", Trigger.Request()) == Trigger.Response(success=True, message="reset")
     answer = relay.call(Trigger, "explode", Trigger.Request())
@@ -175,7 +175,7 @@ def test_publisher_with_incompatible_qos_is_an_error_that_names_the_policy(live_
     assert "RELIABILITY" in relay.diagnostics[name].message
 
 
-def test_quality_of_service_as_the_contract_says(live_relay):
+def test_quality_of_service_of_the_contract(live_relay):
     node = live_relay().live.node
     (imu,) = node.get_subscriptions_info_by_topic("/ins/imu")
     assert imu.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
@@ -193,13 +193,13 @@ def test_quality_of_service_as_the_contract_says(live_relay):
         (("-p", "qos_overrides./ins/imu.subscription.reliability:=best_effort"), ReliabilityPolicy.BEST_EFFORT),
     ],
 )
-def test_reliable_inputs_are_reliable_unless_a_topic_has_a_rule_of_its_own(live_relay, more, expected):
+def test_reliable_inputs_and_the_override_of_one_topic(live_relay, more, expected):
     (imu,) = live_relay("-p", "reliable_inputs:=true", *more).live.node.get_subscriptions_info_by_topic("/ins/imu")
     assert imu.qos_profile.reliability == expected
 
 
-def test_a_reliable_input_takes_what_comes_in_one_go_after_a_cut(live_relay):
-    """Five times as many samples as wait for a best-effort input, which a slow node has not used when the last came."""
+def test_a_reliable_input_queues_a_burst_after_an_outage(live_relay):
+    """Five times the queue of a best-effort input, not yet processed by a slow node when the last sample arrives."""
     relay = live_relay("-p", "reliable_inputs:=true")
     handle, count = relay.adapter.handle, 5 * relay.adapter.inputs[0].depth
 
@@ -214,7 +214,7 @@ def test_a_reliable_input_takes_what_comes_in_one_go_after_a_cut(live_relay):
     relay.wait_until(lambda: len(relay.attitudes) == count)
 
 
-def test_mend_18_a_flood_stops_neither_ticks_nor_what_comes_after_it(live_relay):
+def test_a_flood_stops_neither_ticks_nor_later_messages(live_relay):
     relay = live_relay()
     handle, depth = relay.adapter.handle, relay.adapter.inputs[0].depth
 
@@ -231,7 +231,7 @@ def test_mend_18_a_flood_stops_neither_ticks_nor_what_comes_after_it(live_relay)
         for _ in range(10):
             publisher.publish(old)
         time.sleep(0.001)
-    # An event for each of thousands of messages would now wait before them.
+    # Thousands of events would now wait in front of them.
     assert len(relay.adapter.ticks) - ticks_before >= 5
     handled = len(relay.adapter.handled)
     relay.wait_until(lambda: len(relay.live._inbox) == 0)
@@ -242,7 +242,7 @@ def test_mend_18_a_flood_stops_neither_ticks_nor_what_comes_after_it(live_relay)
     relay.wait_until(lambda: ns_from_stamp(relay.attitudes[-1].header.stamp) == latest_ns)
 
 
-def test_mend_04_a_node_that_stood_still_takes_what_came_before_it_judges_silence(live_relay):
+def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
     handle, uses = relay.adapter.handle, []
 
@@ -259,14 +259,14 @@ def test_mend_04_a_node_that_stood_still_takes_what_came_before_it_judges_silenc
         relay.spin()
         time.sleep(0.03)
     relay.wait_until(lambda: len(relay.attitudes) == 30)
-    # The time of waiting hardly went on: no more than two ticks lie between what came before the stop and after it.
+    # The timeout clock hardly advanced: at most two ticks lie between the messages before and after the standstill.
     stop_ns = max(later - earlier for earlier, later in pairwise(uses))
     assert stop_ns <= 2 * TICK_PERIOD_NS
     assert sum(uses[0] < tick_ns <= uses[1] for tick_ns in relay.adapter.ticks) <= 2
 
 
-def test_mend_7_a_node_that_cannot_keep_up_is_behind_and_keeps_up_again_when_the_load_ends(live_relay):
-    """Ten times more than it can take, whatever the machine: each message takes 0.1 s."""
+def test_overload_state_begins_and_ends_with_the_load(live_relay):
+    """Ten times the load that the node can process, on any computer: each message takes 0.1 s."""
     relay = live_relay(*RELIABLE_INPUT)
     handle, load_s, used = relay.adapter.handle, 0.1, []
 
@@ -299,8 +299,10 @@ def test_mend_7_a_node_that_cannot_keep_up_is_behind_and_keeps_up_again_when_the
     assert relay.adapter.overloads[-1].behind_s == 0.0
 
 
-def test_a_queue_of_events_that_is_never_empty_is_waiting_time_of_bag_time(live_relay, monkeypatch):
-    """A node that takes one event at a time uses each message at once, but six seconds of the bag wait as events."""
+def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
+    """A node that processes one event at a time uses each message immediately, but six seconds of the bag wait as
+    events.
+    """
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     set_time, publisher = relay.clock_publisher(), relay.imu_publisher()
     clock = relay.peer.create_publisher(Clock, "/clock", 100)
@@ -329,7 +331,7 @@ def test_a_queue_of_events_that_is_never_empty_is_waiting_time_of_bag_time(live_
     assert relay.adapter.overloads[0].behind_s > 1.0
 
 
-def test_mend_18_a_message_too_large_to_decode_is_counted_and_harms_nothing(live_relay):
+def test_an_oversized_message_is_counted_and_dropped(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
     publisher = relay.imu_publisher()
     publisher.publish(imu_message(time.time_ns(), "x" * 2 * LARGEST_MESSAGE_BYTES))
@@ -341,12 +343,12 @@ def test_mend_18_a_message_too_large_to_decode_is_counted_and_harms_nothing(live
     assert len(relay.adapter.handled) == 1
 
 
-def test_bag_time_ticks_on_the_grid_and_a_jump_back_starts_anew_once(live_relay):
+def test_bag_time_ticks_on_the_grid_and_a_jump_back_restarts_once(live_relay):
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     set_time = relay.clock_publisher()
     for time_s in (1000.03, 1000.12, 1000.34):
         set_time(time_s)
-        # The node has looked at its clock: a slow one would begin its grid at the next time.
+        # The node has read its clock; otherwise a slow node would begin its grid at the next time.
         relay.wait_until(lambda time_s=time_s: relay.live._last_ns == round(time_s * 1e9))
     relay.wait_until(lambda: len(relay.adapter.ticks) == 3)
     assert relay.adapter.ticks == [1000_100_000_000, 1000_200_000_000, 1000_300_000_000]
@@ -395,7 +397,7 @@ def test_topic_with_a_publisher_and_no_message_is_reported_after_five_seconds(li
         set_time(1000.0 + 0.1 * tenth)
     assert relay.diagnostics[name].level == DiagnosticStatus.OK
     relay.wait_until(lambda: relay.adapter.health._publishers.get("ins/imu") == 1)
-    # Its watch begins with the first time it hears: on a busy machine that is not the first one told.
+    # The timeout begins with the first /clock received: on a busy computer that is not the first one published.
     set_time(1008.0)
     relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
     text = r"required: 1 publisher\(s\) but no message for [5-8] s: QoS mismatch"
@@ -406,10 +408,10 @@ def test_clock_that_never_starts_is_an_error(live_relay):
     relay = live_relay(*SIM_TIME)
     name = "relay: clock"
     relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
-    assert "no /clock came" in relay.diagnostics[name].message
+    assert "but no /clock for" in relay.diagnostics[name].message
 
 
-def test_mend_17_a_clock_that_dies_is_told_and_waiting_goes_on_without_it(live_relay):
+def test_timeout_of_clock_is_reported_and_timeouts_continue(live_relay):
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     name, set_time = "relay: clock", relay.clock_publisher()
     # As a paused playback does: the same time again and again.
@@ -421,14 +423,14 @@ def test_mend_17_a_clock_that_dies_is_told_and_waiting_goes_on_without_it(live_r
     relay.imu_publisher().publish(imu_message(1000_000_000_000))
     relay.wait_until(lambda: len(relay.attitudes) == 1)
     ticks = len(relay.adapter.ticks)
-    # From now on nothing of it comes.
+    # No /clock from now on.
     relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
-    assert re.fullmatch(r"use_sim_time is set, and no /clock came for \d+ s: .*", relay.diagnostics[name].message)
+    assert re.fullmatch(r"no /clock for \d+ s: node time is frozen", relay.diagnostics[name].message)
     relay.wait_until(lambda: len(relay.adapter.ticks) >= ticks + 22)
-    # The node's time stands, that of waiting goes on, tick by tick.
+    # The node time is frozen, the timeout clock goes on, tick by tick.
     assert relay.adapter.node_times[-1] == 1000_000_000_000
     assert relay.adapter.ticks[ticks:][:22] == [1000_000_000_000 + n * TICK_PERIOD_NS for n in range(1, 23)]
-    relay.wait_until(lambda: "silent for" in relay.diagnostics["relay: input ins/imu"].message)
+    relay.wait_until(lambda: "no data for" in relay.diagnostics["relay: input ins/imu"].message)
 
     set_time(1000.5)
     relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.OK))
@@ -438,19 +440,19 @@ def test_mend_17_a_clock_that_dies_is_told_and_waiting_goes_on_without_it(live_r
     assert relay.adapter.resets == []
 
 
-def test_mend_17_two_nodes_of_one_name_are_told_as_long_as_there_are_two(live_relay):
+def test_two_nodes_with_one_name_are_reported(live_relay):
     relay = live_relay()
     relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
     twin = rclpy.create_node("relay", context=relay.context, use_global_arguments=False)
     relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.ERROR))
-    assert relay.diagnostics["relay: name"].message.startswith("2 nodes are called '/relay': end all but one")
+    assert relay.diagnostics["relay: name"].message.startswith("2 nodes are called '/relay': stop all but one")
     twin.destroy_node()
     relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
 
 
-def test_mend_13_a_bag_of_another_year_is_named_with_what_to_do(live_relay, capfd):
+def test_a_bag_of_another_year_is_reported_with_the_remedy(live_relay, capfd):
     relay = live_relay(*RELIABLE_INPUT)
-    # Its time goes out too, and the node does not follow it.
+    # /clock is published too, and the node does not use it.
     relay.peer.create_publisher(Clock, "/clock", 10)
     publisher = relay.imu_publisher()
     for _ in range(3):
@@ -465,7 +467,7 @@ def test_mend_13_a_bag_of_another_year_is_named_with_what_to_do(live_relay, capf
 
 
 class Sender:
-    """A node of its own that publishes ins/imu."""
+    """Node that publishes ins/imu."""
 
     def __init__(self, relay, name: str) -> None:
         self.node = rclpy.create_node(name, context=relay.context, use_global_arguments=False)
@@ -485,11 +487,11 @@ def two_senders(live_relay):
         sender.node.destroy_node()
 
 
-TWO = "two publishers send on ins/imu: /ins_a and /ins_b; end all but one"
+TWO = "two publishers send on ins/imu: /ins_a and /ins_b; stop all but one"
 
 
 def send_until(relay, senders, happened) -> float:
-    """Time until something has happened while all senders go on at 20 Hz, s."""
+    """Return the time until a condition is met while all senders publish at 20 Hz, s."""
     start_s = time.monotonic()
 
     def all_sent_and_happened() -> bool:
@@ -502,7 +504,7 @@ def send_until(relay, senders, happened) -> float:
     return time.monotonic() - start_s
 
 
-def test_two_publishers_that_send_are_named_at_once_and_forgotten_after_one_has_stopped(two_senders):
+def test_two_active_publishers_are_named_until_one_has_stopped(two_senders):
     relay, first, second = two_senders
     send_until(relay, [first], lambda: len(relay.attitudes) >= 20)
     assert relay.adapter.contested == []
@@ -514,7 +516,7 @@ def test_two_publishers_that_send_are_named_at_once_and_forgotten_after_one_has_
     print(f"found after {found_s:.2f} s, over {over_s:.2f} s after one has stopped")
 
 
-def test_one_of_two_publishers_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
+def test_a_publisher_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
     relay, first, _ = two_senders
     send_until(relay, [first], lambda: relay.reports("relay: input ins/imu", DiagnosticStatus.OK))
 
@@ -527,7 +529,7 @@ def test_one_of_two_publishers_that_never_sends_is_a_hint_in_the_diagnostics(two
 
 
 @pytest.mark.slow
-def test_a_publisher_that_was_killed_and_started_again_is_one(live_relay):
+def test_a_restarted_publisher_counts_as_one(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
     script = (
         "import rclpy, time; from sensor_msgs.msg import Imu; from ship_testing.live_relay import imu_message\n"

@@ -39,13 +39,13 @@ def test_quaternion_a_little_off_is_renormalised(norm):
 
 
 @pytest.mark.parametrize("norm", [0.0, 9e-7, 0.9899, 1.0101, 57.3])
-def test_quaternion_far_off_is_refused(norm):
+def test_quaternion_far_from_norm_1_is_rejected(norm):
     assert refusal(unit_quaternion, quaternion(0.0, 0.6 * norm, 0.8 * norm, 0.0)).reason is Reason.BAD_QUATERNION
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("place", range(4))
-def test_quaternion_that_is_not_finite_is_refused(place, bad):
+def test_quaternion_that_is_not_finite_is_rejected(place, bad):
     numbers = [0.0, 0.0, 0.0, 1.0]
     numbers[place] = bad
     assert refusal(unit_quaternion, quaternion(*numbers)).reason is Reason.NON_FINITE
@@ -92,23 +92,23 @@ def test_covariance_with_a_perfectly_known_axis_is_a_covariance():
         ([[1, -0.9, -0.9], [-0.9, 1, -0.9], [-0.9, -0.9, 1]], "eigenvalue -0.8"),
     ],
 )
-def test_what_no_covariance_can_be_is_refused(matrix, text):
+def test_invalid_covariance_is_rejected(matrix, text):
     refused = refusal(covariance_3x3, np.array(matrix, dtype=float).ravel(), "noise_covariance")
     assert refused.reason is Reason.BAD_COVARIANCE
     assert refused.text.startswith("noise_covariance")
     assert text in refused.text
 
 
-def test_covariance_that_is_not_finite_is_refused():
+def test_covariance_that_is_not_finite_is_rejected():
     assert refusal(covariance_3x3, [1, 0, 0, 0, math.nan, 0, 0, 0, 1]).reason is Reason.NON_FINITE
 
 
-def test_stamp_zero_is_refused():
+def test_stamp_zero_is_rejected():
     assert refusal(stamp_ns, header(0, 0), 10**18).reason is Reason.BAD_STAMP
     assert refusal(stamp_ns, header(-5, 0), 10**18).reason is Reason.BAD_STAMP
 
 
-def test_stamp_with_a_second_of_nanoseconds_is_refused():
+def test_stamp_with_a_second_of_nanoseconds_is_rejected():
     assert refusal(stamp_ns, header(1000, 10**9), 10**18).reason is Reason.BAD_STAMP
     assert stamp_ns(header(1000, 10**9 - 1), 10**18) == 1001 * 10**9 - 1
 
@@ -120,11 +120,11 @@ def test_stamp_may_be_50_ms_ahead_and_no_more():
     assert "0.050 s ahead" in refused.text
 
 
-def test_any_old_stamp_is_the_business_of_the_filter():
+def test_old_stamps_are_accepted():
     assert stamp_ns(header(1, 0), 10**18) == 10**9
 
 
-def test_frame_names_what_was_expected_and_what_came():
+def test_frame_text_has_expected_and_given_frame():
     frame("anything", "")
     frame("ins", "ins")
     refused = refusal(frame, "radar", "ins")
@@ -140,13 +140,13 @@ def test_numbers_and_vectors_must_be_finite():
     assert refusal(finite_vector, vector, "angular_velocity").reason is Reason.NON_FINITE
 
 
-def test_mend_13_every_reason_is_a_constant_of_the_message_and_keeps_its_number():
+def test_every_reason_is_a_constant_of_the_message_and_keeps_its_number():
     constants = {name: getattr(Innovation, name) for name in dir(Innovation) if name.isupper() and name != "SLOT_TYPES"}
     assert {reason.name: reason.value for reason in Reason} == constants
     assert (Reason.OVERFLOW, Reason.UNKNOWN_SENSOR, Reason.CLOCK) == (18, 27, 28)
 
 
-def test_mend_18_texts_from_outside_are_cut_with_an_ellipsis():
+def test_texts_of_messages_are_cut_with_an_ellipsis():
     endless = "x" * 10**6
     refused = refusal(frame, endless, "ins")
     assert len(refused.text) < LONGEST_TEXT
@@ -159,7 +159,7 @@ def test_mend_18_texts_from_outside_are_cut_with_an_ellipsis():
 
 
 def covariance_of_numpy(matrix: np.ndarray) -> np.ndarray | None:
-    """By the eigenvalues of the correlations alone; None where they refuse."""
+    """Return the covariance by the eigenvalues of the correlations; None if they are invalid."""
     sigma = np.sqrt(np.diagonal(matrix))
     limit = np.outer(sigma, sigma)
     symmetric = 0.5 * matrix + 0.5 * matrix.T
@@ -173,8 +173,8 @@ def covariance_of_numpy(matrix: np.ndarray) -> np.ndarray | None:
 
 
 @pytest.mark.parametrize("least", [0.3, 1e-3, 1e-8, 1e-10, 1e-15, 0.0, -1e-15, -5e-7, -2e-6, -0.1])
-def test_the_quick_judgement_of_a_covariance_is_that_of_its_eigenvalues(least):
-    """Correlations whose least eigenvalue is about this, of sigmas that differ by up to a million."""
+def test_the_fast_covariance_check_equals_that_by_eigenvalues(least):
+    """Correlations with about this smallest eigenvalue, and sigmas with ratios up to a million."""
     rng = np.random.default_rng(3)
     for _ in range(200):
         vectors = np.linalg.qr(rng.standard_normal((3, 3)))[0]
@@ -191,6 +191,6 @@ def test_the_quick_judgement_of_a_covariance_is_that_of_its_eigenvalues(least):
             np.testing.assert_array_equal(covariance_3x3(matrix.ravel()), expected)
 
 
-def test_a_variance_of_more_than_a_full_turn_is_refused():
+def test_a_sigma_of_more_than_a_full_turn_is_rejected():
     assert angular_covariance([39.0, 0, 0, 0, 1, 0, 0, 0, 1], "covariance")[0, 0] == 39.0
     assert "full turn" in refusal(angular_covariance, [1, 0, 0, 0, 40.0, 0, 0, 0, 1], "covariance").text

@@ -1,4 +1,4 @@
-"""Ticks and the time of waiting; a node that is behind sees the time that belongs to each message, not the newest."""
+"""Ticks and timeout clock; a node that is behind processes each message at its own time, not at the newest."""
 
 import time
 
@@ -24,7 +24,7 @@ def context(monkeypatch):
 
 
 @pytest.mark.live
-def test_each_message_is_handled_at_its_own_time(context):
+def test_each_message_is_processed_at_its_own_time(context):
     sim_time = [Parameter("use_sim_time", value=True)]
     node = rclpy.create_node("behind", context=context, parameter_overrides=sim_time)
     queue_clock(node)
@@ -59,7 +59,7 @@ def test_each_message_is_handled_at_its_own_time(context):
 
 
 @pytest.mark.live
-def test_wall_time_stays_as_it_is(context):
+def test_system_time_is_unchanged(context):
     node = rclpy.create_node("wall", context=context)
     queue_clock(node)
     # Its own subscriptions: the graph may still hold nodes of other tests.
@@ -72,7 +72,7 @@ def test_first_call_only_starts_the_grid():
     assert list(TickGrid(100).due(1050)) == []
 
 
-def test_every_multiple_reached_comes_once():
+def test_every_tick_occurs_once():
     grid = TickGrid(100)
     list(grid.due(1050))
     assert list(grid.due(1099)) == []
@@ -81,7 +81,7 @@ def test_every_multiple_reached_comes_once():
     assert list(grid.due(1420)) == [1200, 1300, 1400]
 
 
-def test_time_that_wavers_back_repeats_no_tick():
+def test_a_small_jump_back_repeats_no_tick():
     grid = TickGrid(100)
     list(grid.due(1050))
     assert list(grid.due(1210)) == [1100, 1200]
@@ -89,21 +89,21 @@ def test_time_that_wavers_back_repeats_no_tick():
     assert list(grid.due(1300)) == [1300]
 
 
-def test_restart_makes_up_for_nothing():
+def test_restart_skips_missed_ticks():
     grid = TickGrid(100)
     list(grid.due(1050))
     grid.restart(500)
     assert list(grid.due(700)) == [600, 700]
 
 
-def test_mend_04_waiting_is_the_time_in_which_the_node_listens() -> None:
+def test_timeout_clock_counts_only_listening_time() -> None:
     start_ns, steady_ns = 1_700_000_000_000_000_000, 5_000_000_000
     clock = WaitingClock(lambda: steady_ns)
     assert clock.now_ns(start_ns) == start_ns
     steady_ns += 1_200_000_000
-    # It was not asked for so long: the node stood still.
+    # No reading for that time: the node stood still.
     assert clock.now_ns(start_ns) == start_ns + 200_000_000
     steady_ns += 50_000_000
-    # Whatever the system's clock shows.
+    # Independent of the system's clock.
     assert clock.now_ns(start_ns - 3600 * 10**9) == start_ns + 250_000_000
     assert clock.now_ns(start_ns + 3600 * 10**9) == start_ns + 250_000_000

@@ -1,6 +1,6 @@
-"""More messages than a node can take: what waits is dropped before it piles up, and the newest still come.
+"""Bounded queues: events are dropped before they accumulate, and the newest messages still arrive.
 
-What waits for an adapter: in order, bounded, what is cut is counted.
+The messages that wait for an adapter are in order, bounded, and counted when cut.
 """
 
 import time
@@ -28,7 +28,7 @@ def context(own_domain):
 
 
 @pytest.mark.live
-def test_mend_18_events_do_not_pile_up_in_the_executor(context):
+def test_events_do_not_accumulate_in_the_executor(context):
     node = rclpy.create_node("flooded", context=context)
     steady_ns = 0
     events = NodeEvents(context, Guard(node.get_logger(), time.monotonic_ns), lambda: steady_ns)
@@ -50,7 +50,7 @@ def test_mend_18_events_do_not_pile_up_in_the_executor(context):
     assert events.status().level is Level.OK
     rounds = 0
     while events.status().level is Level.OK and rounds < 200:
-        # Half as many again as can be taken, each for a message that is soon displaced.
+        # 1.5 times the maximum, each for a message that is soon displaced.
         for _ in range(MOST_EVENTS * 3 // 2):
             publisher.publish(sent[0])
         steady_ns += 200_000_000
@@ -58,7 +58,7 @@ def test_mend_18_events_do_not_pile_up_in_the_executor(context):
         rounds += 1
     status = events.status()
     assert status.level is Level.ERROR
-    assert "more came than this node can take" in status.message
+    assert "too many events for this node" in status.message
 
     publisher.publish(sent[1])
     while seen[-1] != sent[1] and time.monotonic() < deadline_s:
@@ -71,7 +71,7 @@ def test_mend_18_events_do_not_pile_up_in_the_executor(context):
 
 
 @pytest.mark.live
-def test_after_events_were_dropped_no_message_and_no_request_comes_late(context):
+def test_no_message_or_request_is_late_after_dropped_events(context):
     node = rclpy.create_node("flooded", context=context)
     events = NodeEvents(context, Guard(node.get_logger(), time.monotonic_ns), time.monotonic_ns)
     seen, requests = [], []
@@ -100,7 +100,7 @@ def test_after_events_were_dropped_no_message_and_no_request_comes_late(context)
     for number in range(2 * DEPTH):
         publisher.publish(Int32(data=number))
     futures = [client.call_async(SetBool.Request(data=True))]
-    time.sleep(1.0)  # the middleware has told of them
+    time.sleep(1.0)  # the middleware has reported them
     seen.clear()
     events._drop()
     assert (seen[-1], requests) == (2 * DEPTH - 1, [True])
@@ -131,7 +131,7 @@ def test_messages_of_all_topics_are_taken_in_order_of_arrival() -> None:
     assert inbox.take_cuts() == {}
 
 
-def test_mend_18_a_flood_on_one_topic_displaces_its_own_oldest_alone() -> None:
+def test_a_flood_on_one_topic_displaces_only_its_own_oldest_messages() -> None:
     inbox = Inbox({"ins": 3, "star": 2})
     for arrival in arrivals("star", 0) + arrivals("ins", *range(1, 101)) + arrivals("star", 101):
         inbox.put(arrival)
@@ -143,7 +143,7 @@ def test_mend_18_a_flood_on_one_topic_displaces_its_own_oldest_alone() -> None:
     assert taken(inbox) == [("star", 0), ("ins", 98), ("ins", 99), ("ins", 100), ("star", 101)]
 
 
-def test_mend_18_a_message_of_megabytes_is_not_kept() -> None:
+def test_an_oversized_message_is_not_queued() -> None:
     inbox = Inbox({"star": 2})
     inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES + 1), 1, 1))
     inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES), 2, 2))
@@ -156,7 +156,7 @@ def stamped(topic: str, *seconds: int) -> list[Arrival]:
     return [Arrival(topic, bytes([0, 1, 0, 0]) + stamp, 7, 7, 7) for stamp in stamps]
 
 
-def test_where_a_node_is_behind_all_topics_are_cut_to_one_time() -> None:
+def test_an_overload_cuts_all_topics_at_one_time() -> None:
     inbox = Inbox({"ins": 100, "star": 100, "fix": 10}, lasting={"fix"})
     for arrival in stamped("star", 1) + stamped("ins", *range(1, 50)) + stamped("fix", 2) + stamped("star", 40):
         inbox.put(arrival)
@@ -185,7 +185,7 @@ def test_where_a_node_is_behind_all_topics_are_cut_to_one_time() -> None:
         ([2_000_000_000] * 50, 51),
     ],
 )
-def test_a_stamp_ahead_of_the_clock_of_the_node_drops_nothing_that_comes_later(ins_s, first_taken_s) -> None:
+def test_a_future_stamp_at_a_cut_drops_no_later_message(ins_s, first_taken_s) -> None:
     inbox = Inbox({"ins": 100, "star": 100})
     for arrival in stamped("star", 40) + stamped("ins", *ins_s):
         inbox.put(arrival)
@@ -195,7 +195,7 @@ def test_a_stamp_ahead_of_the_clock_of_the_node_drops_nothing_that_comes_later(i
     assert [arrival.topic for arrival in iter(lambda: inbox.take() if inbox else None, None)] == ["star", "ins"]
 
 
-def test_a_message_without_a_stamp_is_cut_with_all_others_and_taken_after_that() -> None:
+def test_a_message_without_a_stamp_is_cut_once() -> None:
     inbox = Inbox({"ins": 10})
     inbox.put(Arrival("ins", bytes(3), 1, 1))
     inbox.cut(2, 2, 2)

@@ -1,4 +1,4 @@
-"""Lines of a node's log, as everybody hears them on /rosout."""
+"""Log lines of a node on /rosout."""
 
 import time
 
@@ -12,7 +12,7 @@ from ship_node.live.node_log import NodeLog
 
 
 @pytest.mark.live
-def test_a_line_of_the_log_goes_out_with_its_level_and_its_place(own_domain, capfd):
+def test_a_log_line_has_its_level_and_code_location(own_domain, capfd):
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("told", context=context)
@@ -40,7 +40,7 @@ def test_a_line_of_the_log_goes_out_with_its_level_and_its_place(own_domain, cap
         (Log.ERROR, "the last"),
     ]
     assert {(line.name, line.file) for line in lines} == {("told", __file__)}
-    assert lines[-1].function == "test_a_line_of_the_log_goes_out_with_its_level_and_its_place"
+    assert lines[-1].function == "test_a_log_line_has_its_level_and_code_location"
     told = capfd.readouterr().err
     assert "[ERROR]" in told
     assert "nobody asks" not in told

@@ -44,7 +44,7 @@ def test_logs_once_a_second_and_counts_the_rest():
     assert guard.status().values == {"exceptions": "12"}
 
 
-def test_error_becomes_a_warning_when_it_is_long_past():
+def test_an_old_error_becomes_a_warning():
     steady = Steady()
     guard = Guard(Log(), steady)
     guard.call("tick", fail, "no")
@@ -57,7 +57,7 @@ def test_error_becomes_a_warning_when_it_is_long_past():
 
 
 class Lines:
-    """Takes what is logged."""
+    """Logger that collects the lines."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -77,7 +77,7 @@ def lines() -> Lines:
     return Lines()
 
 
-def test_mend_16_a_change_of_level_is_one_line(lines: Lines) -> None:
+def test_a_change_of_level_is_one_log_line(lines: Lines) -> None:
     log = StatusLog(lines)
     well, ill = (Level.OK, "VALID"), (Level.ERROR, "INVALID")
     course = (Level.WARN, "none"), well, (Level.OK, "still"), ill, ill, well
@@ -87,7 +87,7 @@ def test_mend_16_a_change_of_level_is_one_line(lines: Lines) -> None:
     assert lines.lines == ["info attitude: VALID", "error attitude: INVALID", "info attitude: VALID"]
 
 
-def test_each_reason_of_a_fault_that_lasts_is_said_once(lines: Lines) -> None:
+def test_each_reason_of_a_lasting_fault_is_logged_once(lines: Lines) -> None:
     log = StatusLog(lines)
     log.see([DiagnosticStatus("source gyro", Level.OK, "gives")])
     course = "no line for 3 s", "no line for 4 s", "broken, as '$HE'", "no line for 5 s", "broken, as '$HEHDT'"
@@ -100,13 +100,13 @@ def test_each_reason_of_a_fault_that_lasts_is_said_once(lines: Lines) -> None:
     assert lines.lines[2:] == ["info source gyro: gives", *(f"error source gyro: {letter}" for letter in "abcde")]
 
 
-def test_an_error_from_the_start_is_said(lines: Lines) -> None:
+def test_an_error_at_the_start_is_logged(lines: Lines) -> None:
     log = StatusLog(lines)
     log.see([DiagnosticStatus("name", Level.ERROR, "2 nodes"), DiagnosticStatus("clock", Level.WARN, "waits")])
     assert lines.lines == ["error name: 2 nodes"]
 
 
-def test_mend_16_a_conflict_comes_and_goes(lines: Lines) -> None:
+def test_start_and_end_of_a_conflict_are_logged(lines: Lines) -> None:
     log = StatusLog(lines)
     well = DiagnosticStatus("attitude", Level.OK, "VALID")
     conflict = DiagnosticStatus("conflict star.fore", Level.ERROR, "star.fore and the INS disagree")

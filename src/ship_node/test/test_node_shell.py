@@ -1,4 +1,4 @@
-"""What people meet who start a node: help, one line for what is wrong, a clean end."""
+"""Executable of a node for the user: help, one-line errors, clean end."""
 
 import os
 import signal
@@ -45,7 +45,7 @@ def test_help_shows_topics_and_parameters_with_units():
         ),
         (["--ros-args", "-p", "gate.bias_deg:=.nan"], "relay: parameter 'gate.bias_deg' must be finite, got nan"),
         (["--ros-args", "--params-file", "absent.yaml"], "relay: absent.yaml: cannot be read: No such file"),
-        (["bag.mcap"], "relay: unknown argument 'bag.mcap': parameters go behind --ros-args, see --help"),
+        (["bag.mcap"], "relay: unknown argument 'bag.mcap': parameters follow --ros-args, see --help"),
     ],
 )
 def test_bad_start_exits_2_with_one_line(arguments, line):
@@ -78,7 +78,7 @@ def test_bad_parameter_file_exits_2_with_file_and_line(tmp_path, parameters, lin
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_the_node_cleanly(number):
-    # Nothing tells from outside that the signal handlers stand, so wait for a line that the node logs later.
+    # The signal handlers cannot be observed from outside, so wait for a line that the node logs later.
     arguments = ["--ros-args", "-p", "qos_overrides./absent.subscription.depth:=1"]
     with subprocess.Popen([*RELAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -101,7 +101,7 @@ RELAY_FILE = "{section}:\n  ros__parameters: {{frame_id: ins}}\n"
         ("/**/relai", ["-r", "relay:__ns:=/aurora"], "/aurora/relay"),
     ],
 )
-def test_mend_12_a_file_that_misses_the_node_exits_2_with_both_names(tmp_path, section, remaps, node):
+def test_a_file_with_a_similar_section_name_exits_2_with_both_names(tmp_path, section, remaps, node):
     path = tmp_path / "suite.yaml"
     path.write_text(RELAY_FILE.format(section=section))
     result = run_relay("--ros-args", "--params-file", str(path), *remaps)
@@ -111,8 +111,8 @@ def test_mend_12_a_file_that_misses_the_node_exits_2_with_both_names(tmp_path, s
     assert result.stderr.count("\n") == 1
 
 
-def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged_by_itself(tmp_path):
-    """The second file is what ros2 launch writes of inline parameters: it fits."""
+def test_a_file_for_other_nodes_is_one_warning_and_each_file_is_checked(tmp_path):
+    """The second file is as ros2 launch writes inline parameters: it matches."""
     other, inline = tmp_path / "other.yaml", tmp_path / "inline.yaml"
     other.write_text(RELAY_FILE.format(section="/**/radar"))
     inline.write_text(RELAY_FILE.format(section="/**"))
@@ -120,7 +120,7 @@ def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged
     last = ["-p", "qos_overrides./absent.subscription.depth:=1"]
     with subprocess.Popen([*RELAY, *arguments, *last], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        warning = f"{other}: nothing in it is for node '/aurora/relay', its sections are '/**/radar'"
+        warning = f"{other}: no section is for node '/aurora/relay', its sections are '/**/radar'"
         assert warning in process.stderr.readline()
         assert "clock: system time; black box: none" in process.stderr.readline()
         assert "names no topic and policy" in process.stderr.readline()
@@ -129,7 +129,7 @@ def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged
         assert process.wait(timeout=30) == 0
 
 
-def test_mend_18_told_to_end_while_it_still_reads_its_libraries_it_ends_well():
+def test_a_signal_during_the_imports_ends_the_node_cleanly():
     code = "from ship_node.live.start import start_node; start_node('ship_testing.relay_adapter', 'RelayAdapter')"
     with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT / "test", stderr=subprocess.PIPE) as process:
         proc = Path(f"/proc/{process.pid}")
@@ -145,6 +145,6 @@ def test_mend_18_told_to_end_while_it_still_reads_its_libraries_it_ends_well():
 
 
 def _is_caught(proc: Path, number: signal.Signals) -> bool:
-    """Whether a process has a handler for a signal."""
+    """Return True if a process has a handler for a signal."""
     (mask,) = [line.split()[1] for line in (proc / "status").read_text().splitlines() if line.startswith("SigCgt")]
     return bool(int(mask, 16) >> (number - 1) & 1)

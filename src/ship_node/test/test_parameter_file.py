@@ -58,8 +58,8 @@ RUNS = "/ship", "/fleet/ship", "/fleet/blue/ship"
         ("/navy/**", ""),
     ],
 )
-def test_mend_12_sections_fit_the_nodes_that_rcl_gives_them_to(tmp_path, section, fits):
-    """Held against rcl itself."""
+def test_sections_match_the_same_nodes_as_in_rcl(tmp_path, section, fits):
+    """Compared with rcl itself."""
     path = tmp_path / "suite.yaml"
     path.write_text(in_section(section, "lag_s: 1.5"))
     expected = {node: {"lag_s": 1.5} if node in fits.split() else {} for node in RUNS}
@@ -68,13 +68,13 @@ def test_mend_12_sections_fit_the_nodes_that_rcl_gives_them_to(tmp_path, section
 
 
 def in_section(section, parameters):
-    """A parameter file; ``: `` in the name of the section nests it."""
+    """Return a parameter file; ``: `` in the name of the section nests it."""
     names = section.split(": ")
     return "".join(f"{{'{name}': " for name in names) + f"{{ros__parameters: {{{parameters}}}}}" + "}" * len(names)
 
 
 def given_by_rcl(path, node):
-    """What a node of that full name is given of a file."""
+    """Return the parameters that rcl gives a node of that full name from a file."""
     context = Context()
     namespace, _, name = node.rpartition("/")
     remaps = ["-r", f"__ns:={namespace or '/'}", "-r", f"__node:={name}"]
@@ -87,10 +87,10 @@ def given_by_rcl(path, node):
 
 
 @pytest.mark.parametrize("section", ["/sh*", "ship/", "/a//ship", "/**ship", "a-b/ship", "/7/ship", "/a: /ship"])
-def test_mend_12_names_that_rcl_refuses_are_refused_with_their_line(tmp_path, section):
+def test_names_that_rcl_refuses_are_refused_with_their_line(tmp_path, section):
     path = tmp_path / "suite.yaml"
     path.write_text("# a ship\n" + in_section(section, "x: 1"))
-    with pytest.raises(BadInput, match=r"suite\.yaml:2: section '.*' is no name of a node: expected letters, digits"):
+    with pytest.raises(BadInput, match=r"suite\.yaml:2: section '.*' is not a node name: expected letters, digits"):
         read_whatever_fits(path, "/ship")
     with pytest.raises(RCLError):
         rclpy.init(args=["x", "--ros-args", "--params-file", str(path)], context=Context())
@@ -115,7 +115,7 @@ AURORA = "/aurora/ship_attitude"
         ("ship_attitude", "/ship_attitude_2", ""),
     ],
 )
-def test_mend_12_a_section_meant_for_the_node_that_does_not_fit_is_refused_with_both_names(section, node, advice):
+def test_a_section_with_a_similar_name_is_refused_with_both_names(section, node, advice):
     text = f"/**/star_attitude: {{ros__parameters: {{x: 1}}}}\n{section}: {{ros__parameters: {{x: 1}}}}\n"
     name = node.rpartition("/")[2]
     said = f"configuration:2: section '/{section.lstrip('/')}' does not fit node '{node}': name it '/**/{name}' to fit "
@@ -125,23 +125,23 @@ def test_mend_12_a_section_meant_for_the_node_that_does_not_fit_is_refused_with_
         assert str(caught.value) == f"{said}in every namespace{advice}"
 
 
-def test_mend_12_a_device_with_nothing_but_defaults_is_not_dropped_silently():
-    """rcl drops empty groups, so the reference would not be there."""
+def test_an_empty_group_is_refused():
+    """rcl drops empty groups, so the reference would be missing."""
     text = "/**/ship_attitude:\n  ros__parameters:\n    references:\n      gyro: {}\n"
     with pytest.raises(BadInput, match=r"configuration:4: group 'references\.gyro' is empty: give it a parameter, or"):
         read(text, AURORA)
 
 
-def test_mend_12_a_file_about_other_nodes_is_a_warning():
+def test_a_file_for_other_nodes_is_a_warning():
     text = "/**/star_attitude: {ros__parameters: {x: 1}}\n/ship: {ros__parameters: {x: 1}}\n"
-    said = f"nothing in it is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
+    said = f"no section is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
     assert misfit(text, AURORA) == f"configuration: {said}"
     with pytest.raises(BadInput, match="no section for node 'ship_attitude'"):
         read(text, AURORA)
 
 
-def test_mend_12_a_section_for_all_nodes_fits():
-    """What ros2 launch writes for inline parameters; where a section of the node's name misses it, that is said."""
+def test_a_section_for_all_nodes_matches():
+    """As ros2 launch writes inline parameters; a section with the node's name that does not match is a warning."""
     inline = "/**: {ros__parameters: {lag_s: 1.0}}\n"
     assert misfit(inline, AURORA) == ""
     assert misfit(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""
@@ -152,7 +152,7 @@ def test_mend_12_a_section_for_all_nodes_fits():
     assert read(fleet, AURORA).values == {"lag_s": 1.0, "x": 2}
 
 
-def test_a_node_that_ran_in_whatever_namespace():
+def test_a_node_in_any_namespace():
     for node in ("ship", "/a/ship", "/**"):
         assert read(f"{node}: {{ros__parameters: {{x: 1}}}}\n", anywhere("ship")).values == {"x": 1}
     names = [full_name("ship", namespace) for namespace in ("", "/", "a", "/a/b/")]
@@ -177,11 +177,11 @@ boat:
     assert file.lines == {"gate": 4, "gate.probability": 9, "lag_s": 5}
 
 
-def test_file_about_other_nodes_may_say_nothing():
+def test_a_file_for_other_nodes_may_have_no_section():
     assert read_whatever_fits("boat:\n  ros__parameters: {x: 1}\n", "ship").values == {}
 
 
-def test_sections_of_several_namespaces_fit_a_node_of_any():
+def test_sections_of_several_namespaces_for_a_node_in_any_namespace():
     text = "a/ship:\n  ros__parameters: {x: 1}\nb/ship:\n  ros__parameters: {x: 2}\n"
     with pytest.raises(BadInput, match="sections /a/ship and /b/ship both fit node 'ship': keep one"):
         read(text, anywhere("ship"))

@@ -1,4 +1,4 @@
-"""Of which places only one can be had: as the kernel has it."""
+"""Conflicts of ports and files, compared with the kernel."""
 
 import contextlib
 import itertools
@@ -14,7 +14,7 @@ KINDS = {PlaceKind.UDP: socket.SOCK_DGRAM, PlaceKind.TCP: socket.SOCK_STREAM}
 
 
 def can_have_both(kind, one, other):
-    """Whether the kernel gives a port at both addresses, asked for as sinks and sources do."""
+    """Return True if the kernel allows a port at both addresses, opened as sinks and sources do."""
     port = free_port(KINDS[kind])
     with contextlib.ExitStack() as stack:
         for address in (one, other):
@@ -38,12 +38,12 @@ def can_have_both(kind, one, other):
         for pair in itertools.product(addresses, repeat=2)
     ],
 )
-def test_ports_exclude_each_other_as_the_kernel_has_it(kind, one, other):
+def test_ports_conflict_as_in_the_kernel(kind, one, other):
     places = held_port("a", kind, 10110, one), held_port("b", kind, 10110, other)
     assert places[0].excludes(places[1]) is not can_have_both(kind, one, other)
 
 
-def test_what_differs_in_kind_or_name_can_be_had_by_two():
+def test_resources_of_different_kind_or_name_do_not_conflict():
     places = [
         held_port("a", PlaceKind.UDP, 10110),
         held_port("b", PlaceKind.TCP, 10110),

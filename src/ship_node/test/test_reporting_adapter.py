@@ -1,4 +1,4 @@
-"""What every adapter does alike, with a core that answers as it is told."""
+"""Common adapter of all nodes, with a core that returns given outcomes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -46,7 +46,7 @@ class Value:
 
 @dataclass
 class TinyCore:
-    """Gives the outcome that it was told to give; what is an exception is raised."""
+    """Core that returns the given outcome, or raises it if it is an exception."""
 
     next: Any = field(default_factory=Outcome)
     calls: list[Any] = field(default_factory=list)
@@ -113,7 +113,7 @@ def health(adapter: TinyAdapter, topic: str) -> Any:
     return of_topic.received, of_topic.accepted, of_topic.rejected, reasons
 
 
-def test_a_message_that_is_not_refused_is_used_and_what_comes_of_it_goes_out(adapter: TinyAdapter) -> None:
+def test_a_message_without_rejection_is_used_and_its_estimate_published(adapter: TinyAdapter) -> None:
     estimate = SimpleNamespace(status=Status.VALID)
     adapter.core.next = Outcome(estimates=[estimate])
     assert adapter.handle(FAST, message(), NOW_NS) == [("tiny/value", estimate)]
@@ -121,14 +121,14 @@ def test_a_message_that_is_not_refused_is_used_and_what_comes_of_it_goes_out(ada
     assert health(adapter, FAST) == (1, 1, 0, {})
 
 
-def test_an_estimate_that_claims_nothing_has_no_budget(adapter: TinyAdapter) -> None:
+def test_an_invalid_estimate_has_no_budget(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.INVALID)])
     adapter.handle(FAST, message(), NOW_NS)
     assert adapter.budget_due is None
 
 
 @pytest.mark.parametrize(("reason", "stamp_ns"), [(Reason.FRAME, NOW_NS + 5), (Reason.BAD_STAMP, NOW_NS + 7)])
-def test_a_message_that_cannot_be_read_is_told_at_its_stamp_where_that_is_to_be_believed(
+def test_an_unreadable_message_is_reported_at_its_stamp_if_valid(
     adapter: TinyAdapter, reason: Reason, stamp_ns: int
 ) -> None:
     ((topic, told),) = adapter.handle(JUDGED, message(bad=reason), NOW_NS + 7)
@@ -138,27 +138,27 @@ def test_a_message_that_cannot_be_read_is_told_at_its_stamp_where_that_is_to_be_
     assert adapter.core.calls == []
 
 
-def test_a_refusal_of_the_core_and_parts_left_out_are_told_and_counted(adapter: TinyAdapter) -> None:
+def test_rejections_by_the_core_and_rejected_parts_are_reported_and_counted(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(Refusal(Reason.LATE, "too late"))
     published = adapter.handle(JUDGED, message(left_out=("a", "b"), known=False), NOW_NS)
     assert [told.reason_text for _, told in published] == ["a: degrees?", "b: degrees?", "too late"]
     assert health(adapter, JUDGED) == (1, 0, 1, {"covariance_unknown": 1, "units": 2, "late": 1})
 
 
-def test_a_device_that_sees_nothing_works_and_the_core_is_not_asked(adapter: TinyAdapter) -> None:
+def test_an_empty_message_counts_and_the_core_is_not_called(adapter: TinyAdapter) -> None:
     assert adapter.handle(JUDGED, message(empty=True), NOW_NS) == []
     assert health(adapter, JUDGED) == (1, 1, 0, {})
     assert adapter.core.calls == []
 
 
-def test_what_the_core_raises_is_let_out_and_the_message_has_come_all_the_same(adapter: TinyAdapter) -> None:
+def test_an_exception_of_the_core_is_raised_and_the_arrival_counted(adapter: TinyAdapter) -> None:
     adapter.core.next = RuntimeError("a defect")
     with pytest.raises(RuntimeError):
         adapter.handle(FAST, message(), NOW_NS)
     assert health(adapter, FAST) == (1, 0, 0, {})
 
 
-def test_decisions_count_on_the_topic_of_their_device_and_carry_its_name(adapter: TinyAdapter) -> None:
+def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdapter) -> None:
     used, refused = (
         Decision(Value(NOW_NS), reason, used, ("up",), np.array([1e-5]), np.array([1e-5]), 1.0, 6.6, text)
         for reason, used, text in ((Reason.NONE, True, ""), (Reason.GATE, False, "too far"))
@@ -170,7 +170,7 @@ def test_decisions_count_on_the_topic_of_their_device_and_carry_its_name(adapter
     assert health(adapter, JUDGED) == (1, 1, 1, {"gate": 1})
 
 
-def test_a_conflict_stands_in_the_diagnostics_until_the_device_is_used_again(adapter: TinyAdapter) -> None:
+def test_a_conflict_is_in_the_diagnostics_until_the_source_is_used_again(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(decisions=[Decision(Value(NOW_NS), Reason.ATTITUDE_CONFLICT, text="they disagree")])
     adapter.handle(JUDGED, message(), NOW_NS)
     assert adapter.conflict_statuses() == [DiagnosticStatus("conflict device", Level.ERROR, "they disagree")]
@@ -179,14 +179,14 @@ def test_a_conflict_stands_in_the_diagnostics_until_the_device_is_used_again(ada
     assert adapter.conflict_statuses() == []
 
 
-def test_an_output_that_cannot_be_made_is_told(adapter: TinyAdapter) -> None:
+def test_a_failed_output_is_reported(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(failures=[(NOW_NS, Refusal(Reason.FAILED, "a defect"))])
     ((_, told),) = adapter.handle(FAST, message(), NOW_NS)
     assert (told.source, told.reason) == ("tiny/value", Reason.FAILED)
     assert adapter.health.take_failures() == ["tiny/value: a defect"]
 
 
-def test_slow_topics_come_once_a_period_and_their_failure_is_told(adapter: TinyAdapter) -> None:
+def test_slow_topics_are_published_once_a_period_and_their_failure_is_reported(adapter: TinyAdapter) -> None:
     topics = [topic for topic, _ in adapter.tick(NOW_NS)]
     assert topics == ["tiny/slow", "input_health", "input_health", "/diagnostics"]
     assert adapter.tick(NOW_NS + S // 2) == []
@@ -200,16 +200,16 @@ def test_slow_topics_come_once_a_period_and_their_failure_is_told(adapter: TinyA
     assert adapter.core.calls[-1].slow_topics_period_s == 5.0
 
 
-def test_a_reset_and_a_jump_of_the_clock_forget_what_was_put_out(adapter: TinyAdapter) -> None:
+def test_a_reset_and_a_clock_jump_reset_the_outputs(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
     adapter.handle(FAST, message(), NOW_NS)
     assert adapter.clock_jumped_back(NOW_NS - S) == []
     assert (adapter.latest, adapter.budget_due, adapter.clock_jumps) == (None, None, 1)
-    assert adapter.service("reset", NOW_NS) == (True, "the filter starts anew")
+    assert adapter.service("reset", NOW_NS) == (True, "the filter was reset")
     assert adapter.core.calls[-2:] == [("reset", True), ("reset", False)]
 
 
-def test_a_saved_document_is_given_to_the_core_as_soon_as_there_is_a_time(tmp_path: Path) -> None:
+def test_the_core_starts_from_the_saved_document_at_the_first_time(tmp_path: Path) -> None:
     kind = SavedFormat(
         "tiny",
         1,
@@ -246,13 +246,13 @@ def test_a_saved_document_is_given_to_the_core_as_soon_as_there_is_a_time(tmp_pa
 
 
 def off_text(adapter: TinyAdapter) -> list[tuple[int, str]]:
-    """What the diagnostics say of sources that are off."""
+    """Return the diagnostics about sources that are off."""
     adapter.slow_due_ns = None
     (array,) = [m for topic, m in adapter.tick(NOW_NS) if topic == "/diagnostics"]
     return [(status.level, status.message) for status in array.status if "sources off" in status.name]
 
 
-def test_a_source_that_is_off_is_read_and_counted_and_the_core_never_hears_of_it(adapter: TinyAdapter) -> None:
+def test_a_source_that_is_off_is_counted_and_not_passed_to_the_core(adapter: TinyAdapter) -> None:
     adapter.set_parameters({"sources_off": ["device", "device"]})
     (config,) = adapter.core.calls
     assert config is adapter.config
@@ -264,18 +264,18 @@ def test_a_source_that_is_off_is_read_and_counted_and_the_core_never_hears_of_it
     assert unread.reason == Reason.UNITS
     assert adapter.core.calls == [config]
     assert health(adapter, JUDGED) == (31, 0, 31, {"units": 31, "off": 30})
-    assert off_text(adapter) == [(1, "taken out by sources_off: device")]
+    assert off_text(adapter) == [(1, "switched off by sources_off: device")]
 
 
-def test_what_people_took_out_is_no_run_of_refusals(adapter: TinyAdapter) -> None:
+def test_a_source_that_is_off_has_no_consecutive_rejections(adapter: TinyAdapter) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
     for number in range(30):
         adapter.handle(JUDGED, message(), NOW_NS + number * S // 10)
     (status,) = [s for s in adapter.health.statuses(NOW_NS + 3 * S) if s.name == f"input {JUDGED}"]
-    assert (status.level, status.message) == (Level.WARN, "refused, off: taken out by sources_off")
+    assert (status.level, status.message) == (Level.WARN, "rejected, off: switched off by sources_off")
 
 
-def test_a_source_taken_back_is_used_from_its_next_message(adapter: TinyAdapter) -> None:
+def test_a_source_switched_on_is_used_from_its_next_message(adapter: TinyAdapter) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
     adapter.handle(JUDGED, message(), NOW_NS)
     adapter.set_parameters({"sources_off": []})
@@ -286,9 +286,9 @@ def test_a_source_taken_back_is_used_from_its_next_message(adapter: TinyAdapter)
 
 
 @pytest.mark.parametrize(
-    ("source", "said"), [("camera", "expected some of device"), ("fast", "'fast' cannot be taken out")]
+    ("source", "said"), [("camera", "expected some of device"), ("fast", "'fast' cannot be switched off")]
 )
-def test_a_source_that_cannot_be_taken_out_is_refused_live_and_at_the_start(
+def test_a_source_that_cannot_be_switched_off_is_refused(
     adapter: TinyAdapter, source: str, said: str
 ) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
@@ -300,7 +300,7 @@ def test_a_source_that_cannot_be_taken_out_is_refused_live_and_at_the_start(
         TinyAdapter(TinyConfig(sources_off=(source,)), TinyCore(), FACTORY)
 
 
-def test_a_node_that_is_behind_claims_nothing_and_says_why_until_it_keeps_up(adapter: TinyAdapter) -> None:
+def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapter) -> None:
     adapter.no_output = lambda now_ns, text: SimpleNamespace(status=Status.INVALID, text=text)  # type: ignore[method-assign]
     why = "tiny is 3.2 s behind: the computer is too slow (2 cores, load 12)"
     published = adapter.overload(Overload(3.2, 2, 12.0, {FAST: 320, JUDGED: 5}), NOW_NS)
@@ -315,7 +315,7 @@ def test_a_node_that_is_behind_claims_nothing_and_says_why_until_it_keeps_up(ada
     assert health(adapter, FAST) == (320, 0, 320, {"behind": 320})
     statuses = {status.name: status for status in adapter.health.statuses(NOW_NS)}
     assert statuses[f"input {FAST}"].level is Level.WARN
-    assert "refused, behind: 320 messages cut" in statuses[f"input {FAST}"].message
+    assert "rejected, behind: 320 messages cut" in statuses[f"input {FAST}"].message
 
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
     assert adapter.handle(FAST, message(), NOW_NS + 1) == []
@@ -331,7 +331,7 @@ def test_a_node_that_is_behind_claims_nothing_and_says_why_until_it_keeps_up(ada
     assert adapter.latest.status is Status.VALID
 
 
-def test_what_is_cut_is_no_silence_of_its_source(adapter: TinyAdapter) -> None:
+def test_cut_messages_cause_no_timeout(adapter: TinyAdapter) -> None:
     for tenth in range(10):
         adapter.handle(FAST, message(), NOW_NS + tenth * S // 10)
     adapter.overload(Overload(3.2, 2, 12.0, {FAST: 30}), NOW_NS + 4 * S)
@@ -339,7 +339,7 @@ def test_what_is_cut_is_no_silence_of_its_source(adapter: TinyAdapter) -> None:
     assert "silent" not in status.message
 
 
-def test_two_publishers_of_a_topic_reach_the_core_and_the_health_unless_it_is_taken_out(adapter: TinyAdapter) -> None:
+def test_duplicate_publishers_reach_core_and_health_unless_the_source_is_off(adapter: TinyAdapter) -> None:
     adapter.contest(JUDGED, "two publishers send")
     assert adapter.core.calls == [("contest", "camera", "two publishers send")]
     (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]

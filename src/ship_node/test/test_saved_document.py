@@ -1,4 +1,4 @@
-"""What is read back of a saved document: a covariance is one, or is refused."""
+"""Saved documents: valid covariances are read, invalid ones refused."""
 
 import errno
 import os
@@ -29,13 +29,13 @@ from ship_replay.offline.black_box_replay import RecordedFiles
 @pytest.mark.parametrize(
     "rows",
     [
-        [[4e-10, 1e-7], [1e-7, 2.5e-5]],  # an angle in rad beside a clock offset in s
+        [[4e-10, 1e-7], [1e-7, 2.5e-5]],  # an angle in rad with a clock offset in s
         [[0.0, 0.0], [0.0, 2.5e-5]],  # the first is held fixed
         [[2.5e-5, 0.0], [0.0, 0.0]],
         [[0.0, 0.0], [0.0, 0.0]],
     ],
 )
-def test_covariances_are_read_as_they_are(rows):
+def test_covariances_are_read_unchanged(rows):
     assert np.array_equal(joint_covariance(rows, 2), rows)
 
 
@@ -81,7 +81,7 @@ WHOLE = {"time_ns": 5, "serials": {"fore": "A1"}, "offsets": {"fore": 0.1}, "cov
         ("covariance", [[1e308, 0.0], [0.0, 1e308]] * 2),
     ],
 )
-def test_mend_25_a_tampered_document_is_one_line_that_names_file_and_section(tmp_path, key, value):
+def test_a_tampered_document_is_refused_with_file_and_section(tmp_path, key, value):
     path = tmp_path / "saved.yaml"
     FORMAT.save(path, {**WHOLE, key: value})
     with pytest.raises(BadInput) as caught:
@@ -107,7 +107,7 @@ def test_mend_25_a_tampered_document_is_one_line_that_names_file_and_section(tmp
     ],
     ids=lambda value: value[:20],
 )
-def test_mend_25_what_is_no_document_is_one_line(tmp_path, text, complaint):
+def test_an_invalid_document_is_refused_in_one_line(tmp_path, text, complaint):
     path = tmp_path / "saved.yaml"
     path.write_text(text)
     with pytest.raises(BadInput) as caught:
@@ -117,7 +117,7 @@ def test_mend_25_what_is_no_document_is_one_line(tmp_path, text, complaint):
     assert len(str(caught.value)) < 300
 
 
-def test_a_pipe_or_a_device_is_refused_at_once(tmp_path):
+def test_a_pipe_or_a_device_is_refused_immediately(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with socket.socket(socket.AF_UNIX) as other:
         other.bind(str(tmp_path / "socket"))
@@ -128,7 +128,7 @@ def test_a_pipe_or_a_device_is_refused_at_once(tmp_path):
         FORMAT.load(tmp_path)
 
 
-def test_a_file_longer_than_anything_that_is_saved_is_not_read_to_its_end(tmp_path):
+def test_an_oversized_file_is_not_read_to_its_end(tmp_path):
     with open(tmp_path / "long.yaml", "wb") as long:
         long.truncate(1_000_000_000_000)
     with pytest.raises(BadInput, match="the alignment cannot be read: File too large"):
@@ -137,7 +137,7 @@ def test_a_file_longer_than_anything_that_is_saved_is_not_read_to_its_end(tmp_pa
 
 @dataclass
 class Content:
-    """What a start is made from: one angle, and its sigma."""
+    """Content to start from: one angle and its sigma."""
 
     time_ns: int = 0
     sigma: float = 1.0
@@ -168,7 +168,7 @@ def start(path, files=DISK, to_save=lambda: None):
 
 
 @pytest.mark.parametrize("text", UNREADABLE.values(), ids=UNREADABLE)
-def test_a_saved_file_that_cannot_be_used_is_set_aside_and_told_until_another_one_is_saved(tmp_path, text):
+def test_an_unusable_file_is_set_aside_and_reported_until_the_next_save(tmp_path, text):
     path = tmp_path / "alignment.yaml"
     raw = text.encode(errors="surrogateescape")
     path.write_bytes(raw)
@@ -178,7 +178,7 @@ def test_a_saved_file_that_cannot_be_used_is_set_aside_and_told_until_another_on
     assert str(path) in saved.unreadable
     assert saved.unreadable.endswith(f"; set aside as {path}.unreadable")
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"alignment.yaml.unreadable": raw}
-    # A replay of the black box is given the same.
+    # A replay of the black box gets the same.
     recorded = RecordedFiles()
     for use in files.uses:
         recorded.expect(use)
@@ -209,13 +209,13 @@ def test_a_file_that_becomes_unreadable_while_the_node_runs_is_set_aside_at_the_
 
 
 class CannotRename(DiskFiles):
-    """A disk that takes no changes."""
+    """Read-only disk."""
 
     def set_aside(self, path):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
 
 
-def test_where_it_cannot_be_renamed_the_node_starts_and_overwrites_nothing(tmp_path):
+def test_if_renaming_fails_the_node_starts_and_overwrites_nothing(tmp_path):
     path = tmp_path / "alignment.yaml"
     path.write_text("broken")
     saved = start(path, CannotRename(), lambda: Content(7))
@@ -228,7 +228,7 @@ def test_where_it_cannot_be_renamed_the_node_starts_and_overwrites_nothing(tmp_p
     assert (saved.trouble, saved.unreadable) == ("", "")
 
 
-def test_a_look_at_a_suite_sets_nothing_aside(tmp_path):
+def test_read_only_files_are_not_set_aside(tmp_path):
     path = tmp_path / "alignment.yaml"
     path.write_text("broken")
     assert "set aside as" in start(path, UNTOUCHED).unreadable
@@ -236,7 +236,7 @@ def test_a_look_at_a_suite_sets_nothing_aside(tmp_path):
 
 
 class Poor(DiskFiles):
-    """A disk from which nothing can be read while there is the number of an error."""
+    """Disk on which reading fails with an error number, if one is set."""
 
     def __init__(self, number):
         self.number = number
@@ -248,7 +248,7 @@ class Poor(DiskFiles):
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM])
-def test_a_good_file_is_not_set_aside_for_want_of_something(tmp_path, number):
+def test_a_good_file_is_not_set_aside_for_lack_of_resources(tmp_path, number):
     path = tmp_path / "alignment.yaml"
     path.write_text(WRITTEN)
     with pytest.raises(BadInput, match="cannot be read"):
@@ -263,7 +263,7 @@ NOT_OF_THE_FILE = [
 
 
 @pytest.mark.parametrize("number", NOT_OF_THE_FILE)
-def test_a_good_file_that_cannot_be_read_at_the_start_stays_and_is_told_until_it_can(tmp_path, number):
+def test_a_file_unreadable_at_the_start_stays_and_is_reported_until_readable(tmp_path, number):
     path, disk = tmp_path / "alignment.yaml", Poor(number)
     path.write_text(WRITTEN)
     saved = start(path, disk, lambda: Content(7, 2.0))
@@ -275,14 +275,14 @@ def test_a_good_file_that_cannot_be_read_at_the_start_stays_and_is_told_until_it
     disk.number = 0
     saved.save_by_itself()
     assert saved.unreadable == ""
-    assert "knows angle better" in saved.trouble
+    assert "has a smaller sigma of angle" in saved.trouble
     assert path.read_text() == WRITTEN
     saved.save()
     assert STARTS.load(path) == Content(7, 2.0)
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENOMEM, *NOT_OF_THE_FILE])
-def test_a_good_file_that_cannot_be_read_once_while_the_node_runs_stays(tmp_path, number):
+def test_a_file_unreadable_once_at_run_time_stays(tmp_path, number):
     path, disk = tmp_path / "alignment.yaml", Poor(0)
     path.write_text(WRITTEN)
     saved = start(path, disk, lambda: Content(7))
@@ -296,7 +296,7 @@ def test_a_good_file_that_cannot_be_read_once_while_the_node_runs_stays(tmp_path
     assert STARTS.load(path) == Content(7)
 
 
-def test_a_file_that_is_mended_while_the_node_runs_is_told_of_no_more(tmp_path):
+def test_a_repaired_file_is_no_longer_reported(tmp_path):
     path = tmp_path / "alignment.yaml"
     path.write_text("broken")
     saved = start(path, to_save=lambda: Content(7, 2.0))
@@ -304,4 +304,4 @@ def test_a_file_that_is_mended_while_the_node_runs_is_told_of_no_more(tmp_path):
     path.write_text(WRITTEN)
     saved.save_by_itself()
     assert saved.unreadable == ""
-    assert "knows angle better" in saved.trouble
+    assert "has a smaller sigma of angle" in saved.trouble

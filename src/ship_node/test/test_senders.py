@@ -1,4 +1,4 @@
-"""Which publishers of a topic send, by the numbers of their messages."""
+"""Active publishers of a topic, by the sequence numbers of their messages."""
 
 from ship_node.live.senders import Senders
 
@@ -6,21 +6,21 @@ MS = 1_000_000
 
 
 def two_found(numbers: list[int], period_ms: int = 10, senders: Senders | None = None) -> list[bool]:
-    """Whether two publishers send after each of the messages."""
+    """Return for each message whether two publishers send."""
     senders = Senders() if senders is None else senders
     return [senders.came(number, n * period_ms * MS) for n, number in enumerate(numbers)]
 
 
-def test_one_publisher_is_one_also_where_messages_are_lost() -> None:
+def test_one_publisher_with_lost_messages() -> None:
     assert not any(two_found([1, 2, 5, 6, 100, 101]))
 
 
-def test_a_publisher_that_starts_again_is_one() -> None:
+def test_a_restarted_publisher_is_one() -> None:
     # The number of the one before is passed with a message lost, and another start follows.
     assert not any(two_found([3, 4, 5, 1, 2, 3, 4, 6, 7, 8, 9, 1, 2, 3]))
 
 
-def test_two_are_found_at_once_whatever_their_numbers_and_rates() -> None:
+def test_two_publishers_are_detected_with_any_numbers_and_rates() -> None:
     assert two_found([700, 1, 701, 2, 702, 3])[3:] == [True] * 3
     assert two_found([1, 1, 2, 2, 3, 3, 4, 4])[-1]
     assert two_found([10, 11, 11, 12, 12, 13, 13])[-1]
@@ -28,7 +28,7 @@ def test_two_are_found_at_once_whatever_their_numbers_and_rates() -> None:
     assert two_found(fast_and_slow).index(True) < 310
 
 
-def test_after_one_has_stopped_there_is_one_within_the_silence_of_three_periods() -> None:
+def test_a_stopped_publisher_times_out_after_three_periods() -> None:
     senders = Senders()
     two_found([700, 1, 701, 2, 702, 3], senders=senders)
     assert senders.are_two(500 * MS)
@@ -37,15 +37,15 @@ def test_after_one_has_stopped_there_is_one_within_the_silence_of_three_periods(
     assert not senders.are_two(1060 * MS)
 
 
-def test_a_start_after_two_publishers_is_none_of_two() -> None:
+def test_a_new_publisher_after_two_is_one() -> None:
     senders = Senders()
     two_found([700, 1, 701, 2, 702, 3], senders=senders)
     senders.end()
     assert not any(senders.came(number, (60 + 10 * n) * MS) for n, number in enumerate((4, 5, 1, 2, 3, 4, 5, 6, 7)))
 
 
-def test_where_the_middleware_numbers_no_message_nothing_is_kept() -> None:
-    """As CycloneDDS: each message would be one of a new publisher, for ten seconds."""
+def test_without_sequence_numbers_no_publisher_is_stored() -> None:
+    """As with CycloneDDS: each message would count as a new publisher for ten seconds."""
     senders = Senders()
     assert not any(two_found([2**64 - 1] * 500, senders=senders))
     assert senders._senders == []

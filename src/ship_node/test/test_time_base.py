@@ -1,4 +1,5 @@
-"""Steps of the time base are found by the clocks of all inputs; one clock alone, delays and disorder make none."""
+"""Steps of the time base are detected by the clocks of all inputs; one clock alone, delays and disorder are no steps.
+"""
 
 from collections.abc import Callable, Iterator
 
@@ -17,7 +18,9 @@ Step = Callable[[str, float], float]
 
 
 def arrivals(duration_s: float, step_s: Step, delay_s: Delay, **periods_s: float) -> Iterator[tuple[float, str, float]]:
-    """(waiting s, topic, stamp s) in the order of arrival; what is delayed by a day or more never comes."""
+    """Return (timeout-clock time s, topic, stamp s) in order of arrival; a message delayed by a day or more never
+    arrives.
+    """
     found = []
     for number, (topic, period_s) in enumerate({**PERIODS_S, **periods_s}.items()):
         for valid_s in np.arange(0.0017 * number, duration_s, period_s) if np.isfinite(period_s) else ():
@@ -36,16 +39,16 @@ def found(
     clocks: TimeBase | None = None,
     **periods_s: float,
 ) -> list[tuple[float, float]]:
-    """(waiting s, step s) of each step of the time base that is found.
+    """Return (timeout-clock time s, step s) of each detected step of the time base.
 
     Args:
-        step_s: how far the clock of a topic is off at a time.
-        delay_s: of a message, beside the usual latency.
-        duration_s: of all.
-        computer_s: how far the computer's clock is off at a time, where a live node tells of its steps.
-        node_follows: whether the node's clock is off as that of the INS, where no live node tells.
-        clocks: that follow; new ones without.
-        periods_s: topic → its period, where it is not the usual one; infinite for none.
+        step_s: offset of a topic's clock at a time.
+        delay_s: delay of a message in addition to the usual latency.
+        duration_s: duration of the run.
+        computer_s: offset of the computer's clock at a time, if a live node reports its steps.
+        node_follows: True if the node's clock has the offset of the INS's, without reports of a live node.
+        clocks: the time base; None for a new one.
+        periods_s: topic → its period, if it is not the usual one; infinite for none.
     """
     clocks, steps, last_s = TimeBase() if clocks is None else clocks, [], 0.0
     for waiting_s, topic, stamp_s in arrivals(duration_s, step_s, delay_s, **periods_s):
@@ -62,7 +65,7 @@ def found(
 
 @pytest.mark.parametrize("step_s", [-900.0, -300.0, -10.0, -1.0, -0.7, 2.0, 10.5, 300.0, 900.0])
 @pytest.mark.parametrize("at_s", [20.0, 20.005, 20.3])
-def test_a_step_of_all_stamps_is_found_within_1_3_s(step_s: float, at_s: float) -> None:
+def test_a_step_of_all_stamps_is_detected_within_1_3_s(step_s: float, at_s: float) -> None:
     # A small step forward is in the future of the node's clock, or it is the end of a delay.
     follows = step_s < 0.0 or step_s > 10.0
     steps = found(lambda topic, valid_s: step_s if valid_s >= at_s else 0.0, node_follows=follows)
@@ -91,7 +94,7 @@ def test_a_step_forward_of_the_computers_clock_is_confirmed_by_all_inputs(step_s
     assert told_s == step_s
 
 
-def test_ahead_for_30_s_and_then_right_are_two_steps() -> None:
+def test_an_offset_for_30_s_is_two_steps() -> None:
     steps = found(lambda topic, valid_s: 900.0 if 20.0 <= valid_s < 50.0 else 0.0, duration_s=80.0)
     assert [step_s for _, step_s in steps] == [pytest.approx(900.0), pytest.approx(-900.0)]
 
@@ -107,8 +110,10 @@ def test_one_device_alone_is_never_a_step_of_the_time_base(alone: str, step_s: f
 
 
 @pytest.mark.parametrize("step_s", [-1.0, -5.0])
-def test_an_input_that_moved_and_fell_silent_keeps_nothing_in_question(step_s: float) -> None:
-    """The star sensor steps alone and ends two seconds later; then a link delays all others by as much for good."""
+def test_an_input_that_moved_and_timed_out_leaves_no_pending_step(step_s: float) -> None:
+    """The star sensor steps alone and ends two seconds later; then a link delays all others permanently by the same
+    time.
+    """
 
     def delay_s(topic: str, valid_s: float) -> float:
         return 1e6 if topic == "star/fore" and valid_s > 22.0 else -step_s * (topic != "star/fore" and valid_s > 30.0)
@@ -121,7 +126,7 @@ def test_an_input_that_moved_and_fell_silent_keeps_nothing_in_question(step_s: f
 
 @pytest.mark.parametrize("later_s", [0.0, -300.0])
 def test_the_computers_clock_alone_is_no_step_of_the_time_base(later_s: float) -> None:
-    """Nor is it together with the clock of one device, twenty seconds later."""
+    """Nor together with the clock of one device twenty seconds later."""
 
     def step(topic: str, valid_s: float) -> float:
         return later_s if topic == "star/fore" and valid_s >= 40.0 else 0.0
@@ -130,7 +135,7 @@ def test_the_computers_clock_alone_is_no_step_of_the_time_base(later_s: float) -
 
 
 @pytest.mark.parametrize("alone_s", [-300.0, 300.0])
-def test_a_device_that_was_off_alone_for_long_steps_with_the_others(alone_s: float) -> None:
+def test_a_device_with_a_long_offset_steps_with_the_others(alone_s: float) -> None:
     def step(topic: str, valid_s: float) -> float:
         return alone_s * (topic == "star/fore" and valid_s >= 20.0) - 5.0 * (valid_s >= 120.0)
 
@@ -145,8 +150,8 @@ def test_a_clock_that_drifts_ahead_has_not_moved() -> None:
     assert not clocks.is_in_question
 
 
-def test_an_input_that_says_both_agrees_with_no_step() -> None:
-    """Every other sample of the INS goes on as before: a second publisher has the clock that all others have."""
+def test_an_input_with_both_times_confirms_no_step() -> None:
+    """Every other sample of the INS has the old time: a second publisher uses the clock of all others."""
 
     def step(topic: str, valid_s: float) -> float:
         return 0.0 if topic == "ins/imu" and round(100.0 * valid_s) % 2 else -300.0 * (valid_s >= 20.0)
@@ -162,7 +167,7 @@ def test_devices_that_follow_one_after_another_are_one_step() -> None:
     assert step_s == pytest.approx(-300.0)
 
 
-def test_an_input_that_is_silent_follows_unseen() -> None:
+def test_an_input_without_messages_follows_a_step() -> None:
     def delay_s(topic: str, valid_s: float) -> float:
         return 1e6 if topic == "star/fore" and 15.0 <= valid_s < 40.0 else 0.0
 
@@ -180,7 +185,7 @@ def test_disorder_within_two_seconds_is_no_step(seed: int) -> None:
     ({"star/fore": np.inf, "met/pressure": 5.0}, 1.9, 0.95, 40.0), ({"ins/imu": np.inf}, 1.0, 0.5, 22.0),
 ])  # fmt: skip
 def test_bursts_that_come_late_are_no_step(periods_s, late_s: float, share: float, end_s: float) -> None:
-    """From 20 s on the first part of what is sent in each second comes seconds later, together with the rest."""
+    """From 20 s on the first part of each second's messages arrives seconds later, together with the rest."""
 
     def delay_s(topic: str, valid_s: float) -> float:
         return late_s if 20.0 <= valid_s < end_s and valid_s % 1.0 < share else 0.0
@@ -188,8 +193,8 @@ def test_bursts_that_come_late_are_no_step(periods_s, late_s: float, share: floa
     assert found(lambda topic, valid_s: 0.0, delay_s, **periods_s) == []
 
 
-def test_a_longer_way_after_a_step_is_no_other_step() -> None:
-    """The clocks step back by 300 s; from 40 s on all messages take a second more."""
+def test_a_longer_latency_after_a_step_is_no_further_step() -> None:
+    """The clocks step back by 300 s; from 40 s on all messages take a second longer."""
     steps = found(
         lambda topic, valid_s: -300.0 * (valid_s >= 20.0), lambda topic, valid_s: float(valid_s >= 40.0), 80.0
     )
@@ -198,9 +203,8 @@ def test_a_longer_way_after_a_step_is_no_other_step() -> None:
 
 @pytest.mark.parametrize("step_s", [-0.7, -15.0])
 def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: float) -> None:
-    """After the step the first message is one of the air: by itself it is late. The star sensor shows that it is not.
-
-    Afterwards nothing is in question.
+    """The first message after the step is of the air, which alone seems late. The star sensor shows the step;
+    afterwards no step is pending.
     """
     clocks = TimeBase()
     periods_s = {"ins/imu": np.inf, "gnss/fix": np.inf, "met/pressure": 20.0}
@@ -211,7 +215,7 @@ def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: flo
 
 
 def test_the_step_is_that_of_the_fastest_input() -> None:
-    """The way of the first fix after it is longer by 0.3 s."""
+    """The latency of the first fix after it is longer by 0.3 s."""
     ((_, step_s),) = found(
         lambda topic, valid_s: -300.0 * (valid_s >= 20.0),
         lambda topic, valid_s: 0.3 if topic == "gnss/fix" and 20.0 <= valid_s < 21.0 else 0.0,
@@ -220,8 +224,8 @@ def test_the_step_is_that_of_the_fastest_input() -> None:
     assert step_s == -300.0
 
 
-def test_an_input_far_ahead_stays_unused_while_others_are_there() -> None:
-    """Also where the node's clock does not refuse it, because it is ahead itself."""
+def test_an_input_far_ahead_is_unused_while_others_are_present() -> None:
+    """Also if the node's clock does not reject it because it is ahead itself."""
     clocks = TimeBase()
 
     def ahead_s(topic: str, valid_s: float) -> float:
@@ -232,8 +236,8 @@ def test_an_input_far_ahead_stays_unused_while_others_are_there() -> None:
 
 
 @pytest.mark.parametrize("held_up_s", [0.8, 3.0, 30.0])
-def test_a_link_that_holds_everything_up_is_no_step(held_up_s: float) -> None:
-    """All that was sent meanwhile comes at once, as after a stall of the network or of the node."""
+def test_a_stalled_link_is_no_step(held_up_s: float) -> None:
+    """All messages of the meantime arrive at once, as after a stall of the network or of the node."""
 
     def delay_s(topic: str, valid_s: float) -> float:
         return max(20.0 + held_up_s - valid_s, 0.0) if valid_s >= 20.0 else 0.0
@@ -241,7 +245,7 @@ def test_a_link_that_holds_everything_up_is_no_step(held_up_s: float) -> None:
     assert found(lambda topic, valid_s: 0.0, delay_s) == []
 
 
-def test_utc_is_ambiguous_in_the_second_that_is_told_twice() -> None:
+def test_utc_is_ambiguous_in_a_leap_second() -> None:
     midnight_ns = 1_483_228_800 * S  # 2017-01-01, after 2016-12-31T23:59:60
     clocks = TimeBase()
     told = [clocks.is_misdated(midnight_ns + round(s * S), 0) for s in (-1.5, -0.5, 0.0, 0.5, 1.0)]

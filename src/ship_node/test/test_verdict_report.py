@@ -1,4 +1,4 @@
-"""Verdicts as diagnostics: one status a source with its figures, bounded, forgotten at a reset."""
+"""Innovation diagnoses as diagnostics: one status per source with its figures, bounded, cleared by a reset."""
 
 from types import SimpleNamespace
 
@@ -47,7 +47,7 @@ def test_a_source_as_stated_is_ok_and_shows_its_figures() -> None:
     low, high = chi2.ppf([0.5e-7, 1.0 - 0.5e-7], 200) / 200  # of the mean of 200 squares
     assert status.values["NIS per component"].endswith(f"(expected {low:.2f} to {high:.2f})")
     assert set(status.values) >= {"factor of its sigma", "far off (%)", "bias up (sigma)", "correlation right"}
-    assert report.statuses() == [status]  # judged once, told as long as it is true
+    assert report.statuses() == [status]  # evaluated once, reported as long as it applies
     assert not report.pending
 
 
@@ -60,14 +60,14 @@ def test_an_understated_sigma_is_a_warning() -> None:
     assert float(status.values["factor of its sigma"]) == pytest.approx(3.0, rel=0.2)
 
 
-def test_too_few_are_shown_without_figures_and_are_no_warning() -> None:
+def test_too_few_measurements_are_no_warning_and_have_no_figures() -> None:
     report = VerdictReport()
     report.pending += decisions(3.0, count=5)
     (status,) = report.statuses()
     assert (status.level, status.values) == (Level.OK, {"measurements": "5"})
 
 
-def test_a_flood_stays_bounded_and_a_reset_forgets() -> None:
+def test_pending_decisions_are_bounded_and_cleared_by_a_reset() -> None:
     report = VerdictReport()
     report.pending += decisions(1.0, count=50) * 200
     assert len(report.pending) == 5000

@@ -1,1 +1,1 @@
-"""The executables of the package: arguments in, exit codes out. They may import every room; no room imports them."""
+"""Executables of the package: arguments and exit codes. They may import every room; no room imports them."""

@@ -13,12 +13,11 @@ from ship_bags.renamed_topics import add_remap
 from ship_bags.stamps import END_OF_TIME_NS, ns_from_utc_text
 
 _DESCRIPTION = """\
-Writes topics of a bag as tables, one file each, e.g. ship.attitude.csv for ship/attitude. Numbers are those of the
-messages, to the last bit; the unit of a column stands at the end of its name (heading_rad, sigma_m, covariance_rad2_0),
-where it is known. An array whose length varies becomes a table of its own with a row per element, e.g.
-star.fore.observations-stars.csv; message_index says to which message it belongs. log_time_ns and stamp_ns are
-nanoseconds since 1970 of UTC as POSIX time. What the numbers of a column like status mean is said in NetCDF files and
-in docs/how-to/export.md.
+Writes topics of a bag as tables, one file each, e.g. ship.attitude.csv for ship/attitude. Numbers equal those of the
+messages to the last bit. The name of a column ends with its unit, if known (heading_rad, sigma_m, covariance_rad2_0).
+An array of variable length becomes a table of its own with a row per element, e.g. star.fore.observations-stars.csv;
+message_index is the number of its message. log_time_ns and stamp_ns are nanoseconds since 1970 of UTC as POSIX time.
+NetCDF files and docs/how-to/export.md give the meaning of numbers in columns like status.
 """
 _EPILOG = "exit code: 0 written; 2 bad input or usage, or the disk failed, in one line; 130 interrupted"
 
@@ -43,8 +42,8 @@ def _parser() -> CommandParser:
         type=_out,
         required=True,
         metavar="OUT",
-        help="folder to write into, made where it is not there; of one topic also a file .csv, .parquet or .nc: other "
-        "endings are refused unless a folder of that name is there",
+        help="folder to write into, made if it is missing; for one topic also a file .csv, .parquet or .nc; other "
+        "suffixes are refused unless a folder of that name exists",
     )
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these topics, named as in the bag (all)"
@@ -89,7 +88,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _out(text: str) -> Path:
-    # An empty path would mean the folder in which the command runs: it comes from a variable that is not set.
+    # An empty path, from a variable that is not set, would mean the current folder.
     if not text.strip():
         raise argparse.ArgumentTypeError("it is empty: name a folder, or a file .csv, .parquet or .nc")
     return Path(text)

@@ -26,7 +26,7 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="import_nmea",
         example="./ros2run ship_bags import_nmea --ins seapath.log --out voyage.mcap --resample 20",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
+        epilog="exit code: 0 written; 2 bad input or usage, with one line of reason; 130 interrupted",
         description="Turn ship logs (lines 'RECEIVE_TIME SENTENCE': GGA, ZDA, HDT, THS, PSXN 20 and 23, PASHR, PRDID, "
         "PTNTHPR, PSAT,HPR, ROT, MDA, XDR, MET) into a bag with ins/imu, reference/<name>/imu, gnss/fix and met/*. Log "
         "time is the receive time.",
@@ -56,13 +56,13 @@ def _parser() -> CommandParser:
         action="append",
         default=[],
         metavar="XX",
-        help="use sentences of this talker, as GP or HE, and of no other (any number of times); makers' own have none",
+        help="use only sentences of this talker, as GP or HE (any number of times); proprietary ones have none",
     )
     parser.add_argument(
         "--checksum",
         choices=(REQUIRED, OPTIONAL),
         default=REQUIRED,
-        help="optional: use sentences without a checksum whose fields are all there (default: %(default)s)",
+        help="optional: use sentences without a checksum if they have all fields (default: %(default)s)",
     )
     parser.add_argument(
         "--quality-9-is-fix",
@@ -113,6 +113,6 @@ def _references(texts: Sequence[str]) -> dict[str, Path]:
         if not separator or not path or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise BadInput(f"--reference {text}: expected NAME=FILE with a name of letters, digits and _")
         if name in references:
-            raise BadInput(f"--reference {text}: the name '{name}' was given before")
+            raise BadInput(f"--reference {text}: the name '{name}' is given twice")
         references[name] = Path(path)
     return references

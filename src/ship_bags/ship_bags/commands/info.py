@@ -1,4 +1,4 @@
-"""``info``: what a bag holds, and the suite file attached to it."""
+"""``info``: content of a bag, and the suite file attached to it."""
 
 import argparse
 import json
@@ -16,14 +16,14 @@ from ship_bags.renamed_topics import add_remap
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DESCRIPTION = """\
-Says what a bag holds: size, begin, end and length, topics with type, number, mean rate in Hz and seconds of their
-first and last message after the begin, what is attached to it, and what is wrong with it. The whole bag is read and
-counted. With --suite it writes the configuration of the suite that is attached to the bag, and nothing else.
+Lists the content of a bag: size, start, end and duration; topics with type, number of messages, mean rate in Hz and
+seconds from the start to their first and last message; attachments; problems. The whole bag is read and counted. With
+--suite it only writes the attached configuration of the suite.
 """
-_EPILOG = "exit code: 0 said or written, also of a damaged bag; 2 bad input or usage, with one line that says which"
+_EPILOG = "exit code: 0 printed or written, also for a damaged bag; 2 bad input or usage, with one line of reason"
 _STDOUT = "-"
 _LONGEST_ENTRY = 200
-"""Of metadata that is shown: rosbag2 puts the whole description of its file into one entry."""
+"""Maximum length of a metadata entry that is shown: rosbag2 puts a description of its file into one entry."""
 
 _ROLES = {SUITE_ATTACHMENT: "the suite's configuration", SCENARIO_ATTACHMENT: "the scenario of a simulated bag"}
 
@@ -44,13 +44,13 @@ def _parser() -> CommandParser:
     parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
     add_remap(parser)
     outputs = parser.add_mutually_exclusive_group()
-    outputs.add_argument("--json", action="store_true", help="say it as JSON; times are nanoseconds since 1970, UTC")
+    outputs.add_argument("--json", action="store_true", help="print JSON; times are nanoseconds since 1970, UTC")
     outputs.add_argument(
         "--suite",
         nargs="?",
         const=_STDOUT,
         metavar="FILE",
-        help="write the attached suite file to FILE, or where no FILE is named to stdout",
+        help="write the attached suite file to FILE, or to stdout without FILE",
     )
     add_force(parser)
     return parser
@@ -98,7 +98,7 @@ def _lines(path: Path, content: BagContent) -> Iterator[str]:
     for problem in content.problems:
         yield one_line(f"problem: {problem}")
     if not content.problems:
-        yield "whole: footer, index and checksums are in order"
+        yield "complete: footer, index and checksums are valid"
 
 
 def _entry(value: str) -> str:
@@ -120,7 +120,7 @@ def _topic_table(content: BagContent) -> Iterator[str]:
 
 
 def _times(topic: TopicContent, start_ns: int | None) -> tuple[str, str, str]:
-    """Rate, first and last time as a person reads them."""
+    """Return rate, first and last time as texts."""
     rate = "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}"
     if start_ns is None or topic.first_ns is None or topic.last_ns is None:
         return rate, "-", "-"

@@ -1,4 +1,4 @@
-"""``play``: a bag's messages go out live, with its time on /clock."""
+"""``play``: publishes a bag's messages live, with its time on /clock."""
 
 import argparse
 import math
@@ -14,11 +14,11 @@ from ship_bags.renamed_topics import add_remap
 
 _DESCRIPTION = """\
 Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.
-Publishers are reliable; topics that were latched are latched again. It starts when subscribers match, two seconds
-after the last match where nobody takes some of its topics, which it names; it ends when every reliable subscriber has
-acknowledged the last message, and in order on Ctrl-C. On a terminal: space pauses and goes on, s plays the next
-message while it is paused, + doubles the rate and - halves it. Services of the node: ~/pause, ~/resume,
-~/toggle_paused, ~/play_next (std_srvs/Trigger).
+Publishers are reliable; latched topics are latched again. It starts when every topic has a subscriber, or two seconds
+after the last match if some topics have none, which it reports. It ends when every reliable subscriber has acknowledged
+the last message, and cleanly on Ctrl-C. On a terminal: space pauses and resumes, s plays the next message while
+paused, + doubles the rate and - halves it. Services of the node: ~/pause, ~/resume, ~/toggle_paused, ~/play_next
+(std_srvs/Trigger).
 ROS arguments may follow after --ros-args (namespace, remaps).
 """
 _EPILOG = "exit code: 0 played; 1 a subscriber did not acknowledge messages; 2 bad input or usage"
@@ -66,15 +66,15 @@ def _parser() -> CommandParser:
         type=_expected,
         default=[],
         metavar="TOPIC[=COUNT]",
-        help="start when these topics, named as played, have so many subscribers each (1), and fail where they do not "
-        "come; without: wait for one of every topic but truth, and play all the same where none comes",
+        help="start when these topics, named as played, have COUNT subscribers each (1), and fail if they do not; "
+        "default: wait for one subscriber of every topic except truth, and play in any case after the timeout",
     )
     parser.add_argument(
         "--wait-timeout",
         type=_seconds,
         default=10.0,
         metavar="S",
-        help="wait so many seconds for subscribers (10)",
+        help="wait S seconds for subscribers (10)",
     )
     return parser
 
@@ -94,7 +94,7 @@ def _play(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         on_end_signals(clock.stop)
         with served(node, clock, player.publish_clock), keyboard(clock):
             summary = player.run()
-    print(f"play: {summary.message_count} messages, none later than {summary.latest_s * 1e3:.1f} ms")
+    print(f"play: {summary.message_count} messages, largest delay {summary.latest_s * 1e3:.1f} ms")
     if summary.unacknowledged:
         print(
             f"play: not acknowledged by every subscriber: {', '.join(summary.unacknowledged)}",

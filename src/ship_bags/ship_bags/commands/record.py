@@ -1,4 +1,4 @@
-"""``record``: live topics go into a crash-safe bag; what a crash left is made whole again."""
+"""``record``: records live topics into a crash-safe bag; recovers damaged bags."""
 
 import argparse
 import sys
@@ -17,14 +17,14 @@ from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 
 _DESCRIPTION = """\
 Records live topics into one MCAP file or a rosbag2 folder, byte for byte, with definitions and quality of service as
-ros2 bag does. A crash costs one flush period at most. New topics are taken as they appear; subscriptions follow what
-publishers offer (reliable, latched). Log time is the node's clock at receipt, publish time the publisher's. The
-parameters of the nodes on the network are asked for and attached as suite.yaml, which replay takes by itself. Ctrl-C or
-SIGTERM ends it. ROS arguments may follow after --ros-args (namespace, use_sim_time, remaps).
+ros2 bag does. A crash loses one flush period at most. New topics are recorded as they appear; subscriptions adapt to
+the publishers' QoS (reliable, latched). Log time is the node's clock at reception, publish time the publisher's. The
+parameters of the nodes on the network are attached as suite.yaml, which replay uses. Ctrl-C or SIGTERM ends it. ROS
+arguments may follow after --ros-args (namespace, use_sim_time, remaps).
 
-With --recover it records nothing: of each bag named it takes every message up to the cut, past damaged chunks, whose
-time range it names, and writes FILE.recovered.mcap beside it (FOLDER.recovered for a folder). That is read back whole
-by two other readers before it gets its name; the original stays as it is.
+With --recover it records nothing, but recovers each named bag: it writes every readable message to FILE.recovered.mcap
+next to it (FOLDER.recovered for a folder), and reports the time range of damaged chunks. Two other readers read the
+whole result back before it gets its name; the original is not changed.
 """
 _EPILOG = "exit code: 0 recorded or recovered; 2 bad input or usage, or the disk failed"
 _BYTES_PER_MB = 1_000_000
@@ -49,10 +49,10 @@ def _parser() -> CommandParser:
     )
     add_force(parser)
     parser.add_argument(
-        "--recover", type=Path, nargs="+", metavar="FILE", help="make damaged or unfinished bags whole again"
+        "--recover", type=Path, nargs="+", metavar="FILE", help="recover damaged or unfinished bags"
     )
     parser.add_argument(
-        "--split-mb", type=positive, metavar="MB", help="folder: a new file after so many megabytes (never)"
+        "--split-mb", type=positive, metavar="MB", help="folder: a new file after MB megabytes (never)"
     )
     parser.add_argument(
         "--split-s", type=positive, metavar="S", help="folder: a new file after S seconds of real time (never)"
@@ -72,8 +72,8 @@ def _parser() -> CommandParser:
         "--until-idle-s",
         type=positive,
         metavar="S",
-        help="end S seconds after the last measurement or valid result (never); what nodes without input go on to say "
-        "(diagnostics, health, budgets, INVALID, /rosout) counts only where nothing else is recorded",
+        help="end S seconds after the last measurement or valid result (never); messages that nodes publish without "
+        "input (diagnostics, health, budgets, INVALID, /rosout) count only if no others are recorded",
     )
     parser.add_argument("--use-sim-time", action="store_true", help="log time is that of /clock")
     return parser
@@ -92,7 +92,7 @@ def _run(parser: CommandParser, parsed: argparse.Namespace, ros_arguments: list[
 
 
 def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
-    """Recover each bag; one that cannot be does not keep the others from it."""
+    """Recover each bag; one that fails does not stop the others."""
     exit_code = EXIT_DONE
     for source in sources:
         try:
@@ -113,7 +113,7 @@ def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
 def _opened(parsed: argparse.Namespace) -> BagWriter | FolderWriter:
     if parsed.out.suffix == ".mcap":
         check_file(parsed.out, parsed.force)
-        # Whoever reads the former one keeps it.
+        # Programs that read the former file keep it.
         parsed.out.unlink(missing_ok=True)
         bag: BagWriter | FolderWriter = BagWriter(parsed.out, atomic=False)
     else:
@@ -138,7 +138,7 @@ def _record(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         print(f"record: recording to {parsed.out}", flush=True)
         recorder.run()
     for name in sorted(recorder.unanswered):
-        print(f"record: {name} did not say its parameters: they are not in the recording")
+        print(f"record: {name} did not report its parameters: they are not in the recording")
     for topic in sorted(recorder.counts):
         lost = f", {recorder.lost[topic]} lost on the way" if recorder.lost[topic] else ""
         print(f"record: {topic}: {recorder.counts[topic]} messages{lost}")

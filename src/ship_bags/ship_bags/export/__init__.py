@@ -1,5 +1,5 @@
-"""Topics of a bag as tables for people who do not use ROS: CSV, Parquet, NetCDF after the CF conventions.
+"""Topics of a bag as tables for use without ROS: CSV, Parquet, NetCDF with the CF conventions.
 
-The room knows message definitions, units and the three formats. It imports the room :mod:`~ship_bags.mcap` and the flat
-modules of the package; rclpy is unknown here.
+The room handles message definitions, units and the three formats. It imports the room :mod:`~ship_bags.mcap` and the
+flat modules of the package, and no rclpy.
 """

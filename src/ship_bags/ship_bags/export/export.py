@@ -1,4 +1,4 @@
-"""Exports topics of a bag: reads it once, in order of log time, and writes the tables side by side."""
+"""Export of topics of a bag, read once in order of log time, with all tables written in parallel."""
 
 import difflib
 import errno
@@ -22,28 +22,28 @@ FORMATS: dict[str, type[TableFile]] = {"csv": CsvFile, "parquet": ParquetFile, "
 
 _BATCH_ROWS = 1000
 _BATCH_CELLS = 30_000
-"""A table waits for so many rows or cells before they are written."""
+"""Numbers of rows and cells at which a table writes its batch."""
 
 _LONGEST_STEM = 180
 _MOST_NAMED = 20
 _ALIKE, _THE_SAME = 0.6, 0.85
-"""How alike names are, after difflib: alike, and the same but for a slip of the pen."""
+"""Similarities of names by difflib: similar, and equal except for a typing error."""
 
 _NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9_.-]")
 
 
 @dataclass(frozen=True)
 class ExportOrder:
-    """What to export.
+    """Options of an export.
 
     Attributes:
         bag: a .mcap file or a rosbag2 folder.
-        out: a folder, or of a single topic the file of its messages.
-        topics: names, with or without the slash in front; none means all that can be read.
-        format: a key of FORMATS; None: by the end of ``out``, else csv.
-        since_ns: log time of the first message, ns.
-        until_ns: log time before which the last message lies, ns.
-        force: whether to write over files that are there.
+        out: a folder, or for a single topic the file of its messages.
+        topics: names, with or without leading slash; empty for all readable ones.
+        format: a key of FORMATS; None: by the suffix of ``out``, else csv.
+        since_ns: earliest log time, ns.
+        until_ns: log time before which all messages lie, ns.
+        force: True to overwrite existing files.
     """
 
     bag: Path
@@ -57,7 +57,7 @@ class ExportOrder:
 
 @dataclass
 class Exported:
-    """What came out: the files with their rows, and one line for each thing that is not in them."""
+    """Result: the files with their numbers of rows, and one line for each thing that is missing in them."""
 
     row_counts: dict[Path, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
@@ -65,7 +65,7 @@ class Exported:
 
 @dataclass
 class _Topic:
-    """A topic on its way into files: its rows, and the file of each of its tables."""
+    """Topic being exported: its rows, and the file of each of its tables."""
 
     rows: TopicRows
     files: list[tuple[MessageTable, TableFile]] = field(default_factory=list)
@@ -82,7 +82,7 @@ def export(order: ExportOrder) -> Exported:
     """Write the topics of a bag as tables, all of them or none.
 
     Raises:
-        BadInput: bag, topics or names of files cannot be used; the line says which and why.
+        BadInput: bag, topics or names of files cannot be used; the line names which, and the reason.
         OSError: a file cannot be written.
     """
     if order.since_ns >= order.until_ns:
@@ -103,7 +103,7 @@ def export(order: ExportOrder) -> Exported:
                 topic.files.append((table, file))
         met, left_out = _take_messages(bag, order, topics)
         files = [file for name in met for _, file in topics[name].files]
-        # A full disk shows itself here at the latest: no file gets its name before all are on the disk.
+        # No file gets its final name before all are on the disk: a full disk is detected here at the latest.
         for file in files:
             file.finish()
         for file in files:
@@ -121,10 +121,10 @@ def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTa
 
 
 def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> tuple[list[str], list[str]]:
-    """Read the bag and write the rows; returns the topics that get their files, and one line for each thing left out.
+    """Read the bag and write the rows; return the topics that get files, and one line for each omission.
 
     Raises:
-        BadInput: nothing at all lies in the times.
+        BadInput: no message lies in the time range.
     """
     met: set[str] = set()
     counts: Counter[str] = Counter()
@@ -152,7 +152,7 @@ def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> t
     if not met:
         what = "no message of these topics" if order.topics else "no message"
         raise BadInput(f"{what} was logged between --from and --to: the bag {_extent(bag)}", file=order.bag)
-    nothing = "nothing was logged between --from and --to, so no file is written, of"
+    nothing = "no message was logged between --from and --to, so no file is written, of"
     left_out = [f"{nothing} {', '.join(empty)}"] if empty else []
     return [name for name in topics if name in met], [*undecoded, *left_out]
 
@@ -171,7 +171,7 @@ def _until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagRecord]:
 
 
 def _kind(order: ExportOrder) -> type[TableFile]:
-    """The kind of file, which ``--format`` and the end of the name must both mean."""
+    """Return the kind of file, on which ``--format`` and the suffix must agree."""
     by_name = None
     if _names_a_file(order.out):
         suffix = order.out.suffix.lower()
@@ -191,12 +191,12 @@ def _kind(order: ExportOrder) -> type[TableFile]:
 
 
 def _names_a_file(out: Path) -> bool:
-    """Whether ``--out`` means a file: it has an ending, and no folder bears the name."""
+    """Return True if ``--out`` means a file: it has a suffix and is not a folder."""
     return bool(out.suffix) and not out.is_dir()
 
 
 def _wanted(bag: Bag, names: tuple[str, ...]) -> list[str]:
-    """The topics to export, by their names in the bag."""
+    """Return the topics to export, by their names in the bag."""
     if not names:
         return sorted(bag.topics)
     bare = {name.lstrip("/"): name for name in bag.topics}
@@ -213,10 +213,10 @@ def _wanted(bag: Bag, names: tuple[str, ...]) -> list[str]:
 
 
 def _hint(name: str, known: Collection[str]) -> str:
-    """What the user may have meant, of the topics without a slash in front.
+    """Return a text with the topic that the user may have meant, without leading slash.
 
-    The truth of a simulation comes last, and is suggested only for what can mean nothing else: who asks for
-    ship/attitude, which the bag lacks, must not be sent to truth/attitude.
+    Truth topics of a simulation come last, and are suggested only if nothing else is possible: for a missing
+    ship/attitude, truth/attitude would mislead.
     """
     truth = sorted(topic for topic in known if f"/{TRUTH_PREFIX}" in f"/{topic}")
     others = sorted(set(known).difference(truth))
@@ -225,7 +225,7 @@ def _hint(name: str, known: Collection[str]) -> str:
 
 
 def _topic_rows(bag: Bag, names: list[str], required: bool) -> tuple[dict[str, _Topic], list[str]]:
-    """The topics whose types can become tables, and one line for each other."""
+    """Return the topics whose types can become tables, and one line for each other topic."""
     topics, refused = {}, []
     for name in names:
         rows, why = _rows_of(bag, name)
@@ -242,7 +242,7 @@ def _topic_rows(bag: Bag, names: list[str], required: bool) -> tuple[dict[str, _
 
 
 def _rows_of(bag: Bag, name: str) -> tuple[TopicRows | None, str]:
-    """The tables of a topic, or why there are none."""
+    """Return the tables of a topic, or why there are none."""
     try:
         return TopicRows(bag.topics[name], bag.store), ""
     except BadInput as problem:
@@ -250,7 +250,7 @@ def _rows_of(bag: Bag, name: str) -> tuple[TopicRows | None, str]:
 
 
 def _paths(order: ExportOrder, kind: type[TableFile], topics: dict[str, _Topic]) -> dict[tuple[str, str], Path]:
-    """The file of each table, by topic and name of the table."""
+    """Return the file of each table, by topic and name of the table."""
     single = _names_a_file(order.out)
     if single and len(topics) > 1:
         raise BadInput(
@@ -262,11 +262,11 @@ def _paths(order: ExportOrder, kind: type[TableFile], topics: dict[str, _Topic])
     for name, topic in topics.items():
         stem = order.out.stem if single else _stem(name)
         folder = order.out.parent if single else order.out
-        # A file is called as the user wrote it, capital letters and all.
+        # The suffix is kept as the user wrote it, with its capital letters.
         suffix = order.out.suffix if single else kind.suffix
         for table in topic.rows.tables:
             path = folder / f"{stem}{'-' if table.name else ''}{table.name}{suffix}"
-            # Disks of other systems do not tell capital letters from small ones.
+            # Some file systems do not distinguish capital letters.
             owner = owners.setdefault(path.name.lower(), name)
             if owner != name:
                 raise BadInput(
@@ -279,13 +279,13 @@ def _paths(order: ExportOrder, kind: type[TableFile], topics: dict[str, _Topic])
 
 
 def _stem(topic: str) -> str:
-    """The name of a topic as that of a file: ship/attitude → ship.attitude."""
+    """Return a topic's name as a file name: ship/attitude → ship.attitude."""
     name = _NOT_IN_A_NAME.sub("_", topic.strip("/").replace("/", "."))
     return name.lstrip(".-")[:_LONGEST_STEM] or "topic"
 
 
 def _made_folder(order: ExportOrder, paths: dict[tuple[str, str], Path]) -> Path | None:
-    """Check that all files can be written; returns the folder where it was made for them."""
+    """Check that all files can be written; return the folder if it was made for them."""
     if any(path.exists() and path.resolve() == order.bag.resolve() for path in paths.values()):
         raise BadInput("the output would overwrite the bag", file=order.bag)
     if next(iter(paths.values())).parent != order.out:
@@ -300,7 +300,7 @@ def _made_folder(order: ExportOrder, paths: dict[tuple[str, str], Path]) -> Path
 
 
 def _leave_no_empty(folder: Path | None) -> None:
-    """Remove a folder that was made for files which did not come about."""
+    """Remove a folder that was made for files that were not written."""
     if folder is not None:
         with suppress(OSError):
             folder.rmdir()

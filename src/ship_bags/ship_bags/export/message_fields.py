@@ -1,6 +1,6 @@
-"""What a message holds, down to numbers, texts, times and arrays, by its definition, and how to take it out.
+"""Fields of a message down to numbers, texts, times and arrays, by its definition, and their getters.
 
-Messages within messages are opened, and so are short arrays of messages of fixed length.
+Nested messages are expanded, and so are short arrays of messages of fixed length.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -15,13 +15,13 @@ from ship_bags.errors import BadInput
 from ship_bags.export.units import Unit, standard_name, unit_of, value_names
 
 _MOST_NUMBERED = 64
-"""A fixed array that is longer becomes a table of its own: nobody reads a thousand columns."""
+"""Maximum length of a fixed array that becomes numbered columns; a longer one becomes a table of its own."""
 
 _DEEPEST = 16
 TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 BYTES = ("uint8", "byte", "octet")
 NO_FIELD = "structure_needs_at_least_one_member"
-"""Stands in the definition of a message without fields."""
+"""Name in the definition of a message without fields."""
 
 _TOGETHER: dict[str, tuple[dict[str, int], ...]] = {
     "ship_msgs/msg/AlignmentState": ({"names": 1, "values": 1, "units": 1},),
@@ -36,16 +36,16 @@ _TOGETHER: dict[str, tuple[dict[str, int], ...]] = {
     ),
     "sensor_msgs/msg/JointState": ({"name": 1, "position": 1, "velocity": 1, "effort": 1},),
 }
-"""Type → arrays that are in the same order, as its definition says, and how many elements of each belong together."""
+"""Type → arrays that are in the same order, by its definition, and their numbers of elements that belong together."""
 
 Path = tuple[str | int, ...]
 Get = Callable[[Any], Any]
 
 
 class MessageField(NamedTuple):
-    """A number, text or array in a message: its place and type, what its numbers mean, the array or type it is in.
+    """Number, text or array in a message: path and type, meaning of its numbers, and the array or type around it.
 
-    ``value_names`` are the names of the values that it can have, where it is one of the constants of its type.
+    ``value_names`` are the names of its values, if it is one of the constants of its type.
     """
 
     path: Path
@@ -59,7 +59,7 @@ class MessageField(NamedTuple):
 
     @property
     def base(self) -> str:
-        """Its place as the beginning of a column's name; of a header the stamp and the frame need no more."""
+        """Path as the beginning of a column's name; stamp and frame of the header are named without it."""
         if self.array:
             return self.array
         inner = self.path[1:] if self.path in (("header", "stamp"), ("header", "frame_id")) else self.path
@@ -67,7 +67,7 @@ class MessageField(NamedTuple):
 
     @property
     def origin(self) -> str:
-        """Its place as a program writes it."""
+        """Path as a program writes it."""
         place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.path)
         return place.removeprefix(".") or self.array
 
@@ -75,7 +75,7 @@ class MessageField(NamedTuple):
 def fields_of(
     type_name: str, store: Typestore, path: Path = (), inherited: Unit | None = None
 ) -> Iterator[MessageField]:
-    """All that a message holds, down to numbers, texts, times and arrays that become no single columns."""
+    """Yield all fields of a message, down to numbers, texts, times and arrays of variable length."""
     if len(path) > _DEEPEST:
         raise BadInput(f"{type_name}: messages within messages are more than {_DEEPEST} deep")
     constants, fields = store.fielddefs[type_name]
@@ -88,7 +88,7 @@ def fields_of(
 
 
 def _parts(field: MessageField, store: Typestore) -> Iterator[MessageField]:
-    """The field itself, or where it is a message or a short array of messages, what stands in it."""
+    """Yield the field itself, or the fields of a message or of a short array of messages."""
     if field.node == Nodetype.NAME and field.content not in TIMES:
         yield from fields_of(field.content, store, field.path, field.unit)
     elif field.node == Nodetype.ARRAY and field.content[0][0] == Nodetype.NAME and field.content[1] <= _MOST_NUMBERED:
@@ -100,7 +100,7 @@ def _parts(field: MessageField, store: Typestore) -> Iterator[MessageField]:
 
 
 def groups_of(fields: list[MessageField]) -> list[dict[MessageField, int]]:
-    """Arrays that share a table, each with the number of its elements in a row."""
+    """Return arrays that share a table, each with the number of its elements in a row."""
     groups: dict[tuple[Path, str], dict[MessageField, int]] = {}
     for field in fields:
         known = next((group for group in _TOGETHER.get(field.owner, ()) if field.path[-1] in group), {})
@@ -111,7 +111,7 @@ def groups_of(fields: list[MessageField]) -> list[dict[MessageField, int]]:
 
 
 def elements_of(group: dict[MessageField, int]) -> Callable[[Any], Iterable[Any]]:
-    """What takes the elements for the rows of a table out of a message; of several arrays, one or more of each."""
+    """Return the getter of a table's elements from a message; of several arrays, one or more of each."""
     gets = [(getter(field.path), width) for field, width in group.items()]
     if len(gets) == 1:
         get, _ = gets[0]
@@ -120,23 +120,23 @@ def elements_of(group: dict[MessageField, int]) -> Callable[[Any], Iterable[Any]
 
 
 def _in_rows(elements: list[Any], width: int) -> list[Any]:
-    """The elements, or where several belong together, lists of them."""
+    """Return the elements, or lists of them if several belong together."""
     return elements if width == 1 else [elements[place : place + width] for place in range(0, len(elements), width)]
 
 
 def is_numbered(field: MessageField) -> bool:
-    """Whether it is a short array of fixed length of numbers or texts."""
+    """Return True for a short array of fixed length of numbers or texts."""
     return field.node == Nodetype.ARRAY and field.content[1] <= _MOST_NUMBERED and field.content[0][0] == Nodetype.BASE
 
 
 def is_bytes(field: MessageField) -> bool:
-    """Whether it is an array of bytes."""
+    """Return True for an array of bytes."""
     node, content = field.content[0]
     return bool(node == Nodetype.BASE and content[0] in BYTES)
 
 
 def getter(path: Path) -> Get:
-    """What takes the value at a place out of a message; at the empty place that is the message itself."""
+    """Return the getter of the value at a path in a message; an empty path gives the message itself."""
     if not path:
         return lambda message: message
     if all(isinstance(part, str) for part in path):
@@ -151,10 +151,10 @@ def getter(path: Path) -> Get:
 
 
 def plain(array: Any) -> list[Any]:
-    """The elements of a numpy array or a list, as Python has them."""
+    """Return the elements of a numpy array or a list as Python objects."""
     return array.tolist() if hasattr(array, "tolist") else array  # type: ignore[no-any-return]
 
 
 def type_in_row(array: MessageField, width: int) -> tuple[Nodetype, Any]:
-    """The type of what stands in a row: an element, or an array of some."""
+    """Return the type of a row's value: an element, or an array of some."""
     return array.content[0] if width == 1 else (Nodetype.ARRAY, (array.content[0], width))

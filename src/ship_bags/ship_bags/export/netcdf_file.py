@@ -1,8 +1,7 @@
-"""Tables written as NetCDF-3 after the CF conventions: a record per row, a variable per column.
+"""Tables written as NetCDF-3 with the CF conventions: a record per row, a variable per column.
 
-The header is scipy's. The records are written behind it row by row, as the format lays them out, so that a table of any
-length takes little memory. How wide a text column is, is known when the last row is: until then the rows wait in a file
-without a name.
+The header is made by scipy. The records follow row by row, as the format defines, so that a table of any length needs
+little memory. The width of a text column is known only after the last row: until then the rows wait in a nameless file.
 """
 
 import io
@@ -24,7 +23,7 @@ from ship_bags.export.units import cf_units, standard_name_on
 from ship_bags.stamps import NS_PER_S
 
 LONGEST_TEXT_BYTES = 32_768
-"""A text takes the room of the longest of its column in every row."""
+"""Maximum length of a text, bytes: every row takes the size of the longest one of its column."""
 
 ROW, TIME = "row", "time"
 
@@ -33,13 +32,13 @@ _RECORD_COUNT = struct.Struct(">I")
 _RECORD_COUNT_PLACE = 4
 _MOST_RECORDS = 2**31 - 1
 _WORD = 4
-"""In a record each variable begins at a multiple of so many bytes."""
+"""Alignment of the variables in a record, bytes."""
 
 _CODES = {
     "float64": "d", "float32": "f", "int32": "i", "int16": "h", "int8": "b",
-    # NetCDF-3 has no whole numbers without sign: the next wider kind holds them.
+    # NetCDF-3 has no unsigned integers: the next wider type is used.
     "bool": "b", "uint8": "h", "uint16": "i", "uint32": "d",
-    # Nor any of 64 bit: the nearest double, and what is missing to it in a second variable.
+    # Nor integers of 64 bits: the nearest double, and the remainder in a second variable.
     "int64": "d", "uint64": "d",
 }
 _SPLIT = ("int64", "uint64")
@@ -53,7 +52,7 @@ _COMMENT = (
 
 
 class _Variable(NamedTuple):
-    """A variable of the file: its name, the letter of its kind, and what is said of it."""
+    """Variable of the file: name, type code and attributes."""
 
     name: str
     code: str
@@ -114,7 +113,7 @@ class NetcdfFile(TableFile):
         super().discard()
 
     def _times(self, stamps_ns: list[int]) -> Any:
-        """Seconds since the epoch, each the double that is nearest."""
+        """Return seconds since the epoch, each as the nearest double."""
         return np.array([(stamp_ns - self.head.epoch_ns) / NS_PER_S for stamp_ns in stamps_ns], np.float64)
 
     def _encoded(self, column: Column, texts: list[str]) -> list[bytes]:
@@ -139,20 +138,20 @@ class NetcdfFile(TableFile):
             code = "c" if column.kind == TEXT else _CODES[column.kind]
             variables.append(_Variable(column.name, code, _attributes(column, self.head.topic)))
             if column.kind in _SPLIT:
-                rest = {"long_name": f"what is missing to {column.name}", "coordinates": TIME}
+                rest = {"long_name": f"remainder of {column.name}", "coordinates": TIME}
                 if column.unit is not None:
                     rest["units"] = column.unit.symbol
                 variables.append(_Variable(self._free_name(f"{column.name}{_REMAINDER}"), "i", rest))
         return variables
 
     def _free_name(self, name: str) -> str:
-        """The name, or where a column bears it, one with a line behind it."""
+        """Return the name, with underscores added if a column has it."""
         while name in self._names:
             name += "_"
         return name
 
     def _record(self) -> np.dtype[Any]:
-        """How a row lies in the file."""
+        """Return the layout of a row in the file."""
         formats = [
             f"S{width}" if width else _DTYPES[variable.code]
             for variable, width in zip(self._variables, self._widths, strict=True)
@@ -165,7 +164,7 @@ class NetcdfFile(TableFile):
         return np.dtype({"names": names, "formats": formats, "offsets": places, "itemsize": end})
 
     def _header(self) -> bytes:
-        """All that stands before the first row."""
+        """Return the part before the first row."""
         buffer = io.BytesIO()
         file = netcdf_file(buffer, "w")
         file.Conventions = _CONVENTIONS
@@ -181,7 +180,7 @@ class NetcdfFile(TableFile):
             made = file.createVariable(variable.name, variable.code, dimensions)
             for name, value in variable.attributes.items():
                 setattr(made, name, _ascii(value) if isinstance(value, str) else value)
-            # One record: by it the library knows sizes and places. It is cut off again.
+            # One record, from which the library derives sizes and offsets. It is removed again.
             made[0] = b" " * width if width else 0
         file.flush()
         one_row = buffer.getvalue()
@@ -192,7 +191,7 @@ class NetcdfFile(TableFile):
 
 
 def epoch_of(start_ns: int) -> int:
-    """The midnight before a time: seconds since then, as doubles, are good to a hundredth of a nanosecond."""
+    """Return the midnight before a time: seconds since then, as doubles, have a resolution of 0.01 ns."""
     day_ns = 86_400 * NS_PER_S
     return start_ns // day_ns * day_ns
 
@@ -221,11 +220,11 @@ def _attributes(column: Column, topic: str) -> dict[str, Any]:
 
 
 def _flags(column: Column) -> dict[str, Any]:
-    """What the values of an enumeration mean, as the conventions say it."""
+    """Return the attributes with the meanings of an enumeration's values, by the conventions."""
     if not column.kind.startswith(("int", "uint")) or column.kind in _SPLIT:
         return {}
     bounds = np.iinfo(column.kind)
-    # A bag may define any constant.
+    # The constants of a bag are untrusted.
     named = [(name, value) for name, value in column.value_names if bounds.min <= value <= bounds.max]
     if not named:
         return {}
@@ -234,7 +233,7 @@ def _flags(column: Column) -> dict[str, Any]:
 
 
 def _filled(column: Column, values: list[Any]) -> list[Any]:
-    """The values, with what NetCDF-3 can say in place of None."""
+    """Return the values, with the NetCDF-3 substitute for None."""
     if not any(value is None for value in values):
         return values
     nothing: Any = "" if column.kind == TEXT else math.nan if column.kind.startswith("float") else 0
@@ -242,5 +241,5 @@ def _filled(column: Column, values: list[Any]) -> list[Any]:
 
 
 def _ascii(text: str) -> str:
-    """A text as an attribute can hold it."""
+    """Return a text as an attribute can represent it."""
     return text.encode("ascii", "backslashreplace").decode("ascii")

@@ -1,4 +1,4 @@
-"""Tables written as CSV and Parquet, a batch of rows at a time; the file gets its name when it is whole."""
+"""Tables written as CSV and Parquet, in batches of rows; a file is renamed to its final name when it is complete."""
 
 import csv
 import io
@@ -15,11 +15,11 @@ from ship_bags.export.table_rows import TEXT, Column
 from ship_bags.output_files import csv_text, named, open_new, part_of
 
 _ROW_GROUP_BYTES = 8_000_000
-"""Held of a Parquet table before it is written: readers are slow over many small groups."""
+"""Size of a row group of a Parquet table, bytes: readers are slow with many small groups."""
 
 
 class TableHead(NamedTuple):
-    """What is said of a table as a whole: bag without its folder, topic, type of the messages, array or empty."""
+    """Description of a table: bag without its folder, topic, type of the messages, array or empty."""
 
     bag: str
     topic: str
@@ -29,17 +29,17 @@ class TableHead(NamedTuple):
 
     @property
     def title(self) -> str:
-        """One line for people."""
+        """One line for the user."""
         of = f"{self.array} of " if self.array else ""
         return f"{of}topic {self.topic} ({self.type_name}) of {self.bag}"
 
 
 class TableFile:
-    """A table being written; the kinds of file differ in :meth:`_write` and :meth:`_end`.
+    """Table being written; the kinds of file differ in :meth:`_write` and :meth:`_end`.
 
     Args:
         path: file to write.
-        head: what is said of it.
+        head: its description.
         columns: of the table.
 
     Raises:
@@ -61,7 +61,7 @@ class TableFile:
         """Add rows, given column by column.
 
         Raises:
-            BadInput: the format cannot hold them.
+            BadInput: the format cannot represent them.
             OSError: the disk is full, or the like.
         """
         with self._naming():
@@ -69,10 +69,10 @@ class TableFile:
         self.row_count += len(values[0])
 
     def finish(self) -> None:
-        """Write what is left, down to the disk; the file does not have its name yet.
+        """Write the rest to the disk; the file does not have its final name yet.
 
         Raises:
-            BadInput: the format cannot hold so many rows.
+            BadInput: the format cannot represent so many rows.
             OSError: the disk is full, or the like.
         """
         with self._naming():
@@ -81,26 +81,26 @@ class TableFile:
             os.fsync(self._stream.fileno())
 
     def publish(self) -> None:
-        """Give the finished file its name.
+        """Rename the finished file to its final name.
 
         Raises:
-            OSError: the name was taken by a folder, or the like.
+            OSError: the name is now a folder, or the like.
         """
         with self._naming():
             self._part.replace(self.path)
             self._stream.close()
 
     def discard(self) -> None:
-        """Leave nothing behind, unless the file has its name."""
+        """Remove the file unless it has its final name."""
         if not self._stream.closed:
             self._part.unlink(missing_ok=True)
-            # Closing writes what is left in the buffer, and fails once more on a full disk.
+            # Closing flushes the buffer, which fails again on a full disk.
             with suppress(OSError):
                 self._stream.close()
 
     @contextmanager
     def _naming(self) -> Iterator[None]:
-        """Name the file in an error of the system."""
+        """Add the file name to an OSError."""
         try:
             yield
         except OSError as problem:
@@ -110,11 +110,11 @@ class TableFile:
         raise NotImplementedError
 
     def _end(self) -> None:
-        """What is written behind the last row."""
+        """Write the part after the last row."""
 
 
 class CsvFile(TableFile):
-    """CSV after RFC 4180 in UTF-8: the shortest digits that give the same number back, ``nan``, ``inf``, 0 and 1.
+    """CSV by RFC 4180 in UTF-8: the shortest digits that give the same number, ``nan``, ``inf``, 0 and 1.
 
     A text that a spreadsheet would take for a formula has ``'`` in front.
     """
@@ -140,7 +140,7 @@ class CsvFile(TableFile):
 
 
 class ParquetFile(TableFile):
-    """Parquet by pyarrow; unit and field of a column stand in its metadata.
+    """Parquet by pyarrow; unit and field of a column are in its metadata.
 
     Raises:
         BadInput: pyarrow is not installed.
@@ -179,14 +179,14 @@ class ParquetFile(TableFile):
 
     def discard(self) -> None:
         """See :meth:`TableFile.discard`."""
-        # The writer would write its footer when it is forgotten, into a file that is closed by then.
+        # Otherwise the writer would write its footer at its deletion, into a closed file.
         with suppress(OSError, ValueError):
             self._writer.close()
         super().discard()
 
 
 def check_parquet() -> None:
-    """Make sure that Parquet can be written.
+    """Check that Parquet can be written.
 
     Raises:
         BadInput: pyarrow is not installed.
@@ -215,7 +215,7 @@ def _arrow_metadata(column: Column) -> dict[str, str]:
 
 
 def _shown(column: Column, values: list[Any]) -> Iterable[Any]:
-    """Values as csv writes them: Python's numbers are shown by the digits needed, those of single precision not."""
+    """Return values for csv: Python's numbers are written with the digits needed, those of single precision are not."""
     if column.kind == "float32":
         return ["" if value is None else str(np.float32(value)) for value in values]
     if column.kind == "bool":

@@ -1,9 +1,9 @@
-"""Messages of one type as rows of tables: one table of the messages, and one of each array whose length varies.
+"""Messages of one type as rows of tables: one table of the messages, and one per array of variable length.
 
-A nested message becomes columns with its name in front, an array of fixed length numbered columns. An array of variable
-length becomes a table of its own with a row per element: of which message, at which place, and what stands there.
-The table of the messages says how many there are. Arrays in the same order share a table; where one of them is shorter,
-None stands behind its end.
+A nested message becomes columns with its name as prefix; an array of fixed length becomes numbered columns. An array of
+variable length becomes a table of its own with a row per element: index of the message, index of the element, values.
+The table of the messages has the lengths. Arrays in the same order share a table; beyond the end of a shorter one the
+values are None.
 """
 
 from collections.abc import Callable, Iterable
@@ -39,10 +39,10 @@ STAMP = "stamp_ns"
 TEXT = "text"
 
 MOST_COLUMNS = 2000
-"""A definition with more is a mistake or means harm."""
+"""Maximum number of columns; a definition with more is a mistake or malicious."""
 
 MOST_TABLES = 100
-"""Of one topic: arrays within arrays that have no end are a mistake or mean harm, too."""
+"""Maximum number of tables of one topic; more nested arrays are a mistake or malicious, too."""
 
 _RESERVED = {"time", "row"}
 """Names of the axes of a NetCDF file."""
@@ -58,7 +58,7 @@ Put = Callable[[list[Any], Any], None]
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its name, the numpy name of its numbers or TEXT, its unit, and where its values stand in a message.
+    """Column: name, numpy name of its numbers or TEXT, unit, and origin of its values in a message.
 
     ``value_names`` as of :class:`MessageField`.
     """
@@ -72,22 +72,22 @@ class Column:
 
 
 class MessageTable:
-    """A table that fills up: rows are added message by message, and taken out column by column.
+    """Table being filled: rows are added message by message, and taken out column by column.
 
     Args:
         name: empty for the messages themselves, else the names of the arrays down to this one, joined by "-".
-        keys: columns whose values :meth:`add` is given.
-        fields: what a message or an element holds.
+        keys: columns whose values are given to :meth:`add`.
+        fields: fields of a message or an element.
         store: the definitions.
         made: the tables of the topic so far; this one and those of its arrays are added.
 
     Attributes:
         columns: in their order.
-        arrays: what takes the elements of an array out of a message, and their table.
+        arrays: getter of an array's elements from a message, and their table.
 
     Raises:
         BadInput: there would be more columns than MOST_COLUMNS or more tables than MOST_TABLES, a field is of an
-            unknown kind, or messages within messages have no end.
+            unknown kind, or nested messages have no end.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class MessageTable:
             if field.path[-1:] != (NO_FIELD,) and not self._take(field):
                 varying.append(field)
         stamps = [place for place, column in enumerate(self.columns) if column.name == STAMP]
-        # The columns by which the rows of its arrays are told apart.
+        # Columns that identify the rows of its arrays.
         self._identity = sorted({*range(len(keys)), *stamps})
         own_keys = [self.columns[place] for place in self._identity]
         self.arrays = [
@@ -121,7 +121,7 @@ class MessageTable:
 
     @property
     def row_count(self) -> int:
-        """Rows that are not yet taken."""
+        """Number of rows that are not taken yet."""
         return len(self._rows)
 
     def add(self, keys: list[Any], message: Any) -> None:
@@ -136,13 +136,13 @@ class MessageTable:
                 table.add([*outer, place], element)
 
     def take_columns(self) -> list[list[Any]]:
-        """The values of each column; no row is left."""
+        """Return the values of each column and remove all rows."""
         taken = [list(values) for values in zip(*self._rows, strict=True)]
         self._rows = []
         return taken or [[] for _ in self.columns]
 
     def _take(self, field: MessageField) -> bool:
-        """Make the columns of a field; of an array of variable length only that of its length, and say False."""
+        """Add the columns of a field; for an array of variable length add only that of its length, and return False."""
         get = getter(field.path)
         if field.node == Nodetype.NAME:
             self._add_column(field.base, Column("", "int64", NANOSECONDS, field.origin))
@@ -165,14 +165,14 @@ class MessageTable:
         return True
 
     def _add_column(self, base: str, column: Column, number: str = "") -> None:
-        """Add a column, named by its base, its unit and its number; where that is taken, with a further number."""
+        """Add a column, named by its base, its unit and its number; a further number makes the name unique."""
         suffix = "" if column.unit is None or not column.unit.suffix else f"_{column.unit.suffix}"
         wanted = f"{base.removesuffix(suffix)}{suffix}{number}"
         self.columns.append(replace(column, name=_free_name(wanted, self.columns)))
 
 
 class TopicRows:
-    """Turns the messages of a topic into rows.
+    """Converts the messages of a topic to rows.
 
     Args:
         type_name: of the messages.
@@ -207,7 +207,7 @@ def _array_table(
     store: Typestore,
     made: list[MessageTable],
 ) -> MessageTable:
-    """The table of an array, a row per element, or of several arrays that are in the same order."""
+    """Return the table of an array, with a row per element, or of several arrays in the same order."""
     field = next(iter(group))
     index = _free_name(f"{field.base}_index", outer_keys)
     keys = [*outer_keys, Column(index, "int32", None, f"place in {field.origin}, from 0")]
@@ -227,18 +227,18 @@ def _array_table(
 
 
 def _free_name(wanted: str, columns: list[Column]) -> str:
-    """The name, or where a column bears it, one with a number behind it."""
+    """Return the name, or one with a number if a column has it."""
     return _free(wanted, {known.name for known in columns} | _RESERVED)
 
 
 def _free(wanted: str, taken: set[str]) -> str:
-    """The name, or with a number behind it; capital letters make no other name."""
+    """Return the name, or one with a number; names that differ only in capital letters count as equal."""
     names = chain([wanted], (f"{wanted}_{again}" for again in count(2)))
     return next(name for name in names if name not in taken and name.lower() not in taken)
 
 
 def _value_column(field: MessageField, base_type: str, origin: str) -> Column:
-    """The column of a number or text, without its name."""
+    """Return the column of a number or text, without its name."""
     kind = _KINDS.get(base_type)
     if kind is None:
         raise BadInput(f"field {field.origin}: numbers of type {base_type} are unknown here")
@@ -260,7 +260,7 @@ def _put_time(row: list[Any], value: Any) -> None:
 
 
 def _put_array(length: int, row: list[Any], value: Any) -> None:
-    # None where an array is shorter than another of the same order.
+    # None if an array is shorter than another one of the same order.
     values = [] if value is None else plain(value)
     row.extend(values)
     row.extend([None] * (length - len(values)))

@@ -1,6 +1,7 @@
-"""Units of message fields and names of their values, as definitions of ship_msgs say; of common ROS messages by tables.
+"""Units of message fields and names of their values, from ship_msgs' definitions or tables of ROS messages.
 
-A field whose unit is not certain has none: a wrong unit is worse than no unit. So it is with the names of values.
+A field with an uncertain unit has none, because a wrong unit is worse than no unit. The same holds for the names of
+values.
 """
 
 import functools
@@ -12,7 +13,7 @@ from ship_bags.message_store import SHIP_MESSAGES, ship_message_folder
 
 
 class Unit(NamedTuple):
-    """A unit: as UDUNITS reads it, and as the end of a column's name (empty: the name needs none)."""
+    """Unit: as UDUNITS reads it, and as the suffix of a column's name (empty: the name needs none)."""
 
     symbol: str
     suffix: str
@@ -57,7 +58,7 @@ _UNITS = {
 NANOSECONDS = _UNITS["ns"]
 
 _TABLE = {
-    # Comments of ship_msgs that say it otherwise than in brackets of their own.
+    # Comments of ship_msgs without a unit in brackets.
     "ship_msgs/msg/StarObservation": {"declination": "rad"},
     "ship_msgs/msg/Integrity": {"statistic": "sigma"},
     "sensor_msgs/msg/Imu": {
@@ -117,7 +118,7 @@ _STANDARD_NAMES_IN_THE_AIR = {
 """By topic and field: elsewhere these messages may be of any pressure and temperature."""
 
 _CF_UNITS = {"latitude": "degrees_north", "longitude": "degrees_east"}
-"""What CF wants to read in place of "degree"."""
+"""Unit that CF requires instead of "degree"."""
 
 _CONSTANTS = {
     "diagnostic_msgs/msg/DiagnosticStatus": {"level": ""},
@@ -128,7 +129,7 @@ _CONSTANTS = {
         name: f"{name.upper()}_" for name in ("power_supply_status", "power_supply_health", "power_supply_technology")
     },
 }
-"""Type → field that is one of the type's constants → how their names begin."""
+"""Type → field whose value is one of the type's constants → prefix of their names."""
 
 _ONE_OF = re.compile(
     r"\bOne of (?:the constants above|(?P<first>\w+) to (?P<last>\w+)|(?P<listed>\w+(?:, \w+)*))\."
@@ -138,7 +139,7 @@ _FIELD = re.compile(r"^(\S+)\s+([A-Za-z]\w*)\s*(?:#.*)?$")
 
 
 def unit_of(type_name: str, field: str) -> Unit | None:
-    """The unit of a field of a message type, or of the numbers inside it; None where it is not known."""
+    """Return the unit of a field of a message type, or of the numbers inside it; None if unknown."""
     text = _TABLE.get(type_name, {}).get(field)
     if text is None and type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
         text = _commented_units(type_name.rpartition("/")[2]).get(field)
@@ -146,27 +147,27 @@ def unit_of(type_name: str, field: str) -> Unit | None:
 
 
 def standard_name(type_name: str, field: str) -> str | None:
-    """The name that the CF conventions have for a field of a type; None where there is none."""
+    """Return the CF standard name of a field of a type; None if there is none."""
     return _STANDARD_NAMES.get((type_name, field))
 
 
 def standard_name_on(topic: str, field: str) -> str | None:
-    """The name that the CF conventions have for a field because of its topic; None where there is none."""
+    """Return the CF standard name that a field has because of its topic; None if there is none."""
     return _STANDARD_NAMES_IN_THE_AIR.get(("/".join(topic.split("/")[-2:]), field))
 
 
 def cf_units(unit: Unit, name: str | None) -> str:
-    """The attribute ``units`` of a variable with a standard name or none."""
+    """Return the attribute ``units`` of a variable with the given standard name (None for none)."""
     return _CF_UNITS.get(name or "", unit.symbol)
 
 
 def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, Any]]) -> dict[str, int]:
-    """Name → value of what a field can be, where it is one of the constants of its type; else empty.
+    """Return name → value of a field whose value is one of the constants of its type; else an empty mapping.
 
     Args:
         type_name: of the message.
         field: of that type.
-        constants: name, type and value of each, in the order of the definition that rules.
+        constants: name, type and value of each, in the order of the definition in use.
     """
     values = {name: value for name, _, value in constants if isinstance(value, int)}
     prefix = _CONSTANTS.get(type_name, {}).get(field)
@@ -179,7 +180,7 @@ def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, 
 
 
 def _selected(one_of: re.Match[str], values: dict[str, int]) -> dict[str, int]:
-    """The constants that a comment means: those that it lists, from one to another, or all."""
+    """Return the constants that a comment names: a list, a range, or all."""
     names = list(values)
     if one_of["listed"]:
         names = [name for name in one_of["listed"].split(", ") if name in values]
@@ -190,7 +191,7 @@ def _selected(one_of: re.Match[str], values: dict[str, int]) -> dict[str, int]:
 
 @functools.cache
 def _commented_units(message: str) -> dict[str, str]:
-    """Field → unit in brackets, from its comment."""
+    """Return field → unit in brackets, from its comment."""
     units = {}
     for field, comment in _comments(message).items():
         known = [text for text in _COMMENT_UNIT.findall(comment) if text in _UNITS]
@@ -201,7 +202,7 @@ def _commented_units(message: str) -> dict[str, str]:
 
 @functools.cache
 def _comments(message: str) -> dict[str, str]:
-    """Field that is no text → the comment above it, which holds for all fields up to the next comment."""
+    """Return field (other than text) → the comment above it, which applies to all fields up to the next comment."""
     path = ship_message_folder() / f"{message}.msg"
     comments: dict[str, str] = {}
     comment, ended = "", True

@@ -1,4 +1,4 @@
-"""Message types of this ROS installation: their classes, and their definitions for the bags that live nodes write."""
+"""Message types of this ROS installation: their classes, and their definitions for the bags of live nodes."""
 
 import json
 import re
@@ -16,10 +16,10 @@ _NESTED = re.compile(r"(\w+)/(\w+)")
 
 
 def installed_class(type_name: str) -> Any:
-    """The class of a message type such as ``sensor_msgs/msg/Imu``.
+    """Return the class of a message type such as ``sensor_msgs/msg/Imu``.
 
     Raises:
-        BadInput: the name is not one of a message type, or the type is not installed.
+        BadInput: the name is not that of a message type, or the type is not installed.
     """
     parts = type_name.split("/")
     if len(parts) != 3 or parts[1] != "msg":
@@ -31,11 +31,11 @@ def installed_class(type_name: str) -> Any:
 
 
 def installed_definition(type_name: str) -> TypeDefinition:
-    """The definition of a message type with all that it refers to, as rosbag2 embeds it.
+    """Return the definition of a message type with all types that it refers to, as rosbag2 embeds it.
 
     Raises:
         LookupError: the type's package is not installed.
-        OSError: its files are not.
+        OSError: its files are not installed.
     """
     own, *others = _with_all_nested(type_name)
     parts = [_text(own)]
@@ -46,14 +46,14 @@ def installed_definition(type_name: str) -> TypeDefinition:
 
 
 def type_hash(type_name: str) -> str:
-    """Hash of a type (RIHS01)."""
+    """Return the hash of a type (RIHS01)."""
     description = json.loads(_file(type_name, "json").read_text(encoding="utf-8"))
     hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
     return str(hashes[type_name])
 
 
 def _with_all_nested(type_name: str) -> list[str]:
-    """The type and the types of its fields, of their fields and so on, each once."""
+    """Return the type and the types of its fields, recursively, each once."""
     names = [type_name]
     for name in names:
         for field_type in message_class(name).get_fields_and_field_types().values():

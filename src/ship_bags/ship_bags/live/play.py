@@ -1,4 +1,4 @@
-"""Plays a bag live: its messages as they are, byte for byte, and the bag's time on /clock."""
+"""Player of a bag: publishes its messages live, byte for byte, and the bag's time on /clock."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,32 +18,32 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.stamps import NS_PER_S
 
 CLOCK_PERIOD_NS = 10_000_000
-"""Grid of bag time on which /clock goes out, ns: it is never further than this behind the message just sent."""
+"""Period of /clock in bag time, ns: /clock is never further than this behind the last message."""
 
-# Steady time for which /clock runs before the first message, so that every consumer's clock is set (or has jumped
-# back, in a loop) when the first message comes.
+# Steady time for which /clock runs before the first message, so that every subscriber's clock is set (or has jumped
+# back, in a loop) when the first message arrives.
 _LEAD_S = 0.1
-# At a high rate the lead would be days of the bag, and millions of messages of /clock; one minute of them takes about
-# as long as the lead is to be.
+# Maximum lead in bag time: at a high rate the lead would be days of the bag and millions of /clock messages. One minute
+# of them takes about as long as the lead.
 _LONGEST_LEAD_S = 60.0
-# A hundred thousand ticks in a second of steady time, which nobody can send.
+# A higher rate would need more than a hundred thousand ticks per second of steady time.
 _FASTEST_WITH_ALL_TICKS = 1000.0
-# Where some topics have subscribers and others none, nobody else is expected so long after the last match. Discovery on
-# one machine takes 0.06 s to 1.6 s.
+# Time after the last match after which no more subscribers are expected if some topics have none. Discovery on one
+# computer takes 0.06 s to 1.6 s.
 _SETTLED_S = 2.0
 _POLL_S = 0.01
 _ACKNOWLEDGE_S = 10.0
-# A message that a reader missed must still be there when the reader asks for it: this is enough for 1 kHz at the
-# default heartbeat of Fast DDS (3 s).
+# A message that a reader missed must still exist when the reader requests it: this suffices for 1 kHz at the default
+# heartbeat of Fast DDS (3 s).
 _DEPTH = 5000
 
-# The playing node itself publishes these: what a recording holds of them would contradict it.
+# The playing node itself publishes these: recorded ones would contradict them.
 _OWN_TOPICS = ("/clock", "/rosout", "/parameter_events")
 
 
 @dataclass(frozen=True)
 class PlayOptions:
-    """How a bag is played; see ``play --help``. `wait_for` maps topics as played to numbers of subscribers."""
+    """Options of a playback; see ``play --help``. `wait_for` maps topics as played to numbers of subscribers."""
 
     start_offset_s: float = 0.0
     loop_count: int = 1
@@ -54,7 +54,7 @@ class PlayOptions:
 
 @dataclass(frozen=True)
 class PlaySummary:
-    """What was played: messages, the longest delay of one, and the topics where not all was acknowledged."""
+    """Result: number of messages, their largest delay, and topics with missing acknowledgements."""
 
     message_count: int
     latest_s: float
@@ -65,9 +65,9 @@ class Player:
     """Publishes one bag, in the order and at the times of its log.
 
     Args:
-        node: node that publishes; somebody else spins it.
-        bag_path: .mcap file or rosbag2 directory.
-        options: what to play, how often, and whom to wait for.
+        node: publishing node; the caller spins it.
+        bag_path: .mcap file or rosbag2 folder.
+        options: topics, number of loops and expected subscribers.
         clock: bag time; other threads pause, step and stop it.
 
     Raises:
@@ -113,7 +113,7 @@ class Player:
                     message_count += 1
                     latest_s = max(latest_s, self._clock.behind_s(record.log_time_ns))
                 problems = bag.problems
-            # Also before the next loop: no message of this one may arrive after the clock has jumped back.
+            # Also before the next loop, so that no message of this one arrives after the clock has jumped back.
             if not self._clock.stopped:
                 unacknowledged = self._acknowledge()
         for problem in problems:
@@ -121,12 +121,12 @@ class Player:
         return PlaySummary(message_count, latest_s, unacknowledged)
 
     def publish_clock(self) -> None:
-        """Say the time again, for consumers that come while the playback is paused."""
+        """Publish the time again, for subscribers that appear while the playback is paused."""
         if self.clock_ns:
             self._send_clock(self.clock_ns)
 
     def _from_start(self, bag: Bag) -> Iterator[BagRecord]:
-        """Messages from the start on; before them what latched topics said last, as who comes late gets it."""
+        """Yield messages from the start on; before them the last earlier messages of latched topics."""
         earlier: dict[str, BagRecord] = {}
         for record in bag.records(self._publishers):
             if record.log_time_ns >= self.start_ns:
@@ -137,7 +137,7 @@ class Player:
                 earlier[record.topic] = replace(record, log_time_ns=self.start_ns)
 
     def _due(self, records: Iterable[BagRecord]) -> Iterator[BagRecord]:
-        """Each record when its time has come; /clock goes out in between."""
+        """Yield each record when it is due; publish /clock in between."""
         lead_s = min(_LEAD_S * self._clock.rate, _LONGEST_LEAD_S)
         lead_ns = max(CLOCK_PERIOD_NS, round(lead_s * NS_PER_S))
         self._clock.begin(self.start_ns - lead_ns)
@@ -166,7 +166,7 @@ class Player:
         self._publishers[record.topic].publish(bytes(record.data))
 
     def _acknowledge(self) -> tuple[str, ...]:
-        """Wait until every reliable subscriber has what was sent; the topics where one has not."""
+        """Wait until every reliable subscriber has acknowledged; return the topics where one has not."""
         deadline_s = time.monotonic() + _ACKNOWLEDGE_S
         late = []
         for topic, publisher in {"/clock": self._clock_publisher, **self._publishers}.items():
@@ -175,7 +175,7 @@ class Player:
         return tuple(late)
 
     def _advertise(self, bag: Bag) -> None:
-        """Make a publisher for each topic to be played."""
+        """Create a publisher for each topic to be played."""
         in_bag = {topic: bag.recorded_names.get(topic, topic) for topic in bag.topics}
         for name in self._options.topics:
             if name not in in_bag.values():
@@ -204,14 +204,14 @@ class Player:
             raise BadInput("none of its topics can be played", file=bag.path)
 
     def _wait_for_subscribers(self) -> None:
-        """Return when every topic has its subscribers, or nobody else is to be expected.
+        """Return when every topic has its subscribers, or no more are expected.
 
-        A topic has them when it has the number asked for (by default one; none for truth topics) and none that
-        the graph already shows is still unmatched. Nobody else is expected when the time-out is over; or, unless
-        subscribers were asked for by name, some time after the last match, when one topic has them at least.
+        A topic has them when it has the requested number (by default one; none for truth topics) and every subscriber
+        in the graph is matched. No more are expected after the timeout. Unless subscribers were requested by name, the
+        same holds some time after the last match if at least one topic has subscribers.
 
         Raises:
-            BadInput: subscribers that were asked for by name did not come.
+            BadInput: subscribers requested by name did not appear.
         """
         by_name = {p.topic_name: p for p in (self._clock_publisher, *self._publishers.values())}
         asked = {self._node.resolve_topic_name(name): count for name, count in self._options.wait_for.items()}
@@ -231,14 +231,14 @@ class Player:
             unwanted = [name for name in missing if not by_name[name].get_subscription_count()]
             taken = any(name in wanted for name in by_name.keys() - set(unwanted))
             if not asked and taken and unwanted == missing and time.monotonic() >= settled_s:
-                self._say(f"nobody takes {', '.join(sorted(unwanted))}; playing all the same")
+                self._say(f"no subscriber of {', '.join(sorted(unwanted))}; playing nevertheless")
                 return
             if time.monotonic() >= deadline_s:
                 names = ", ".join(sorted(missing))
                 text = f"no match after {self._options.wait_timeout_s} s with the subscribers of {names}"
                 if asked:
                     raise BadInput(text)
-                self._say(f"{text}; playing all the same")
+                self._say(f"{text}; playing nevertheless")
                 return
             time.sleep(_POLL_S)
 
@@ -253,14 +253,14 @@ class Player:
 def with_ticks(
     records: Iterable[BagRecord], first_tick_ns: int, stride: Callable[[], int] = lambda: 1
 ) -> Iterator[tuple[int, BagRecord | None]]:
-    """What goes out, in order: records with their log times, and ticks (None) of /clock on its grid.
+    """Yield records with their log times, and ticks (None) of /clock on its grid, in order.
 
     The tick before a record is less than a period older; one more follows the last record.
 
     Args:
         records: of the bag.
-        first_tick_ns: where the grid begins.
-        stride: of so many ticks between two records one goes out, and the last.
+        first_tick_ns: start of the grid.
+        stride: returns n: between two records every n-th tick is published, and the last.
     """
     tick_ns = first_tick_ns
     for record in records:

@@ -1,6 +1,6 @@
-"""The clock of a playback, and what steers it: services of the playing node, and keys on a terminal.
+"""Clock of a playback and its control: services of the playing node, and keys on a terminal.
 
-The clock says when the next event is due; it has a rate, can be paused, stepped and stopped.
+The clock determines when the next event is due; it has a rate, can be paused, stepped and stopped.
 """
 
 import contextlib
@@ -20,20 +20,20 @@ from std_srvs.srv import Trigger
 
 from ship_bags.stamps import NS_PER_S
 
-# A lock cannot wait for years, as it would have to at a tiny rate or over a long gap: it waits anew after so long.
+# Maximum duration of one wait: a lock cannot wait for years, as at a tiny rate or over a long gap.
 _LONGEST_WAIT_S = 3600.0
-# A higher rate plays no faster, and its product with a time may overflow.
+# Maximum rate: a higher one plays no faster, and its product with a time may overflow.
 _FASTEST = 1e9
-# While paused, the time is said again this often: a consumer that starts then needs it too.
+# Period of /clock while paused, for subscribers that start then.
 _PAUSED_CLOCK_PERIOD_S = 0.1
 _KEY_POLL_S = 0.2
 
 
 class PlaybackClock:
-    """Runs through bag time at a rate; other threads and signal handlers may pause, step, speed up and stop it.
+    """Bag time running at a rate; other threads and signal handlers may pause, step, speed up and stop it.
 
     Args:
-        rate: seconds of bag time per second of steady time, positive, to begin with.
+        rate: initial rate, seconds of bag time per second of steady time, positive.
         paused: start paused.
     """
 
@@ -55,16 +55,16 @@ class PlaybackClock:
 
     @property
     def paused(self) -> bool:
-        """Whether nothing but steps is played now."""
+        """True if only steps are played now."""
         return self._paused
 
     @property
     def stopped(self) -> bool:
-        """Whether the playback is to end."""
+        """True if the playback is to end."""
         return self._stopped
 
     def change_rate(self, factor: float) -> None:
-        """Go on `factor` times as fast from the bag time reached."""
+        """Multiply the rate by `factor`, from the current bag time on."""
         with self._changed:
             if not self._paused:
                 self._bag_ns, self._steady_ns = self._bag_time_ns(), time.monotonic_ns()
@@ -72,13 +72,13 @@ class PlaybackClock:
             self._changed.notify_all()
 
     def begin(self, bag_ns: int) -> None:
-        """Bag time is `bag_ns` now."""
+        """Set the current bag time to `bag_ns`."""
         with self._changed:
             self._bag_ns = bag_ns
             self._steady_ns = time.monotonic_ns()
 
     def pause(self) -> None:
-        """Stop at the bag time reached."""
+        """Stop at the current bag time."""
         with self._changed:
             if not self._paused:
                 self._bag_ns = self._bag_time_ns()
@@ -86,7 +86,7 @@ class PlaybackClock:
                 self._changed.notify_all()
 
     def resume(self) -> None:
-        """Go on from where the pause began, or from the last step."""
+        """Continue from the start of the pause, or from the last step."""
         with self._changed:
             if self._paused:
                 self._steady_ns = time.monotonic_ns()
@@ -95,7 +95,7 @@ class PlaybackClock:
                 self._changed.notify_all()
 
     def toggle(self) -> None:
-        """Pause, or go on."""
+        """Pause or resume."""
         with self._changed:
             if self._paused:
                 self.resume()
@@ -103,7 +103,7 @@ class PlaybackClock:
                 self.pause()
 
     def step(self) -> bool:
-        """Let one more message through; False, and nothing happens, unless paused."""
+        """Play one more message while paused; return False, without effect, if not paused."""
         with self._changed:
             if self._paused:
                 self._steps += 1
@@ -117,10 +117,10 @@ class PlaybackClock:
             self._changed.notify_all()
 
     def wait_until(self, bag_ns: int, is_message: bool) -> bool:
-        """Wait until bag time `bag_ns` is due: in its time, or by a step, which ends with the next message.
+        """Wait until bag time `bag_ns` is due: by the clock, or by a step, which ends with the next message.
 
         Returns:
-            False when the playback was stopped.
+            False if the playback was stopped.
         """
         with self._changed:
             while not self._stopped:
@@ -138,12 +138,12 @@ class PlaybackClock:
         return False
 
     def behind_s(self, bag_ns: int) -> float:
-        """Steady time by which bag time `bag_ns` is past; zero while paused, and before it is due."""
+        """Return the steady time by which bag time `bag_ns` is past, s; 0 while paused, and before it is due."""
         with self._changed:
             return 0.0 if self._paused else max(0.0, (self._bag_time_ns() - bag_ns) / self._rate / NS_PER_S)
 
     def _bag_time_ns(self) -> int:
-        """Bag time reached, while not paused."""
+        """Return the current bag time, while not paused."""
         return self._bag_ns + int((time.monotonic_ns() - self._steady_ns) * self._rate)
 
 
@@ -152,7 +152,7 @@ def add_services(node: Node, clock: PlaybackClock) -> None:
 
     def offer(name: str, action: Callable[[], bool | None]) -> None:
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            # play_next alone can be refused.
+            # Only play_next can be refused.
             response.success = action() is not False
             state = "paused" if clock.paused else "playing"
             response.message = state if response.success else f"{state}: pause first"
@@ -168,7 +168,7 @@ def add_services(node: Node, clock: PlaybackClock) -> None:
 
 @contextlib.contextmanager
 def served(node: Node, clock: PlaybackClock, publish_clock: Callable[[], None]) -> Iterator[None]:
-    """Answer the node's services in a thread of its own, and say the time while paused."""
+    """Answer the node's services in a thread, and publish the time while paused."""
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     node.create_timer(
@@ -192,7 +192,7 @@ def served(node: Node, clock: PlaybackClock, publish_clock: Callable[[], None]) 
 
 @contextlib.contextmanager
 def keyboard(clock: PlaybackClock) -> Iterator[None]:
-    """Listen to a terminal: space pauses and goes on, s steps, + and - double and halve the rate."""
+    """Read keys of a terminal: space pauses and resumes, s steps, + and - double and halve the rate."""
     if not sys.stdin.isatty() or not _is_ours(sys.stdin.fileno()):
         yield
         return
@@ -228,9 +228,9 @@ def keyboard(clock: PlaybackClock) -> Iterator[None]:
 
 
 def _is_ours(terminal: int) -> bool:
-    """Whether a terminal may be touched: a shell's job in the background would be stopped for it."""
+    """Return True if the terminal may be changed: a background job of a shell would be stopped for it."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
     except OSError:
-        # It is not the terminal that controls this process, and stops nobody.
+        # It does not control this process, so changing it stops no job.
         return True

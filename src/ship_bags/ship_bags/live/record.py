@@ -1,4 +1,4 @@
-"""Records live topics into a bag that survives a crash: each message as it came, flushed in short periods."""
+"""Recorder of live topics into a crash-safe bag: unchanged messages, flushed in short periods."""
 
 import time
 from collections import Counter, deque
@@ -18,25 +18,25 @@ from ship_bags.message_store import use_installed_definition
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DISCOVERY_PERIOD_S = 0.1
-# Longest times to take what had arrived at the end, and to wait for answers: publishers that go on must not hold it up.
+# Maximum times for the messages that had arrived before the end, and for answers.
 _DRAIN_S = 1.0
 _HEAR_OUT_S = 1.0
-# A flush begins after this share of its period, so that its writing is over within it.
+# A flush begins after this ratio of its period, so that it is finished within the period.
 _FLUSH_SHARE = 0.7
-# Messages held for a /clock that does not come; of more, the newest.
+# Maximum number of messages kept before the first /clock; of more the newest.
 _MOST_BEFORE_CLOCK = 50_000
-# A clock that is slewed (500 ppm at most) changes by less between two looks; a step below it disturbs no filter.
+# A slewed clock (500 ppm at most) changes by less between two readings; a smaller step disturbs no filter.
 STEP_NS = 50_000_000
-# Where more time lies between the readings of the two clocks, their comparison says nothing.
+# Maximum time between the readings of both clocks for a valid comparison.
 _LONGEST_READING_NS = 5_000_000
 
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What is recorded and when it ends; see ``record --help``. Times are steady; None is without end.
+    """Content and end of a recording; see ``record --help``. Times are steady; None is without end.
 
-    Idle is the time since the last message that is an activity (:func:`is_activity`), or since the last of any kind
-    where only reports are recorded.
+    Idle is the time since the last message that is an activity (:func:`is_activity`), or since the last of any kind if
+    only reports are recorded.
     """
 
     topics: tuple[str, ...] = ()
@@ -46,14 +46,14 @@ class RecordOptions:
 
 
 class Recorder:
-    """Writes what the topics of a node's graph carry.
+    """Records the topics of a node's graph.
 
-    Log time is the node's clock at receipt — bag time with ``use_sim_time`` —, publish time the publisher's.
+    Log time is the node's clock at reception (bag time with ``use_sim_time``), publish time the publisher's.
 
     Args:
-        node: node that subscribes; :meth:`run` spins it.
-        bag: where it is written, crash-safe; :meth:`run` closes it.
-        options: what to record and when to end.
+        node: subscribing node; :meth:`run` spins it.
+        bag: crash-safe writer; :meth:`run` closes it.
+        options: content and end of the recording.
     """
 
     def __init__(self, node: Node, bag: BagWriter | FolderWriter, options: RecordOptions) -> None:
@@ -75,7 +75,7 @@ class Recorder:
 
     @property
     def unanswered(self) -> list[str]:
-        """Nodes that did not say their parameters."""
+        """Nodes that did not report their parameters."""
         return self._parameters.unanswered
 
     def stop(self) -> None:
@@ -86,7 +86,7 @@ class Recorder:
         """Record until the end, then finish the file.
 
         Raises:
-            BadInput: the disk is full or fails; the file is whole up to the last flush.
+            BadInput: the disk is full or fails; the file is complete up to the last flush.
         """
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
@@ -96,8 +96,8 @@ class Recorder:
         except OSError as problem:
             self._bag.cut()
             raise BadInput(
-                f"recording ended: {problem.strerror}; the file is whole up to the last flush, "
-                f"{self._bag.whole_bytes} bytes, and record --recover finishes it",
+                f"recording failed: {problem.strerror}; the file is complete up to the last flush, "
+                f"{self._bag.whole_bytes} bytes: use record --recover to finish it",
                 file=self._bag.path,
             ) from problem
         finally:
@@ -115,14 +115,14 @@ class Recorder:
             if now_s >= next_flush_s:
                 self._look_at_clock()
                 self._bag.flush()
-                # Where a flush takes longer than its period, as much time must be left to receive.
+                # If a flush takes longer than its period, the same time must be left to receive.
                 spent_s = time.monotonic() - now_s
                 next_flush_s = now_s + max(_FLUSH_SHARE * self._options.flush_period_s, 2.0 * spent_s)
             executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
         self._drain(executor)
         self._hear_out(executor)
         if self._before_clock:
-            self._say(f"no /clock came: {len(self._before_clock)} messages get their publishers' time")
+            self._say(f"no /clock received: {len(self._before_clock)} messages get their publishers' time")
             for topic, type_name, data, sent_ns in self._before_clock:
                 self._bag.write_raw(topic, type_name, data, sent_ns, sent_ns)
 
@@ -131,7 +131,7 @@ class Recorder:
         if duration_s is not None and time.monotonic() - start_s >= duration_s:
             return True
         if self._is_idle():
-            # A slow disk that held everything up is no silence: first take what has come meanwhile.
+            # A slow disk must not look like a timeout: process the messages received meanwhile first.
             self._drain(executor)
         return self._is_idle()
 
@@ -140,7 +140,7 @@ class Recorder:
         return idle_s is not None and last_s is not None and time.monotonic() - last_s >= idle_s
 
     def _drain(self, executor: SingleThreadedExecutor) -> None:
-        """Take what had arrived already when the end came."""
+        """Process the messages that had arrived before the end."""
         deadline_s = time.monotonic() + _DRAIN_S
         before = -1
         while before != sum(self.counts.values()) and time.monotonic() < deadline_s:
@@ -149,7 +149,7 @@ class Recorder:
                 executor.spin_once(timeout_sec=0.0)
 
     def _hear_out(self, executor: SingleThreadedExecutor) -> None:
-        """Wait a moment for nodes that are being asked for their parameters."""
+        """Wait a moment for the parameters of nodes that were requested."""
         deadline_s = time.monotonic() + _HEAR_OUT_S
         while self._parameters.pending and time.monotonic() < deadline_s:
             executor.spin_once(timeout_sec=_DISCOVERY_PERIOD_S)
@@ -172,15 +172,15 @@ class Recorder:
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
         if self._only_reports and type_name not in REPORTS:
-            # From now on reports are no activity, and those received until now were none either.
+            # Reports are no activity from now on, nor were those received before.
             self._only_reports, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)
         )
 
         def take_all(data: bytes, info: dict[str, int]) -> None:
-            # The executor looks at every entity of the node for each message it hands over; taking the rest of the
-            # queue here keeps up with ten times the rate, and the log time near the receipt.
+            # The executor checks every entity of the node for each message. Taking the rest of the queue here allows
+            # ten times the rate, and keeps the log time near the reception.
             taken: tuple[bytes, dict[str, int]] | None = (data, info)
             count = 0
             while taken is not None and count < DEPTH:
@@ -201,7 +201,7 @@ class Recorder:
         self.counts[topic] += 1
         now_ns = self._node.get_clock().now().nanoseconds
         if now_ns == 0:
-            # With use_sim_time there is no time before the first /clock: messages wait for it, and get its time.
+            # With use_sim_time there is no time before the first /clock: messages wait for it and get its time.
             if len(self._before_clock) == _MOST_BEFORE_CLOCK:
                 oldest = self._before_clock.popleft()[0]
                 self.counts[oldest] -= 1
@@ -226,7 +226,7 @@ class Recorder:
             self._say_step("the system clock", step_ns, clock_ns)
 
     def _say_step(self, clock: str, step_ns: int, now_ns: int) -> None:
-        """Tell it, and note it in the bag, where times after the step are the new ones."""
+        """Log a clock step and record it in the bag; later times are by the new clock."""
         self._step_count += 1
         self._say(f"{clock} stepped by {step_ns / NS_PER_S:+.3f} s to {utc_text(now_ns)}; recording goes on")
         entries = {"clock": clock, "step_ns": str(step_ns), "to_ns": str(now_ns)}
@@ -240,7 +240,7 @@ class Recorder:
 
 
 class ClockWatch:
-    """Tells steps of the system clock from its running, by the steady clock, which never steps.
+    """Detects steps of the system clock against the steady clock.
 
     A clock steps when it is set by hand, by NTP after a long outage, or back with a bag.
     """
@@ -249,12 +249,12 @@ class ClockWatch:
         self._offset_ns: int | None = None
 
     def look(self, steady_before_ns: int, clock_ns: int, steady_after_ns: int) -> int | None:
-        """Step of the clock since the last look, in nanoseconds; None where there was none.
+        """Return the step of the clock since the last call, ns; None if there was none.
 
         Args:
-            steady_before_ns: steady clock read before the clock, ...
-            clock_ns: the clock, ...
-            steady_after_ns: ... and after it: a process that was put to sleep in between has not seen a step.
+            steady_before_ns: steady clock read before the system clock.
+            clock_ns: system clock.
+            steady_after_ns: steady clock read after it; after a long pause in between the readings are not comparable.
         """
         if steady_after_ns - steady_before_ns > _LONGEST_READING_NS:
             return None

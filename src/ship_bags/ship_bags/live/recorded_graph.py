@@ -1,7 +1,7 @@
-"""What a recorder learns from the network: which topics there are, how to subscribe to them, and the nodes' parameters.
+"""Network information for a recorder: topics, subscriptions, and the nodes' parameters.
 
-Some topics say that a voyage goes on, others are what nodes tell of themselves whether anything comes or not. The
-parameters are asked for by the nodes' own services and become a suite file in the recording.
+Some topics show activity; others report a node's own state also without input. The parameters are requested by the
+nodes' own services and become a suite file in the recording.
 """
 
 import time
@@ -23,10 +23,10 @@ from ship_bags.parameter_yaml import full_name, is_shell_parameter, sections_tex
 from ship_bags.renamed_topics import is_topic_parameter
 
 DEPTH = 1000
-"""Messages of a topic that may wait while the disk holds the recorder up: ten seconds at 100 Hz, one at 1 kHz."""
+"""Queue depth per topic while the disk delays the recorder: ten seconds at 100 Hz, one at 1 kHz."""
 
 _LEFT_OUT = ("/clock",)
-"""Topics that are recorded only where they are named: /clock is the time of the log, which a player gives again."""
+"""Topics that are recorded only if named: /clock is the time of the log, which a player publishes."""
 
 REPORTS = frozenset(
     {
@@ -37,21 +37,21 @@ REPORTS = frozenset(
         "tf2_msgs/msg/TFMessage",
     }
 )
-"""Types by which a node tells of itself for as long as it lives, on its own clock, whether anything comes or not."""
+"""Types by which a node reports its own state as long as it runs, on its own clock, also without input."""
 
 _RESULTS = ("ship_msgs/msg/ShipAttitude", "ship_msgs/msg/AttitudeDeg", "ship_msgs/msg/OpticalAxisPointing")
-"""Types of results: a node without input goes on to publish them, as INVALID."""
+"""Types of results: a node without input continues to publish them, as INVALID."""
 
 ANSWER_S = 5.0
-"""A node that has not answered so long after it was seen is named and left, s."""
+"""Timeout of a node's answer after it was discovered, s."""
 
 MOST_NODES = 200
 MOST_PARAMETERS = 5000
-"""Nodes that are asked at most, and parameters that are taken of each."""
+"""Maximum number of nodes that are queried, and of parameters that are taken from each."""
 
 
 def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
-    """Whether a message says that something goes on: a measurement, or a result that rests on one.
+    """Return True if a message shows activity: a measurement, or a result that depends on one.
 
     Args:
         type_name: of the message.
@@ -64,11 +64,11 @@ def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
 
 
 def offers(node: Node, wanted: Sequence[str]) -> dict[str, list[TopicEndpointInfo]]:
-    """Topics to record that somebody publishes now, with what their publishers offer.
+    """Return the topics to record that have publishers now, with the endpoints of these.
 
     Args:
         node: the recording node.
-        wanted: names of topics; empty means all but hidden ones and /clock.
+        wanted: names of topics; empty for all but hidden ones and /clock.
     """
     names = {node.resolve_topic_name(name) for name in wanted}
     found = {}
@@ -81,7 +81,7 @@ def offers(node: Node, wanted: Sequence[str]) -> dict[str, list[TopicEndpointInf
 
 
 def adapted_qos(endpoints: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """The strongest quality of service that all publishers of a topic offer."""
+    """Return the strongest quality of service that all publishers of a topic offer."""
     profiles = [endpoint.qos_profile for endpoint in endpoints]
     reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
     latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
@@ -93,9 +93,9 @@ def adapted_qos(endpoints: Sequence[TopicEndpointInfo]) -> QoSProfile:
 
 
 def qos_texts(endpoints: Sequence[TopicEndpointInfo]) -> str:
-    """What the publishers of a topic offer, one entry each, as rosbag2 notes it.
+    """Return the QoS that the publishers of a topic offer, one entry each, as rosbag2 stores it.
 
-    DDS does not tell the history of a distant publisher: it is unknown and of depth 0, there as here.
+    DDS does not transmit the history of a remote publisher: it is unknown and of depth 0, as in rosbag2.
     """
     profiles = (endpoint.qos_profile for endpoint in endpoints)
     return "".join(
@@ -111,7 +111,7 @@ def qos_texts(endpoints: Sequence[TopicEndpointInfo]) -> str:
 
 @dataclass
 class _Asked:
-    """One node that is being asked: first for the names, then for the values."""
+    """Query of one node: first for the names, then for the values."""
 
     deadline_s: float
     clients: list[Client] = field(default_factory=list)
@@ -120,14 +120,14 @@ class _Asked:
 
 
 class HeardParameters:
-    """Asks each node once, when it is first seen; whoever spins the node calls :meth:`look` now and then.
+    """Queries each node once, when it is discovered; the owner of the spinning node calls :meth:`update` periodically.
 
     Attributes:
         unanswered: full names of nodes that did not answer.
 
     Args:
-        node: the recording node, which is not asked.
-        attach: takes the suite file whenever it has grown and no node is being asked.
+        node: the recording node, which is not queried.
+        attach: called with the suite file when it has grown and no query is pending.
     """
 
     def __init__(self, node: Node, attach: Callable[[str], None]) -> None:
@@ -140,11 +140,11 @@ class HeardParameters:
 
     @property
     def pending(self) -> bool:
-        """Whether a node is being asked."""
+        """True if a query is pending."""
         return bool(self._asked)
 
     def look(self) -> None:
-        """Ask nodes that are new, take answers, give up nodes that answer too late."""
+        """Query new nodes, process answers, give up nodes after the timeout."""
         for name, namespace in self._node.get_node_names_and_namespaces():
             full = full_name(name, namespace)
             if full not in self._seen and not name.startswith("_") and len(self._seen) <= MOST_NODES:
@@ -161,7 +161,7 @@ class HeardParameters:
             self._attach(sections_text(self._found))
 
     def close(self) -> None:
-        """Ask no more: nodes that are still being asked did not answer."""
+        """End the queries: pending nodes count as unanswered."""
         for full in list(self._asked):
             self.unanswered.append(full)
             self._leave(full)
@@ -174,7 +174,7 @@ class HeardParameters:
         return _Asked(time.monotonic() + ANSWER_S, clients)
 
     def _step(self, full: str, asked: _Asked) -> bool:
-        """Ask a node the next question if it has answered the last one; True when it has answered all."""
+        """Send a node the next request after its answer; return True after the last one."""
         by_name, by_value = asked.clients
         if asked.answer is None:
             if by_name.service_is_ready() and by_value.service_is_ready():
@@ -184,7 +184,7 @@ class HeardParameters:
             return False
         answer = asked.answer.result()
         if not asked.names:
-            # How a node was run (clock, black box) is left out: it does not change what the node computes.
+            # Parameters of the node runtime (clock, black box) do not change the results and are left out.
             names = answer.result.names[:MOST_PARAMETERS]
             asked.names = [name for name in names if is_topic_parameter(name) or not is_shell_parameter(name)]
             if not asked.names:
@@ -205,5 +205,5 @@ class HeardParameters:
 
 
 def _has_bytes(value: Any) -> bool:
-    """Whether a value holds bytes, which no parameter file can."""
+    """Return True if a value contains bytes, which no parameter file can represent."""
     return isinstance(value, (bytes, list)) and any(isinstance(element, bytes) for element in value)

@@ -1,4 +1,4 @@
-"""How a command that is a ROS node begins: arguments, node, signals. What DDS needs is :mod:`ship_bags.live.dds`."""
+"""Start of a command that is a ROS node: arguments, node, signals; :mod:`ship_bags.live.dds` prepares DDS."""
 
 import argparse
 import contextlib
@@ -27,7 +27,7 @@ def run_ros_command(
     command: Callable[[argparse.Namespace, list[str]], int],
     arguments: Sequence[str] | None,
 ) -> int:
-    """Exit code of a command that takes arguments for ROS, too.
+    """Run a command that also takes arguments for ROS; return its exit code.
 
     Args:
         parser: parser of the command's own arguments.
@@ -39,9 +39,9 @@ def run_ros_command(
 
 
 def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The command's own arguments, and those between ``--ros-args`` and ``--`` (or the end), as rclpy.init takes them.
+    """Return the command's own arguments, and those between ``--ros-args`` and ``--`` (or the end) for rclpy.init.
 
-    rclpy's own function would also take away whatever looks like a remap rule, as ``--remap OLD:=NEW`` of `play`.
+    rclpy's own function would also remove arguments that look like a remap rule, as ``--remap OLD:=NEW`` of `play`.
     """
     own: list[str] = []
     ros: list[str] = []
@@ -58,10 +58,10 @@ def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]
 
 @contextlib.contextmanager
 def command_node(name: str, ros_arguments: list[str], use_sim_time: bool = False) -> Iterator[Node]:
-    """The node of a command. ROS installs no signal handlers, and ends with the node.
+    """Yield the node of a command. ROS installs no signal handlers, and ends with the node.
 
     Raises:
-        BadInput: DDS security is demanded and not there.
+        BadInput: DDS security is requested and not available.
     """
     prepare_dds()
     rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -83,7 +83,7 @@ def on_end_signals(stop: Callable[[], None]) -> None:
 
 
 def positive(text: str) -> float:
-    """A positive number, as an argument's type."""
+    """Return an argument as a positive number."""
     value = float(text)
     if not (math.isfinite(value) and value > 0.0):
         raise argparse.ArgumentTypeError(f"{text} is not a positive number")
@@ -91,7 +91,7 @@ def positive(text: str) -> float:
 
 
 def executable(package: str, name: str) -> list[str]:
-    """Command of a package's executable, found as ``ros2 run`` finds it.
+    """Return the command of a package's executable, found as by ``ros2 run``.
 
     Raises:
         BadInput: it is not installed.
@@ -104,7 +104,7 @@ def executable(package: str, name: str) -> list[str]:
 
 
 def namespace_name(text: str) -> str:
-    """A namespace of ROS without its outer slashes, as an argument's type."""
+    """Return an argument as a ROS namespace without its outer slashes."""
     name = text.strip("/")
     if name and not all(_NAME.fullmatch(part) for part in name.split("/")):
         raise argparse.ArgumentTypeError(

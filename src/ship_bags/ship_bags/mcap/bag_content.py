@@ -1,4 +1,4 @@
-"""What a bag holds, counted message by message, so that it is true of a damaged bag too."""
+"""Content of a bag, counted message by message, so that it is right for a damaged bag, too."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from ship_bags.stamps import NS_PER_S
 
 @dataclass
 class TopicContent:
-    """A topic: its type, and number and log times of its messages; times are None where it has none."""
+    """Topic: its type, and number and log times of its messages; times are None without messages."""
 
     type_name: str
     message_count: int = 0
@@ -31,7 +31,7 @@ class TopicContent:
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate from the first to the last message; None where there are no two at different times."""
+        """Mean rate from the first to the last message; None without two messages at different times."""
         if self.first_ns is None or self.last_ns is None or self.last_ns == self.first_ns:
             return None
         return (self.message_count - 1) * NS_PER_S / (self.last_ns - self.first_ns)
@@ -39,14 +39,14 @@ class TopicContent:
 
 @dataclass
 class BagContent:
-    """What a bag holds.
+    """Content of a bag.
 
     Attributes:
         files: name → size, bytes.
         topics: name → content, by name.
         attachments: name → content.
         metadata: name → entries.
-        problems: one line for each thing wrong with the bag; none where footer, index and checksums are in order.
+        problems: one line per problem; empty if footer, index and checksums are valid.
     """
 
     files: dict[str, int]
@@ -67,15 +67,15 @@ class BagContent:
 
     @property
     def message_count(self) -> int:
-        """Messages that can be read."""
+        """Number of readable messages."""
         return sum(topic.message_count for topic in self.topics.values())
 
 
 def bag_content(path: Path) -> BagContent:
-    """Read a bag through and count.
+    """Read a whole bag and count its messages.
 
     Raises:
-        BadInput: it cannot be opened at all; see :func:`ship_bags.mcap.bag_reader.open_files`.
+        BadInput: it cannot be opened; see :func:`ship_bags.mcap.bag_reader.open_files`.
     """
     files = open_files(path)
     try:
@@ -93,7 +93,7 @@ def bag_content(path: Path) -> BagContent:
 
 
 def attached_suite(path: Path) -> bytes:
-    """The suite file that is attached to a bag; of several in a folder the last.
+    """Return the suite file attached to a bag; of several in a folder the last.
 
     Raises:
         BadInput: there is none, or the bag cannot be opened.

@@ -1,7 +1,7 @@
-"""One MCAP file as a list of chunks that can be read one by one, however damaged the file is.
+"""MCAP file as a list of chunks that can be read one by one, even if the file is damaged.
 
-A whole file ends in a summary that says where each chunk lies. Of a file without one — a recorder was killed, a disk
-was full — the records are walked through from the start up to the cut, past damaged ones.
+A complete file ends in a summary with the location of each chunk. A file without one (the recorder was killed, the disk
+was full) is scanned record by record up to its end, skipping damaged records.
 """
 
 import io
@@ -39,14 +39,14 @@ from ship_bags.stamps import utc_text
 _ROS1_BEGIN = b"#ROSBAG"
 _FOOTER = struct.Struct("<BQQQI8s")
 _CHUNK_TIMES = struct.Struct("<QQ")
-"""Earliest and latest log time, with which the body of a chunk begins."""
+"""Earliest and latest log time, at the beginning of a chunk's body."""
 
 _LOG_TIME = struct.Struct("<Q")
 _LOG_TIME_OFFSET = 2 + 4
-"""In the body of a message: behind the numbers of its channel and its sequence."""
+"""Offset in the body of a message: after channel id and sequence number."""
 
 _CHECKSUM = struct.Struct("<I")
-"""With which the summary and the body of an attachment end."""
+"""Checksum at the end of the summary and of an attachment's body."""
 
 _LOOSE_MESSAGES_PER_PLACE = 5000
 _BLOCK_BYTES = 1 << 20
@@ -54,7 +54,7 @@ _BLOCK_BYTES = 1 << 20
 
 @dataclass
 class McapFile(BagFile):
-    """An MCAP file by its records."""
+    """MCAP file, by its records."""
 
     data: RecordFile = field(kw_only=True)
 
@@ -83,7 +83,7 @@ def open_mcap(path: Path) -> McapFile:
     """Open an MCAP file and find its chunks.
 
     Raises:
-        BadInput: the file is missing, unreadable, empty, not MCAP, or compressed in a way unknown here.
+        BadInput: the file is missing, unreadable, empty, not MCAP, or of an unknown compression.
     """
     try:
         check_regular(path)
@@ -98,7 +98,7 @@ def open_mcap(path: Path) -> McapFile:
         if not has_header(file.data, len(MAGIC)):
             stream.close()
             raise _no_mcap(path, size, magic)
-        file.problems.append(f"{path.name}: its first {len(MAGIC)} bytes are damaged; nothing is lost by that")
+        file.problems.append(f"{path.name}: its first {len(MAGIC)} bytes are damaged; no data are lost")
     summary = _summary(file)
     if summary is not None:
         _take_summary(file, summary)
@@ -108,7 +108,7 @@ def open_mcap(path: Path) -> McapFile:
 
 
 def _no_mcap(path: Path, size: int, begin: bytes) -> BadInput:
-    """Return the error for a file of another kind, with the remedy."""
+    """Return the error about a file of another format, with the remedy."""
     if size == 0:
         return BadInput("the file is empty", file=path)
     if begin.startswith(_ROS1_BEGIN):
@@ -116,19 +116,19 @@ def _no_mcap(path: Path, size: int, begin: bytes) -> BadInput:
         advice = f"rosbags-convert --src {shlex.quote(str(path))} --dst {folder} makes a rosbag2 folder of it"
         return BadInput(f"a bag of ROS 1: {advice}", file=path)
     if begin.startswith(zstandard.FRAME_HEADER):
-        return BadInput("a compressed file: give the rosbag2 folder that it is in", file=path)
+        return BadInput("a compressed file: give its rosbag2 folder instead", file=path)
     return BadInput("not an MCAP file", file=path)
 
 
 @dataclass
 class _Summary:
-    """What the summary of a file tells; of each chunk no more than its place, for long bags have many.
+    """Summary of a file; of each chunk only its place, because long bags have many.
 
     Attributes:
         places: of the chunks, in the order of the summary.
         compressions: of the chunks.
-        attachments: bytes at which they begin.
-        metadata: likewise.
+        attachments: their offsets, bytes.
+        metadata: their offsets, bytes.
     """
 
     statistics: Statistics | None = None
@@ -141,7 +141,7 @@ class _Summary:
     _channels_met: dict[frozenset[int], frozenset[int]] = field(default_factory=dict)
 
     def take(self, record: McapRecord) -> None:
-        """Note a record of the summary."""
+        """Add a record of the summary."""
         match record:
             case Statistics():
                 self.statistics = record
@@ -172,7 +172,7 @@ class _Summary:
 
     @property
     def is_complete(self) -> bool:
-        """Whether it alone tells all channels, their schemas and all places of messages."""
+        """True if it lists all channels, their schemas and all places of messages."""
         told = self.statistics
         if told is None or told.channel_count != len(self.channels):
             return False
@@ -182,7 +182,7 @@ class _Summary:
 
 
 def _summary(file: McapFile) -> _Summary | None:
-    """The file's summary where it is there, whole, and lists every chunk."""
+    """Return the file's summary if it exists, is valid and lists every chunk; else None."""
     start = _summary_start(file)
     if start is None:
         return None
@@ -194,15 +194,15 @@ def _summary(file: McapFile) -> _Summary | None:
             if isinstance(record, Footer):
                 break
     except Exception:
-        # The parser may fail in any way over damaged bytes; the file is then walked through instead.
+        # The parser may raise anything for damaged bytes; the file is scanned instead.
         return None
     return summary if summary.is_complete else None
 
 
 def _summary_start(file: McapFile) -> int | None:
-    """Where the summary begins; None unless the file ended in a footer with its right checksum, when it was opened.
+    """Return the offset of the summary; None unless the file ended in a footer with its right checksum when opened.
 
-    Of a file that is still being written all places are counted from its start: its end is elsewhere a moment later.
+    In a file being written all places are counted from its start, because its end moves.
     """
     if file.data.size < len(MAGIC) + _FOOTER.size:
         return None
@@ -236,7 +236,7 @@ def _take_summary(file: McapFile, summary: _Summary) -> None:
 
 
 def _walk(file: McapFile) -> None:
-    """Find the chunks of a file without a usable summary, up to its end or its cut."""
+    """Find the chunks of a file without a usable summary, up to its end or the last readable record."""
     loose: list[tuple[int, int, int]] = []
     gaps: list[tuple[Gap, int]] = []
     message_count, cut = 0, None
@@ -267,30 +267,30 @@ def _walk(file: McapFile) -> None:
 
 
 def _gap_text(file: McapFile, gap: Gap, place_number: int) -> str:
-    """What a gap before a place of that number may have cost."""
+    """Return the text about the possible loss in a gap before a place."""
     before, after = file.chunks[:place_number], file.chunks[place_number:]
     start = utc_text(before[-1].end_ns) if before else "the start"
     end = utc_text(after[0].start_ns) if after else "the end"
     return (
         f"{file.path.name}: bytes {gap.start} to {gap.end} are damaged: "
-        f"messages between {start} and {end} are lost, if there were any"
+        f"messages between {start} and {end} are lost, if any"
     )
 
 
 def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
-    """Note a chunk met on the walk and the channels it announces; returns its number of messages."""
+    """Add a chunk found by the scan and its channels; return its number of messages."""
     announced = ChunkPlace(chunk.offset, chunk.length, *_CHUNK_TIMES.unpack_from(chunk.body))
     try:
         records = file.data.records_of(announced, check_times=False)
     except DamagedChunk:
         file.chunks.append(announced)
-        return 0  # messages() will say so, with the time range
+        return 0  # messages() reports it with the time range
     times = [record.log_time for record in records if isinstance(record, Message)]
     if times:
-        # The times of the messages: those in the head of the chunk are protected by no checksum.
+        # The times of the messages, because no checksum protects those in the chunk's header.
         file.chunks.append(ChunkPlace(chunk.offset, chunk.length, min(times), max(times)))
     for record in records:
-        # These are protected by the checksum of the chunk: they rule over what stood outside a chunk.
+        # These are protected by the chunk's checksum: they take precedence over records outside a chunk.
         if isinstance(record, Schema):
             file.schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -299,14 +299,14 @@ def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
 
 
 def _loose_place(messages: list[tuple[int, int, int]]) -> ChunkPlace:
-    """The place of neighbouring messages given as (offset, length, log time)."""
+    """Return the place of consecutive messages given as (offset, length, log time)."""
     times = [time_ns for _, _, time_ns in messages]
     length = messages[-1][0] + messages[-1][1] - messages[0][0]
     return ChunkPlace(messages[0][0], length, min(times), max(times), loose=True)
 
 
 def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
-    """Keep a schema, channel, attachment or metadata record; other records are not needed."""
+    """Keep a schema, channel, attachment or metadata record; ignore other records."""
     try:
         if opcode == Opcode.SCHEMA:
             schema = parsed(Schema.read, body)
@@ -326,6 +326,6 @@ def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
             file.attachments[attachment.name] = attachment.data
             file.side_records.append(attachment)
     except Exception as problem:
-        # The parser may fail in any way over damaged bytes, and what it says of that helps nobody.
+        # The parser may raise anything for damaged bytes, with useless texts.
         why = f" ({problem})" if isinstance(problem, DamagedChunk) else ""
         file.problems.append(f"{file.path.name}: one {Opcode(opcode).name.lower()} record is damaged{why}: it is lost")

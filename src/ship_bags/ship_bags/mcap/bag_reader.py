@@ -1,7 +1,7 @@
-"""Reads bags — one .mcap file or a rosbag2 folder with its split files — in order of log time.
+"""Reader of bags (one .mcap file, or a rosbag2 folder with its split files) in order of log time.
 
-Chunks are read one by one, so that memory does not grow with the length of the bag; where chunks overlap in time
-their messages are merged. Damaged records are skipped and listed in ``Bag.problems``.
+Chunks are read one by one, so that memory does not grow with the length of the bag; the messages of chunks that overlap
+in time are merged. Damaged records are skipped and listed in ``Bag.problems``.
 """
 
 import re
@@ -34,27 +34,27 @@ from ship_bags.topic_names import relative_topic
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
 
 MAX_HELD_MB = 512
-"""At most so much of a bag is held in memory. Of an ordinary bag that is a chunk or two: the next one begins in time
-when these have ended."""
+"""Maximum part of a bag in memory, MB. Of an ordinary bag that is a chunk or two: the next one begins in time when
+these have ended."""
 
 _PLACE_BITS = 32
-"""The order of a message in the bag is that of its place, in the upper bits, and that in its place below them."""
+"""Number of lower bits for the order of a message in its place; the upper bits are the order of the place."""
 
 _RECORD_BYTES = 250
-"""Memory that a message takes besides its own bytes."""
+"""Memory of a message besides its own bytes."""
 
 
 _XCDR2_HEADS = b"\x00\x06", b"\x00\x07"
-"""Encapsulations of plain XCDR2, big and little endian. It is read as XCDR1, which is right where the padding is the
-same; where XCDR2 pads less, the message is too short to be decoded."""
+"""Encapsulations of plain XCDR2, big and little endian. It is read as XCDR1, which is right if the padding is the same;
+if XCDR2 pads less, the message is too short to be decoded."""
 
 _PADDING_BYTES = 4
-"""What stands before an 8-byte element at the most."""
+"""Maximum padding in front of an 8-byte element, bytes."""
 
 
 @dataclass(slots=True)
 class BagRecord:
-    """One message as it lies in the bag; sequence number and publish time are those that its writer noted."""
+    """Message of a bag; sequence number and publish time are those of its writer."""
 
     topic: str
     type_name: str
@@ -65,7 +65,7 @@ class BagRecord:
     publish_time_ns: int = 0
 
     def decode(self) -> Any:
-        """The message, its fields as attributes, by the definition that the bag holds.
+        """Return the message with its fields as attributes, by the bag's definition.
 
         Raises:
             BadInput: the bytes are not such a message.
@@ -74,18 +74,17 @@ class BagRecord:
             try:
                 return self.store.deserialize_cdr(self.data, self.type_name)
             except SerdeError:
-                # A message that ends with an empty sequence of 8-byte elements comes from rclpy with the padding that
-                # its first element would need.
+                # rclpy pads a message that ends with an empty sequence of 8-byte elements as for a first element.
                 return self.store.deserialize_cdr(self.data[:-_PADDING_BYTES], self.type_name)
         except Exception as problem:
-            # The generated decoder may fail in any way over bytes that are no such message.
+            # The generated decoder may raise anything for bytes of another type.
             raise BadInput(
                 f"topic '{self.topic}' at {utc_text(self.log_time_ns)}: not a {self.type_name}: {problem}"
             ) from problem
 
 
 class _BagPlace(NamedTuple):
-    """A place of messages: its order among all places of the bag, and the number of its file."""
+    """Place of messages: its order among all places of the bag, and the index of its file."""
 
     order: int
     file_number: int
@@ -93,17 +92,16 @@ class _BagPlace(NamedTuple):
 
 
 class Bag:
-    """An open bag; use it in a ``with`` statement.
+    """Open bag; use it in a ``with`` statement.
 
     Attributes:
-        topics: topic → type name, of the topics that can be read.
-        recorded_names: topic → its name in the bag, of the topics that are read under another one
-            (:mod:`ship_bags.renamed_topics`).
+        topics: topic → type name, of the readable topics.
+        recorded_names: topic → its name in the bag, of renamed topics (:mod:`ship_bags.renamed_topics`).
         skipped_topics: topic → why it cannot be read.
-        differences: type name → one line per field that the bag defines otherwise than this version of the suite.
+        differences: type name → one line per field that the bag defines differently from this version of the suite.
         attachments: name → content.
         metadata: name → entries.
-        message_count: messages given out so far.
+        message_count: messages yielded so far.
         last_time_ns: log time of the last one; None before the first.
     """
 
@@ -117,7 +115,7 @@ class Bag:
         self.message_count = 0
         self.last_time_ns: int | None = None
         self._files = files
-        # What a file repeats from those before it is needed only by who has that file alone.
+        # Messages that a file repeats from earlier ones are needed only if that file is read alone.
         self._repeated = [set[tuple[str, int]]() if n == 0 else repeated_times(f.metadata) for n, f in enumerate(files)]
         self._usable_channels = [self._channels_of(file) for file in files]
         types = self._types()
@@ -126,7 +124,7 @@ class Bag:
 
     @property
     def store(self) -> Typestore:
-        """The types of the bag's messages; its own definitions rule."""
+        """Types of the bag's messages; its own definitions take precedence."""
         return self._store
 
     @property
@@ -151,7 +149,7 @@ class Bag:
 
     @property
     def problems(self) -> list[str]:
-        """One line for each thing wrong with the bag; complete once all records were read."""
+        """One line per problem of the bag; complete after all records were read."""
         name = self.path.name
         lines = [problem for file in self._files for problem in file.problems]
         lines += [f"{name}: topic '{topic}' is skipped: {why}" for topic, why in self.skipped_topics.items()]
@@ -159,13 +157,13 @@ class Bag:
         return [one_line(line) for line in lines]
 
     def records(self, topics: Collection[str] | None = None, since_ns: int = 0) -> Iterator[BagRecord]:
-        """Messages in order of log time, those of equal time in the order of the files.
+        """Yield messages in order of log time, those of equal time in the order of the files.
+
+        Chunks without messages of the topics, by the bag's index, are not read.
 
         Args:
-            topics: names of the topics wanted; None means all that can be read.
+            topics: names of the topics wanted; None for all readable ones.
             since_ns: log time before which none is wanted; chunks that end before it are not read.
-
-        Chunks that hold no message of the topics, as the index of the bag says, are not read either.
         """
         channels = self._channels_with(topics)
         places = self._places(None if topics is None else channels)
@@ -179,7 +177,7 @@ class Bag:
                     f"time hold more than {MAX_HELD_MB} MB",
                     file=self._files[bag_place.file_number].path,
                 )
-            # Order in the file settles equal times and is unique, so records themselves are never compared.
+            # The order in the file decides for equal times and is unique, so records are never compared.
             waiting.sort(key=lambda entry: entry[:2])
             last = number + 1 == len(places)
             ready = len(waiting) if last else bisect_left(waiting, (places[number + 1].place.start_ns,))
@@ -192,7 +190,7 @@ class Bag:
             del waiting[:ready]
 
     def last_before(self, topic: str, before_ns: int) -> BagRecord | None:
-        """The last message of a topic before a log time; None where there is none. Other chunks are hardly read."""
+        """Return the last message of a topic before a log time; None if there is none. Few other chunks are read."""
         channels = self._channels_with({topic})
         found: tuple[int, int, BagRecord] | None = None
         for entry in sorted(self._places(channels), key=lambda entry: -entry.place.end_ns):
@@ -206,7 +204,7 @@ class Bag:
         return None if found is None else found[2]
 
     def records_in_file_order(self) -> Iterator[BagRecord]:
-        """All messages as they lie in the bag, one file after the other, log times as they come."""
+        """Yield all messages in the order of the files, in any order of log time."""
         for number, (file, channels) in enumerate(zip(self._files, self._usable_channels, strict=True)):
             for place in sorted(file.chunks, key=lambda place: place.offset):
                 for message in file.messages(place):
@@ -229,14 +227,14 @@ class Bag:
         self.close()
 
     def _channels_with(self, topics: Collection[str] | None) -> list[dict[int, str]]:
-        """Of each file, channel → topic of the topics wanted; None means all."""
+        """Return for each file channel → topic of the topics wanted; None for all."""
         return [
             {number: name for number, name in usable.items() if topics is None or name in topics}
             for usable in self._usable_channels
         ]
 
     def _places(self, channels: list[dict[int, str]] | None) -> list[_BagPlace]:
-        """The places of the messages of some channels, None means all, by the time at which they begin."""
+        """Return the places with messages of some channels (None: all), by their start times."""
         in_bag_order = ((number, place) for number, file in enumerate(self._files) for place in file.chunks)
         places = [
             _BagPlace(order, number, place)
@@ -246,13 +244,13 @@ class Bag:
         return sorted(places, key=lambda entry: (entry.place.start_ns, entry.order))
 
     def _chunk_records(self, at: _BagPlace, channels: dict[int, str]) -> Iterator[tuple[int, int, BagRecord]]:
-        """(log time, order in the bag, record) of the messages of some channels of one place."""
+        """Yield (log time, order in the bag, record) of the messages of some channels of one place."""
         for order, message in enumerate(self._files[at.file_number].messages(at.place), at.order << _PLACE_BITS):
             if message.channel_id in channels and not self._is_repeated(at.file_number, message):
                 yield message.log_time, order, self._record(message, channels)
 
     def _is_repeated(self, file_number: int, message: Message) -> bool:
-        """True if a message is the copy of one in an earlier file."""
+        """True if a message is a copy of one in an earlier file."""
         repeated = self._repeated[file_number]
         if not repeated:
             return False
@@ -274,7 +272,7 @@ class Bag:
         )
 
     def _channels_of(self, file: BagFile) -> dict[int, str]:
-        """Channel → topic for those that can be read; notes topics, types and what is skipped."""
+        """Return channel → topic of the readable ones; record topics, types and skipped topics."""
         usable: dict[int, str] = {}
         for channel in file.channels.values():
             schema = file.schemas.get(channel.schema_id)
@@ -295,7 +293,7 @@ class Bag:
         return usable
 
     def _skip_unreadable(self, unreadable: Mapping[str, str]) -> None:
-        """Skip the topics of types whose definitions cannot be used."""
+        """Skip the topics of types with unusable definitions."""
         for topic, type_name in list(self.topics.items()):
             if type_name in unreadable:
                 del self.topics[topic]
@@ -315,11 +313,11 @@ class Bag:
 
 
 def read_bag(path: Path | str) -> Bag:
-    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml; of sqlite3 or compressed ones, too.
+    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml, also of sqlite3 or compressed files.
 
     Raises:
-        BadInput: names the file and what is wrong: missing, unreadable, empty, not MCAP, of an unknown compression, a
-            folder without metadata.yaml, no messages at all or none that can be read.
+        BadInput: names the file and the problem: missing, unreadable, empty, not MCAP, of an unknown compression, a
+            folder without metadata.yaml, without messages or without readable ones.
     """
     path = Path(path)
     files = open_files(path)
@@ -336,16 +334,16 @@ def read_bag(path: Path | str) -> Bag:
 
 
 def open_files(path: Path) -> list[BagFile]:
-    """Open the files that make up a bag, in order, whatever they hold; topics have the names wanted.
+    """Open the files of a bag, in order, whatever their content; topics get the names that the command wants.
 
     Raises:
-        BadInput: one is missing, unreadable, empty, of no known storage or of an unknown compression, a folder is
-            without metadata.yaml, or the names wanted cannot be given.
+        BadInput: one is missing, unreadable, empty, of unknown storage or compression, a folder has no metadata.yaml,
+            or the names cannot be applied.
     """
     files: list[BagFile] = []
     try:
         if needs_rosbags(path):
-            # Reading the library takes a while, and few bags need it.
+            # The import takes a while, and few bags need it.
             from ship_bags.mcap.rosbags_file import open_with_rosbags
 
             files.append(open_with_rosbags(path))
@@ -362,10 +360,10 @@ def open_files(path: Path) -> list[BagFile]:
 
 
 def _rename_topics(path: Path, files: list[BagFile]) -> None:
-    """Give topics the names under which the command wants them; one that had such a name is not read."""
+    """Apply the command's topic names; a topic that already had such a name is not read."""
     names = current_names()
     if any(BOX_METADATA in file.metadata for file in files):
-        names = replace(names, is_by_suite=False)  # the node has given the suite's names already
+        names = replace(names, is_by_suite=False)  # the node has used the suite's names already
     topics = {channel.topic for file in files for channel in file.channels.values()}
     attached = [file.attachments[SUITE_ATTACHMENT] for file in files if SUITE_ATTACHMENT in file.attachments]
     renamed = names.new_names(topics, attached[-1].decode("utf-8", errors="replace") if attached else "")
@@ -391,12 +389,12 @@ def _rename_topics(path: Path, files: list[BagFile]) -> None:
 
 
 def watched(records: Iterator[BagRecord], bag: Bag, doing: str = "") -> Iterator[BagRecord]:
-    """Yield the records, with progress on stderr: how far into the bag they are.
+    """Yield the records and show the progress on stderr.
 
     Args:
         records: of the bag, in order of log time.
         bag: its name is shown.
-        doing: what is done with it, for the line: "evaluating".
+        doing: the task, for the line: "evaluating".
     """
     if bag.start_ns is None or bag.end_ns is None:
         return records
@@ -405,7 +403,7 @@ def watched(records: Iterator[BagRecord], bag: Bag, doing: str = "") -> Iterator
 
 
 def _parts(path: Path) -> list[Path]:
-    """The MCAP files that make up a bag, in order."""
+    """Return the MCAP files of a bag, in order."""
     if not path.exists():
         raise BadInput("no such file or folder", file=path)
     if not path.is_dir():

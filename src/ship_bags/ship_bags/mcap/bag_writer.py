@@ -1,9 +1,9 @@
-"""Writes MCAP bags as rosbag2 does: CDR messages, embedded definitions, quality of service per topic.
+"""Writer of MCAP bags as rosbag2 makes them: CDR messages, embedded definitions, QoS per topic.
 
-The same calls give the same bytes: nothing in the file depends on the time or the place of writing.
+The same calls give the same bytes: the file does not depend on the time or the place of writing.
 
-A bag that is flushed survives a crash: what was flushed is whole chunks, and definitions stand twice in it, once inside
-a chunk and once behind it, so that no single damage takes the meaning from the messages of other chunks.
+A flushed bag survives a crash: the flushed part consists of complete chunks. Definitions are stored twice, inside a
+chunk and after it, so that no single damage makes the messages of other chunks unreadable.
 """
 
 import contextlib
@@ -23,10 +23,10 @@ from ship_bags.mcap.mcap_writer import McapWriter
 from ship_bags.output_files import DiskSync, named, open_new, part_of
 
 SUITE_ATTACHMENT = "suite.yaml"
-"""Name of the attachment that holds the suite's configuration."""
+"""Name of the attachment with the suite's configuration."""
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
-"""Name of the attachment that holds the scenario of a simulated bag."""
+"""Name of the attachment with the scenario of a simulated bag."""
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 _EXCLUSIVE, _REPLACING = _NEW | os.O_EXCL, _NEW | os.O_TRUNC
@@ -46,29 +46,29 @@ _QOS_TEMPLATE = """\
 
 
 def qos_text(history: str, depth: int, reliability: str, durability: str) -> str:
-    """One offered quality of service as rosbag2 notes it, e.g. ``qos_text("keep_last", 1, "reliable", "volatile")``."""
+    """Return an offered QoS as rosbag2 stores it, e.g. ``qos_text("keep_last", 1, "reliable", "volatile")``."""
     return _QOS_TEMPLATE.format(
         history=history, depth=depth, reliability=reliability, durability=durability, forever=_FOREVER
     )
 
 
 def own_qos_text(latched: bool) -> str:
-    """The quality of service that the suite's own publishers offer, as rosbag2 notes it."""
+    """Return the QoS that the suite's own publishers offer, as rosbag2 stores it."""
     return qos_text("keep_last", 1 if latched else 100, "reliable", "transient_local" if latched else "volatile")
 
 
 class TypeDefinition(NamedTuple):
-    """Definition of a message type with all that it refers to, as a bag embeds it ("ros2msg"), and its RIHS01 hash."""
+    """Definition of a message type with all types that it refers to ("ros2msg"), and its RIHS01 hash."""
 
     text: str
     hash: str
 
 
 def known_definition(type_name: str) -> TypeDefinition:
-    """The definition of a type of ROS 2 Jazzy or of ship_msgs.
+    """Return the definition of a type of ROS 2 Jazzy or of ship_msgs.
 
     Raises:
-        KeyError: the type is none of these.
+        KeyError: the type is neither.
     """
     from ship_bags.message_store import definition, type_hash
 
@@ -76,24 +76,24 @@ def known_definition(type_name: str) -> TypeDefinition:
 
 
 class BagWriter:
-    """One MCAP file being written; use it in a ``with`` statement.
+    """MCAP file being written; use it in a ``with`` statement.
 
-    The types of :mod:`ship_bags.message_store` are read only where they are needed: a live node gives its own
-    definitions and bytes, and starts sooner without them.
+    The types of :mod:`ship_bags.message_store` are loaded only if needed: a live node gives its own definitions and
+    bytes, and starts sooner without them.
 
     Attributes:
         path: the file.
         message_count: messages written.
-        whole_bytes: length of the file at the last :meth:`flush`: up to there it can be read whatever happens.
+        flushed_bytes: length of the file at the last :meth:`flush`, up to which it stays readable.
 
     Args:
         path: file to write, ending in .mcap.
-        atomic: write beside it (``<path>.part``) and rename at the end, so that a file of this name is always
-            whole. A recorder, whose file must survive a crash, says False.
-        define: the definition of a message type by its name; it may fail in any way where there is none.
-        library: name of the program, for the header of the file. The default stays as it is: the same scenario and
-            seed give the same bytes as ever.
-        exclusive: refuse to write over a file that is there.
+        atomic: True to write to ``<path>.part`` and rename it at the end, so that a file of this name is always
+            complete. False for a recorder, whose file must survive a crash.
+        define: returns the definition of a message type by its name, or raises any exception.
+        library: name of the program, for the header of the file. The default must not change: the same scenario and
+            seed give the same bytes in every version.
+        exclusive: True to refuse overwriting a file.
 
     Raises:
         BadInput: the file cannot be made.
@@ -127,13 +127,13 @@ class BagWriter:
     def add_topic(
         self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
     ) -> None:
-        """Announce a topic before its first message; needed only where it is latched or may stay empty.
+        """Add a topic before its first message; needed only if it is latched or may stay empty.
 
         Args:
             topic: its name.
             type_name: its type, e.g. ``sensor_msgs/msg/Imu``.
-            latched: whether its last message is kept for late subscribers.
-            qos_profiles: what its publishers offer, by :func:`qos_text`; None: what the suite's own publishers do.
+            latched: True if its last message is kept for late subscribers.
+            qos_profiles: QoS that its publishers offer, by :func:`qos_text`; None for that of the suite's publishers.
         """
         self._channel_id(topic, type_name, latched, qos_profiles)
 
@@ -141,7 +141,7 @@ class BagWriter:
         """Add a message made by :class:`ship_bags.message_store.RosbagsFactory` or decoded from a bag.
 
         Raises:
-            BadInput: the topic already carries another type.
+            BadInput: the topic already has another type.
         """
         from ship_bags.message_store import serialize
 
@@ -156,10 +156,10 @@ class BagWriter:
         publish_time_ns: int | None = None,
         sequence: int | None = None,
     ) -> None:
-        """Add a message given by its CDR bytes, as they are; without a sequence number its topic's are counted.
+        """Add a message given by its CDR bytes; without a sequence number the messages of the topic are counted.
 
         Raises:
-            BadInput: the topic already carries another type, or the type is unknown.
+            BadInput: the topic already has another type, or the type is unknown.
         """
         channel_id = self._channel_id(topic, type_name)
         if sequence is None:
@@ -182,12 +182,12 @@ class BagWriter:
 
         Args:
             topics: names and types.
-            of_topic: number of the topic of each message, shape (N,).
+            of_topic: index of the topic of each message, shape (N,).
             data: bytes of each message.
             log_times_ns: shape (N,).
 
         Raises:
-            BadInput: a topic already carries another type, or the type is unknown.
+            BadInput: a topic already has another type, or the type is unknown.
         """
         sequences = np.empty(len(data), dtype=np.int64)
         channel_ids = np.empty(len(data), dtype=np.int64)
@@ -214,7 +214,7 @@ class BagWriter:
             self._writer.add_metadata(name, entries)
 
     def flush(self) -> None:
-        """Hand every message written so far to the system, so that it outlives this process, and begin to sync it.
+        """Pass all messages so far to the operating system, so that they survive this process, and start a sync.
 
         Raises:
             OSError: it cannot be written, or the sync of an earlier flush failed.
@@ -227,7 +227,7 @@ class BagWriter:
             self.whole_bytes = self._file.tell()
 
     def close(self) -> None:
-        """Finish the file; with ``atomic`` it gets its name now, or where that fails nothing is left.
+        """Finish the file. With ``atomic`` it is renamed now; if that fails no file is left.
 
         Raises:
             OSError: it cannot be written.
@@ -241,7 +241,7 @@ class BagWriter:
                 self._sync.finish()
                 os.fsync(self._file.fileno())
                 if self._written_path != self.path:
-                    # The file gets its name before it is closed, for until then other programs cannot write it.
+                    # The file is renamed before it is closed, because until then other programs cannot write it.
                     self._written_path.replace(self.path)
                 self._file.close()
         except BaseException:
@@ -250,20 +250,20 @@ class BagWriter:
             raise
 
     def discard(self) -> None:
-        """Give up: an atomic writer leaves nothing behind, another what it wrote so far."""
+        """Give up: an atomic writer leaves no file, another one leaves what it has written."""
         if self._written_path != self.path:
             self._written_path.unlink(missing_ok=True)
         self._release()
 
     def cut(self) -> None:
-        """Give up after a failed write: what was written since the last :meth:`flush` is cut off."""
+        """Give up after a failed write: truncate the file to the last :meth:`flush`."""
         self._release()
         with contextlib.suppress(OSError):
             os.truncate(self._written_path, self.whole_bytes)
 
     def _release(self) -> None:
-        """Close all that is open."""
-        # Closing writes what is left in the buffers, and fails once more on a full disk.
+        """Close all open files."""
+        # Closing flushes the buffers, which fails again on a full disk.
         with contextlib.suppress(OSError):
             self._writer.discard()
         self._sync.finish()
@@ -272,7 +272,7 @@ class BagWriter:
 
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:
-        """Name the file in an error of the system."""
+        """Add the file name to an OSError."""
         try:
             yield
         except OSError as problem:
@@ -323,7 +323,7 @@ class BagWriter:
         return self._schema_ids[type_name]
 
     def _repeat_definitions(self) -> None:
-        """Write the schemas and channels that are new once more, between chunks, as MCAP allows."""
+        """Write new schemas and channels once more, between chunks, as MCAP allows."""
         records = RecordBuilder()
         for record in self._unrepeated:
             record.write(records)

@@ -1,4 +1,4 @@
-"""The further files of a black box, which lie beside its first one and are read with it."""
+"""Further files of a black box, which lie next to its first one and are read with it."""
 
 import re
 
@@ -11,9 +11,9 @@ _FIRST = "1"
 
 
 def further_box_files(first: BagFile) -> list[BagFile]:
-    """The files that go on where the first one of a box ends, in order; none of any other file.
+    """Return the files that continue the first one of a black box, in order; none for any other file.
 
-    What is missing or cannot be read becomes a line in the problems of the first one.
+    A missing or unreadable file becomes a line in the problems of the first one.
     """
     entries = first.metadata.get(BOX_METADATA, {})
     if entries.get("part") != _FIRST:
@@ -26,7 +26,7 @@ def further_box_files(first: BagFile) -> list[BagFile]:
         except BadInput as problem:
             first.note(str(problem))
             continue
-        # The head of the whole is that of the first file.
+        # The header of the black box is that of the first file.
         of_part = file.metadata.pop(BOX_METADATA, {})
         number = of_part.get("part", "")
         if of_part.get("box") == entries.get("box") and number.isascii() and number.isdecimal():

@@ -1,4 +1,4 @@
-"""What a chunk of an MCAP file holds, unfolded without trusting it: no size, checksum or record that it states."""
+"""Content of a chunk of an MCAP file, decompressed without trusting its stated sizes, checksums or records."""
 
 import io
 import struct
@@ -16,13 +16,13 @@ COMPRESSIONS = ("", "zstd", "lz4")
 """Compressions that can be read; the empty name means none."""
 
 HEADER = struct.Struct("<BQ")
-"""Opcode and length, before the body of each record."""
+"""Opcode and length, in front of the body of each record."""
 
 MAX_CHUNK_MB = 256
-"""The most that a chunk may hold, before compression. Writers make chunks of a few megabytes."""
+"""Maximum size of a chunk before compression, MB. Writers make chunks of a few megabytes."""
 
 MAX_CHUNK_RECORDS = 1_000_000
-"""The most records that a chunk may hold: a record without content takes twenty times its bytes in memory."""
+"""Maximum number of records in a chunk: an empty record takes twenty times its bytes in memory."""
 
 _BYTES_PER_MB = 1_000_000
 MAX_CHUNK_BYTES = MAX_CHUNK_MB * _BYTES_PER_MB
@@ -35,14 +35,14 @@ Result = TypeVar("Result")
 
 
 class DamagedChunk(Exception):
-    """The bytes of a chunk are not what was written."""
+    """The bytes of a chunk are damaged."""
 
 
 def records_of_chunk(chunk: Chunk) -> list[McapRecord]:
-    """The messages, channels and schemas of a chunk, in their order.
+    """Return the messages, channels and schemas of a chunk, in their order.
 
     Raises:
-        DamagedChunk: it cannot be decompressed or parsed, holds more than it may, or its checksum is wrong.
+        DamagedChunk: it cannot be decompressed or parsed, exceeds a limit, or its checksum is wrong.
     """
     if chunk.compression not in COMPRESSIONS:
         raise DamagedChunk(f"compression {chunk.compression!r} is unknown")
@@ -51,27 +51,27 @@ def records_of_chunk(chunk: Chunk) -> list[McapRecord]:
 
 
 def _unfolded(chunk: Chunk) -> bytes:
-    """Content of a chunk, decompressed. The sizes that its header and its bytes state are not trusted.
+    """Return the decompressed content of a chunk. The sizes stated in its header and its bytes are not trusted.
 
     Raises:
-        DamagedChunk: it cannot be decompressed, or holds more than it may.
+        DamagedChunk: it cannot be decompressed, or exceeds a limit.
     """
     if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         size_mb = chunk.uncompressed_size / _BYTES_PER_MB
-        raise DamagedChunk(f"it says that it unfolds to {size_mb:.0f} MB: at most {MAX_CHUNK_MB} are taken")
+        raise DamagedChunk(f"its stated size is {size_mb:.0f} MB decompressed: at most {MAX_CHUNK_MB} are read")
     content = guarded(lambda: decompressed(chunk.compression, chunk.data))
     if len(content) > MAX_CHUNK_BYTES:
-        raise DamagedChunk(f"it unfolds to more than {MAX_CHUNK_MB} MB")
+        raise DamagedChunk(f"it decompresses to more than {MAX_CHUNK_MB} MB")
     if chunk.uncompressed_crc == 0 and len(content) != chunk.uncompressed_size:
-        # Compressed bytes that are cut end without an error; here no checksum tells.
-        raise DamagedChunk(f"it unfolds to {len(content)} bytes and says {chunk.uncompressed_size}")
+        # Truncated compressed bytes end without an error; here is no checksum to detect that.
+        raise DamagedChunk(f"it decompresses to {len(content)} bytes instead of {chunk.uncompressed_size}")
     if _record_count(content) > MAX_CHUNK_RECORDS:
         raise DamagedChunk(f"it holds more than {MAX_CHUNK_RECORDS} records")
     return content
 
 
 def decompressed(compression: str, data: bytes) -> bytes:
-    """Content of compressed bytes, up to one byte more than a chunk may hold."""
+    """Return the content of compressed bytes, up to one byte more than the limit of a chunk."""
     unfolded: bytes = data
     if compression == "zstd":
         with zstandard.ZstdDecompressor().stream_reader(data) as stream:
@@ -82,7 +82,7 @@ def decompressed(compression: str, data: bytes) -> bytes:
 
 
 def _record_count(content: bytes) -> int:
-    """Records by their lengths, counted no further than one too many; 0 where there cannot be so many."""
+    """Return the number of records by their lengths, up to one above the limit; 0 if it cannot be exceeded."""
     count = offset = 0
     if len(content) <= MAX_CHUNK_RECORDS * HEADER.size:
         return 0
@@ -93,9 +93,9 @@ def _record_count(content: bytes) -> int:
 
 
 def _split(chunk: Chunk, content: bytes) -> list[McapRecord]:
-    """The messages, channels and schemas in the content of a chunk, in their order; others are stepped over.
+    """Return the messages, channels and schemas of a chunk's content, in their order; others are skipped.
 
-    It gives what ``breakup_chunk`` of mcap gives, in less time.
+    The result equals that of mcap's ``breakup_chunk``, in less time.
     """
     if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
         raise DamagedChunk("its checksum is wrong")
@@ -106,7 +106,7 @@ def _split(chunk: Chunk, content: bytes) -> list[McapRecord]:
         offset += HEADER.size
         end = offset + length
         if end > len(content) or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD.size):
-            raise DamagedChunk("a record in it is cut off")
+            raise DamagedChunk("a record in it is truncated")
         if opcode == Opcode.MESSAGE:
             channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content, offset)
             data = content[offset + _MESSAGE_HEAD.size : end]
@@ -118,14 +118,14 @@ def _split(chunk: Chunk, content: bytes) -> list[McapRecord]:
 
 
 def parsed(read: Callable[[ReadDataStream], Result], body: bytes) -> Result:
-    """A record from its body, by the ``read`` of its class."""
+    """Return a record from its body, by the ``read`` method of its class."""
     return read(ReadDataStream(io.BytesIO(body)))
 
 
 def guarded(parse: Callable[[], Result]) -> Result:
-    """What a parser gives; whatever it fails by is a damaged chunk."""
+    """Return the result of a parser; raise DamagedChunk for any exception."""
     try:
         return parse()
     except Exception as problem:
-        # Decompressor and parser may fail in any way over damaged bytes.
+        # Decompressor and parser may raise anything for damaged bytes.
         raise DamagedChunk(str(problem) or type(problem).__name__) from problem

@@ -1,4 +1,4 @@
-"""The content of one file of a bag, whatever its storage."""
+"""Content of one file of a bag, independent of its storage."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
@@ -14,11 +14,11 @@ class BagFile(ABC):
     """Content of a file of a bag besides its messages, and the places of the messages.
 
     Attributes:
-        path: the file, or the folder where its files are read as one.
+        path: the file, or the folder if its files are read as one.
         chunks: places of the messages, in file order.
         recorded_names: topic → its name in the file, of renamed topics.
-        side_records: attachments and metadata as they lie in the file, in file order.
-        problems: one line for each thing wrong with the file that is known so far.
+        side_records: attachments and metadata, in file order.
+        problems: one line per problem known so far.
     """
 
     path: Path
@@ -34,17 +34,17 @@ class BagFile(ABC):
     @property
     @abstractmethod
     def size_bytes(self) -> int:
-        """Length on the disk."""
+        """Size on the disk, bytes."""
 
     @abstractmethod
     def messages(self, place: ChunkPlace) -> list[Message]:
-        """The messages of one place, in file order; none and a line in ``problems`` where it is damaged."""
+        """Return the messages of one place, in file order; if it is damaged none, with a line in ``problems``."""
 
     @abstractmethod
     def close(self) -> None:
         """Close the file."""
 
     def note(self, problem: str) -> None:
-        """Add a line to ``problems``, once: a place may be read more than once."""
+        """Add a line to ``problems``, once: a place may be read repeatedly."""
         if problem not in self.problems:
             self.problems.append(problem)

@@ -1,6 +1,7 @@
 """rosbag2 folders: several MCAP files and an information file (metadata.yaml), as ROS 2 Jazzy writes them.
 
-The information file is read without trust and written whole; :class:`FolderWriter` splits a recording by size and time.
+The information file is read without trusting it, and written atomically. :class:`FolderWriter` splits a recording by
+size and time.
 """
 
 import os
@@ -30,7 +31,7 @@ _ROS_DISTRO = "jazzy"
 
 @dataclass
 class FileInformation:
-    """What the information file says of one file; times are None before its first message."""
+    """Entry of the information file for one file; times are None before its first message."""
 
     name: str
     start_ns: int | None = None
@@ -46,7 +47,7 @@ class FileInformation:
 
 @dataclass
 class TopicInformation:
-    """What the information file says of one topic; `qos_profiles` is the text that its channels carry."""
+    """Entry of the information file for one topic; `qos_profiles` is the text of its channels."""
 
     name: str
     type_name: str
@@ -56,24 +57,24 @@ class TopicInformation:
 
 
 class SplitLimits(NamedTuple):
-    """When a new file begins; None means never. A file exceeds a limit by what one flush period brings, at most."""
+    """Limits at which a new file begins; None for no limit. A file exceeds a limit by at most one flush period."""
 
     size_bytes: int | None = None
     time_s: float | None = None
 
 
 class FolderWriter:
-    """A rosbag2 folder being written, with the calls of :class:`ship_bags.mcap.bag_writer.BagWriter`.
+    """rosbag2 folder being written, with the methods of :class:`ship_bags.mcap.bag_writer.BagWriter`.
 
-    The information file names the file being written before its first message, so that after a crash every file is
-    found; its counts are those of its last writing until :meth:`close`.
+    The information file names the current file before its first message, so that every file is found after a crash; its
+    counts are those of its last writing until :meth:`close`.
 
     Args:
         folder: folder to make; its files are named after it.
-        limits: when a new file begins, looked at by each :meth:`flush`.
+        limits: limits of a file, checked by each :meth:`flush`.
 
     Raises:
-        BadInput: the folder is there already or cannot be made.
+        BadInput: the folder exists or cannot be made.
     """
 
     def __init__(self, folder: Path, limits: SplitLimits) -> None:
@@ -92,18 +93,18 @@ class FolderWriter:
 
     @property
     def message_count(self) -> int:
-        """Messages written, in all files."""
+        """Number of messages written, in all files."""
         return sum(file.message_count for file in self.files)
 
     @property
     def whole_bytes(self) -> int:
-        """Length of the file being written at its last flush."""
+        """Length of the current file at its last flush."""
         return self._bag.whole_bytes
 
     def add_topic(
         self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
     ) -> None:
-        """Announce a topic; in this and all later files."""
+        """Add a topic, in this and all later files."""
         text = own_qos_text(latched) if qos_profiles is None else qos_profiles
         self._bag.add_topic(topic, type_name, latched, text)
         if latched:
@@ -114,7 +115,7 @@ class FolderWriter:
     def write_raw(
         self, topic: str, type_name: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
     ) -> None:
-        """Add a message given by its CDR bytes, as they are."""
+        """Add a message given by its CDR bytes."""
         if topic not in self._topics:
             self.add_topic(topic, type_name)
         self._repeat_latched(log_time_ns)
@@ -124,7 +125,7 @@ class FolderWriter:
             self._latched.add(LatchedMessage(topic, type_name, bytes(data), sent_ns))
 
     def _repeat_latched(self, log_time_ns: int) -> None:
-        """Write the latched messages of earlier files just before the first message of this one, and note that."""
+        """Write the latched messages of earlier files before the first message of this one, and note that."""
         if not self._unrepeated:
             return
         before_ns = log_time_ns - 1
@@ -140,15 +141,15 @@ class FolderWriter:
         self.files[-1].add(log_time_ns)
 
     def add_metadata(self, name: str, entries: dict[str, str]) -> None:
-        """Add a metadata record to the file being written."""
+        """Add a metadata record to the current file."""
         self._bag.add_metadata(name, entries)
 
     def add_attachment(self, name: str, content: str | bytes) -> None:
-        """Attach a file to the file being written; a later one of the same name takes its place."""
+        """Attach a file to the current file; a later one of the same name replaces it."""
         self._bag.add_attachment(name, content)
 
     def flush(self) -> None:
-        """Bring every message written so far onto the disk, and begin a new file when it is time."""
+        """Write all messages so far to the disk, and begin a new file if a limit is reached."""
         self._bag.flush()
         if self._is_full():
             self._bag.close()
@@ -162,13 +163,13 @@ class FolderWriter:
         self._write_information()
 
     def cut(self) -> None:
-        """Give up after a failed write: what was written since the last :meth:`flush` is cut off."""
+        """Give up after a failed write: truncate the file to the last :meth:`flush`."""
         self._bag.cut()
 
     def _begin_file(self) -> None:
         self.files.append(FileInformation(f"{self.path.name}_{len(self.files)}.mcap"))
         self._bag = BagWriter(self.path / self.files[-1].name, atomic=False)
-        # The information file names a file that is there and begins as MCAP does: a crash here costs nothing.
+        # The information file names an existing file with the beginning of MCAP: a crash here loses no data.
         self._bag.flush()
         self._write_information()
         self._begun_s = time.monotonic()
@@ -190,10 +191,10 @@ class FolderWriter:
 
 
 def needs_rosbags(path: Path) -> bool:
-    """True if a bag is no plain MCAP, but of a kind that the library `rosbags` reads: sqlite3, or compressed files.
+    """True if a bag needs the library `rosbags`: sqlite3 or compressed files instead of plain MCAP.
 
     Raises:
-        BadInput: it is a folder whose information file is wrong, or of a kind that nothing here reads.
+        BadInput: it is a folder with a wrong information file, or of an unknown storage.
     """
     if path.is_file():
         return path.suffix == _SQLITE_SUFFIX
@@ -205,16 +206,16 @@ def needs_rosbags(path: Path) -> bool:
 
 
 def file_names(information_path: Path) -> list[str]:
-    """The files that an information file names, all of them in its own folder.
+    """Return the files listed in an information file, all of them in its own folder.
 
     Raises:
-        BadInput: it cannot be read, is no information file of a known storage, or names another folder.
+        BadInput: it cannot be read, is not an information file of a known storage, or lists another folder.
     """
     return _names(_read_information(information_path), information_path)
 
 
 def _read_information(path: Path) -> dict[str, Any]:
-    """The entries of an information file of a storage that can be read."""
+    """Return the entries of an information file with a known storage."""
     try:
         document = plain_data(str(path), path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as problem:
@@ -238,14 +239,14 @@ def _names(information: dict[str, Any], path: Path) -> list[str]:
     if not isinstance(names, list) or not names:
         raise BadInput("relative_file_paths names no file", file=path)
     for name in names:
-        # A file of another folder is no part of this bag, whatever the information file says.
+        # A file of another folder is no part of this bag, even if it is listed.
         if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
-            raise BadInput(f"relative_file_paths: '{name!s:.80}' is no file of this folder", file=path)
+            raise BadInput(f"relative_file_paths: '{name!s:.80}' is not a file of this folder", file=path)
     return names
 
 
 def write_information(folder: Path, files: Sequence[FileInformation], topics: Sequence[TopicInformation]) -> None:
-    """Write metadata.yaml; whenever the power fails, the folder has the former one or this one, whole.
+    """Write metadata.yaml atomically: a power failure leaves the former or the new one.
 
     Raises:
         OSError: it cannot be written; the former one stays.
@@ -255,7 +256,7 @@ def write_information(folder: Path, files: Sequence[FileInformation], topics: Se
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring the names in a folder onto the disk."""
+    """Sync the names in a folder to the disk."""
     number = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(number)
@@ -298,7 +299,7 @@ def _information(files: Sequence[FileInformation], topics: Sequence[TopicInforma
 
 
 def _offers(text: str) -> list[Any]:
-    """The quality of service that a channel notes; none where a damaged bag notes something else."""
+    """Return the QoS stored in a channel; empty if a damaged bag has something else."""
     try:
         offers = plain_data("offered_qos_profiles", text)
     except BadInput:

@@ -1,6 +1,6 @@
-"""The last messages of latched topics, which every file of a split recording repeats: each can be used by itself.
+"""Last messages of latched topics, repeated in every file of a split recording, so that each is usable alone.
 
-A file notes what it repeats in a metadata record, so that a reader of the whole folder leaves the copies out.
+A file lists its repeated messages in a metadata record, so that a reader of the whole folder leaves the copies out.
 """
 
 from collections import deque
@@ -11,12 +11,12 @@ REPEATED_METADATA = "repeated"
 """Metadata record of a file: topic → log time of the copies, ns."""
 
 _MOST_MESSAGES = 16
-"""Of one topic: several nodes may have said something on it, as on /tf_static, each once."""
+"""Maximum number per topic: several nodes may have published one each, as on /tf_static."""
 _MOST_BYTES = 16 * 2**20
 
 
 class LatchedMessage(NamedTuple):
-    """A message as it was written."""
+    """Message as written."""
 
     topic: str
     type_name: str
@@ -25,7 +25,7 @@ class LatchedMessage(NamedTuple):
 
 
 class LatchedMessages:
-    """The newest messages of each latched topic, no two alike."""
+    """Newest messages of each latched topic, without duplicates."""
 
     def __init__(self) -> None:
         self._kept: dict[str, deque[LatchedMessage]] = {}
@@ -35,15 +35,15 @@ class LatchedMessages:
         return topic in self._kept
 
     def __iter__(self) -> Iterator[LatchedMessage]:
-        """All that is kept, topic by topic, oldest first."""
+        """Iterate over all messages, topic by topic, oldest first."""
         return (message for kept in self._kept.values() for message in kept)
 
     def add_topic(self, topic: str) -> None:
-        """Announce a latched topic."""
+        """Add a latched topic."""
         self._kept.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
 
     def add(self, message: LatchedMessage) -> None:
-        """Keep a message of a latched topic."""
+        """Add a message of a latched topic."""
         kept = self._kept[message.topic]
         for other in [other for other in kept if other.data == message.data]:
             kept.remove(other)
@@ -53,6 +53,6 @@ class LatchedMessages:
 
 
 def repeated_times(metadata: Mapping[str, Mapping[str, str]]) -> set[tuple[str, int]]:
-    """Topic and log time of the copies in a file, by its metadata; nothing of a record that is damaged."""
+    """Return topic and log time of the copies in a file, by its metadata; nothing from a damaged record."""
     entries = metadata.get(REPEATED_METADATA, {})
     return {(topic, int(time)) for topic, time in entries.items() if time.isascii() and time.isdecimal()}

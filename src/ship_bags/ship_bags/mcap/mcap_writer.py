@@ -1,7 +1,7 @@
-"""Writes the records of an MCAP file, byte for byte as the mcap project's own writer does when it ends its chunks so.
+"""Writer of MCAP records, byte for byte like the mcap project's own writer with the same chunk ends.
 
-That writer keeps an object for every chunk until the end, and takes several times as long for a message. A black box or
-a recorder begins fifteen chunks a second, for weeks, beside an estimator that needs the processor.
+That writer keeps an object for every chunk until the end, and takes several times as long per message. A black box or a
+recorder writes fifteen chunks a second, for weeks, on the computer of an estimator that needs the processor.
 """
 
 import struct
@@ -34,13 +34,13 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 CHUNK_BYTES = 1024 * 1024
-"""A chunk ends when it is longer, before compression."""
+"""Size at which a chunk ends, before compression, bytes."""
 
 CHUNK_NS = 1_000_000_000
-"""A chunk ends before its messages lie further apart in log time, ns: one wrong bit costs no more than that."""
+"""Maximum range of log times in a chunk, ns: one wrong bit costs no more than that."""
 
 MAGIC = b"\x89MCAP0\r\n"
-"""The first and the last bytes of every MCAP file."""
+"""First and last bytes of every MCAP file."""
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_HEAD_BYTES = 2 + 4 + 8 + 8
@@ -54,23 +54,23 @@ _MESSAGE_HEADS = np.dtype(
         ("publish_time", "<u8"),
     ]
 )
-"""The heads of many messages."""
+"""Headers of many messages."""
 _INDEX_HEAD = struct.Struct("<BQHI")
 _INDEX_HEAD_BYTES = 2 + 4
 _INDEX_ENTRY = struct.Struct("<QQ")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 8 + 8 + 4
-# The index takes a hundred bytes for each chunk: so much of it stays in memory, the rest waits on the disk.
+# The index takes a hundred bytes per chunk: this part stays in memory, the rest is on the disk.
 _INDEX_IN_MEMORY_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20
 
 
 class McapWriter:
-    """One MCAP file being written: chunks with zstd and checksums, indexes and statistics at the end.
+    """MCAP file being written: chunks with zstd and checksums, indexes and statistics at the end.
 
     Args:
-        stream: takes the file, from its first byte; stays open.
-        folder: takes the index while the file is written, in a file without a name.
+        stream: gets the file from its first byte; stays open.
+        folder: folder for a nameless file with the index while the file is written.
         profile: of the header, e.g. ``ros2``.
         library: of the header.
     """
@@ -86,7 +86,7 @@ class McapWriter:
         self._message_counts: dict[int, int] = {}
         self._first_ns = self._last_ns = 0
         self._compressor = zstandard.ZstdCompressor(level=3)
-        # The chunk being written: its records, where its messages lie by channel, and their earliest and latest times.
+        # Current chunk: its records, index entries of its messages by channel, and their earliest and latest times.
         self._chunk = bytearray()
         self._indexes: dict[int, bytearray] = {}
         self._start_ns: int | None = None
@@ -94,13 +94,13 @@ class McapWriter:
         stream.write(MAGIC + _bytes_of(Header(profile, library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Add a message type; returns its number."""
+        """Add a message type; return its id."""
         self._schemas.append(Schema(len(self._schemas) + 1, data, encoding, name))
         self._add_to_chunk(_bytes_of(self._schemas[-1]))
         return len(self._schemas)
 
     def register_channel(self, topic: str, message_encoding: str, schema_id: int, metadata: dict[str, str]) -> int:
-        """Add a topic; returns its number."""
+        """Add a topic; return its id."""
         self._channels.append(Channel(len(self._channels) + 1, topic, message_encoding, metadata, schema_id))
         self._add_to_chunk(_bytes_of(self._channels[-1]))
         return len(self._channels)
@@ -108,7 +108,7 @@ class McapWriter:
     def add_message(
         self, channel_id: int, log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
     ) -> None:
-        """Add a message to the chunk, or to a new one where it lies too far from the others in time."""
+        """Add a message to the chunk, or to a new one if its time is too far from the others."""
         if self._start_ns is not None and (
             log_time_ns - self._start_ns > CHUNK_NS or self._end_ns - log_time_ns > CHUNK_NS
         ):
@@ -132,7 +132,7 @@ class McapWriter:
         data: Sequence[bytes],
         sequences: NDArray[np.int64],
     ) -> None:
-        """Add messages as by :meth:`add_message` one after another, published when they were logged.
+        """Add messages one after another, as by :meth:`add_message`, with their log times as publish times.
 
         Args:
             channel_ids: shape (N,).
@@ -148,7 +148,7 @@ class McapWriter:
         heads["log_time"] = heads["publish_time"] = log_times_ns
         content, size = heads.tobytes(), _MESSAGE_HEADS.itemsize
         records = [part for n, body in enumerate(data) for part in (content[size * n : size * n + size], body)]
-        # Behind its opcode and its length a record is as long as that says.
+        # The stated length counts the bytes after opcode and length.
         ends = np.cumsum(lengths + size - _MESSAGE_HEAD_BYTES)
         start = 0
         while start < len(data):
@@ -157,7 +157,7 @@ class McapWriter:
             start = stop
 
     def _end_of_chunk(self, log_times_ns: NDArray[np.int64], ends: NDArray[np.int64], start: int) -> int:
-        """Number of the first message that is not of the chunk to which message ``start`` of those given belongs."""
+        """Return the index of the first message after those of the chunk to which message ``start`` belongs."""
         if self._start_ns is not None and (
             log_times_ns[start] - self._start_ns > CHUNK_NS or self._end_ns - log_times_ns[start] > CHUNK_NS
         ):
@@ -166,7 +166,7 @@ class McapWriter:
         times_ns = log_times_ns[start:]
         earliest_ns = np.minimum(np.minimum.accumulate(times_ns), first_ns)
         latest_ns = np.maximum(np.maximum.accumulate(times_ns), self._end_ns)
-        # Each message against those before it; the first one is of the chunk.
+        # Each message is compared with those before it; the first one belongs to the chunk.
         far = (times_ns[1:] - earliest_ns[:-1] > CHUNK_NS) | (latest_ns[:-1] - times_ns[1:] > CHUNK_NS)
         near = len(far) if not far.any() else int(np.argmax(far))
         before = int(ends[start - 1]) if start else 0
@@ -181,13 +181,13 @@ class McapWriter:
         some: slice,
         records: Sequence[bytes],
     ) -> None:
-        """Add those of the messages to the chunk that belong to it."""
+        """Add the messages that belong to the current chunk."""
         times_ns, channels = log_times_ns[some], channel_ids[some]
         before = int(ends[some.start - 1]) if some.start else 0
         entries = np.empty((len(times_ns), 2), dtype="<u8")
         entries[0, 1], entries[1:, 1] = len(self._chunk), len(self._chunk) + ends[some][:-1] - before
         entries[:, 0] = times_ns
-        # In the order in which the channels come, as one message after another adds them.
+        # In the order of the channels' first messages, as when messages are added one by one.
         for channel_id in dict.fromkeys(channels.tolist()):
             of_channel = channels == channel_id
             self._indexes.setdefault(channel_id, bytearray()).extend(entries[of_channel].tobytes())
@@ -210,7 +210,7 @@ class McapWriter:
         self._metadata_indexes.append(MetadataIndex(offset, length, name))
 
     def flush(self) -> None:
-        """End the chunk, if there is a message in it, and hand all to the stream."""
+        """End the chunk, if it has a message, and pass everything to the stream."""
         self._end_chunk()
         self._stream.flush()
 
@@ -235,7 +235,7 @@ class McapWriter:
         self.discard()
 
     def discard(self) -> None:
-        """Give the index up; nothing may be written after it."""
+        """Close the index; nothing may be written afterwards."""
         self._chunk_indexes.close()
 
     def _add_to_chunk(self, data: bytes) -> None:
@@ -250,7 +250,7 @@ class McapWriter:
         self._end_ns = 0
 
     def _end_chunk(self) -> None:
-        """Write the chunk and behind it where its messages lie; without a message it waits for one."""
+        """Write the chunk and its message indexes; a chunk without messages is kept open."""
         if self._start_ns is None:
             return
         offset = self._stream.tell()
@@ -291,7 +291,7 @@ class McapWriter:
         self._begin_chunk()
 
     def _summary(self) -> Iterator[tuple[Opcode, Iterable[bytes]]]:
-        """Groups of the summary: kind of record, its records in blocks."""
+        """Yield the groups of the summary: opcode, and the records in blocks."""
         statistics = Statistics(
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),

@@ -1,8 +1,8 @@
-"""Records of an MCAP file, read without trusting the file: every damage is found out, stepped over and told.
+"""Records of an MCAP file, read without trusting the file: damaged records are detected, skipped and reported.
 
-:class:`RecordFile` gives the record at a place and the messages of a chunk. :func:`walk` goes from record to record: it
-takes one only where its body has the structure that its opcode says, and goes on after a damaged one at the next record
-that can stand between chunks, so that one wrong bit costs one record, whatever it hits.
+:class:`RecordFile` returns the record at an offset and the messages of a chunk. :func:`scan_records` yields record
+after record. It accepts a record only if its body has the structure of its opcode. After a damaged one it continues at
+the next record that can lie between chunks. So one wrong bit costs one record at most.
 """
 
 import io
@@ -20,31 +20,31 @@ from mcap.records import Chunk, McapRecord, Message
 from ship_bags.mcap.chunk_content import COMPRESSIONS, HEADER, DamagedChunk, guarded, parsed, records_of_chunk
 from ship_bags.stamps import END_OF_TIME_NS
 
-# Log times end a day earlier than stamps do: the ticks of a replay may go on for so long.
+# Log times end a day earlier than stamps: the ticks of a replay may continue for that time.
 _LATEST_NS = END_OF_TIME_NS - 86_400_000_000_000
 
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _ATTACHMENT_LEAST = 8 + 8 + 4 + 4 + 8 + 4
 _MESSAGE_LEAST = 2 + 4 + 8 + 8
-# The head of a record at which a walk may go on. Schemas, channels and messages are left out: inside a damaged chunk
-# that is not compressed they look sound, but no checksum protects them. The upper bytes of a length are zero in any
-# file below a tebibyte.
+# Header of a record at which a scan may continue. Schemas, channels and messages are left out: inside a damaged
+# uncompressed chunk they look valid, but no checksum protects them. The upper bytes of a length are zero in any file
+# below a tebibyte.
 _RESTART = re.compile(rb"[\x06\x07\x09\x0c\x0f].{5}\x00\x00\x00", re.DOTALL)
 _WINDOW_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where messages lie in a file: one chunk, or a run of messages outside any chunk.
+    """Location of messages in a file: one chunk, or a run of messages outside any chunk.
 
     Attributes:
         offset: byte at which the first record begins.
         length: bytes up to the end of the last one.
         start_ns: earliest log time.
         end_ns: latest log time.
-        loose: whether it is a run of messages outside any chunk.
-        channels: those of which it holds messages, as the index of the file says; None where that is not known.
+        is_outside_chunk: True for a run of messages outside any chunk.
+        channels: channels with messages here, from the file's index; None if unknown.
     """
 
     offset: int
@@ -57,7 +57,7 @@ class ChunkPlace:
 
 @dataclass(frozen=True)
 class RecordFile:
-    """The bytes of an MCAP file.
+    """Bytes of an MCAP file.
 
     Attributes:
         stream: the open file.
@@ -68,7 +68,7 @@ class RecordFile:
     size: int
 
     def record_at(self, offset: int) -> tuple[int, bytes] | None:
-        """Opcode and body of the record at an offset; None where it does not fit into the file."""
+        """Return opcode and body of the record at an offset; None if it exceeds the file."""
         self.stream.seek(offset)
         header = self.stream.read(HEADER.size)
         if len(header) < HEADER.size:
@@ -79,15 +79,15 @@ class RecordFile:
         return opcode, self.stream.read(length)
 
     def records_of(self, place: ChunkPlace, check_times: bool = True) -> list[McapRecord]:
-        """Records of one place, in file order.
+        """Return the records of one place, in file order.
 
         Args:
-            place: where they lie.
-            check_times: whether messages outside the times of the place make it damaged.
+            place: their location.
+            check_times: True if messages outside the times of the place mean damage.
 
         Raises:
-            DamagedChunk: it cannot be decompressed or parsed, its checksum is wrong, or its times are not those
-                announced.
+            DamagedChunk: it cannot be decompressed or parsed, its checksum is wrong, or its times differ from the
+                stated ones.
         """
         if place.loose:
             return _of_our_time(list(self._loose_messages(place)))
@@ -113,7 +113,7 @@ class RecordFile:
 
 @dataclass(frozen=True)
 class WalkedRecord:
-    """A sound record: where it begins, its opcode, its body."""
+    """Valid record: its offset, opcode and body."""
 
     offset: int
     opcode: int
@@ -121,22 +121,22 @@ class WalkedRecord:
 
     @property
     def length(self) -> int:
-        """Bytes from the first of its head to the last of its body."""
+        """Length of header and body, bytes."""
         return HEADER.size + len(self.body)
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Bytes that are no record: from `start` up to `end`, or to the end of the file where `end` is None."""
+    """Bytes that are not a record: from `start` to `end`, or to the end of the file if `end` is None."""
 
     start: int
     end: int | None
 
 
 def walk(data: RecordFile, offset: int) -> Iterator[WalkedRecord | Gap]:
-    """Records from an offset on, up to the end of the data section, the cut, or the end of the file.
+    """Yield the records from an offset up to the end of the data section, of the readable part, or of the file.
 
-    The last one is a record (DATA_END or FOOTER) in a file that was finished, otherwise a gap without end.
+    The last item is a record (DATA_END or FOOTER) in a finished file, otherwise a gap without end.
     """
     while True:
         record = _sound_record(data, offset)
@@ -154,24 +154,24 @@ def walk(data: RecordFile, offset: int) -> Iterator[WalkedRecord | Gap]:
 
 
 def has_header(data: RecordFile, offset: int) -> bool:
-    """Whether the record with which every MCAP file begins is at an offset."""
+    """Return True if the record with which every MCAP file begins is at an offset."""
     record = _sound_record(data, offset)
     return record is not None and record.opcode == Opcode.HEADER
 
 
 def has_time_of_stamps(log_time_ns: int) -> bool:
-    """True if a stamp can carry a log time, and that of a day later."""
+    """True if a stamp can represent a log time, and also the time a day later."""
     return 0 <= log_time_ns < _LATEST_NS
 
 
 def _of_our_time(records: list[McapRecord]) -> list[McapRecord]:
-    """The records, where a replay can give each of them its time.
+    """Return the records if a replay can represent all log times.
 
     Raises:
-        DamagedChunk: no stamp can carry a log time.
+        DamagedChunk: a stamp cannot represent a log time.
     """
     if any(isinstance(record, Message) and not has_time_of_stamps(record.log_time) for record in records):
-        raise DamagedChunk("it has log times beyond the year 2038, which no stamp can carry")
+        raise DamagedChunk("it has log times after the year 2038, which no stamp can represent")
     return records
 
 
@@ -181,7 +181,7 @@ def _sound_record(data: RecordFile, offset: int) -> WalkedRecord | None:
 
 
 def _restart(data: RecordFile, damaged: int) -> int | None:
-    """Offset of the next sound record after a damaged one, whose stated length may itself be wrong."""
+    """Return the offset of the next valid record after a damaged one, whose stated length may be wrong, too."""
     window_start = damaged + 1
     while window_start < data.size:
         data.stream.seek(window_start)
@@ -200,13 +200,13 @@ def _can_restart(data: RecordFile, offset: int) -> bool:
     if record is None or record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.HEADER):
         return False
     if record.opcode == Opcode.ATTACHMENT:
-        # The bytes of an index that is cut off may look like the head of one.
+        # The bytes of a truncated index may look like the header of an attachment.
         return _is_whole_attachment(record.body)
     return record.opcode != Opcode.CHUNK or _compression(record.body) in COMPRESSIONS
 
 
 def _is_whole_attachment(body: bytes) -> bool:
-    """Whether name, kind and content fill the body, and the checksum is right where there is one."""
+    """True if name, media type and content fill the body, and the checksum, if there is one, is right."""
     checksum = _U32.unpack_from(body, len(body) - _U32.size)[0]
     try:
         end = _end_of(body, 2 * _U64.size, (_U32, _U32, _U64)) + _U32.size
@@ -222,14 +222,14 @@ def _compression(chunk: bytes) -> str:
 
 
 def _is_sound(opcode: int, body: bytes) -> bool:
-    """Whether a body has the structure of its opcode, to the last byte."""
+    """True if a body has exactly the structure of its opcode."""
     try:
         if opcode == Opcode.CHUNK:
             return _end_of(body, _CHUNK_HEAD.size, (_U32, _U64)) == len(body)
         if opcode == Opcode.MESSAGE_INDEX:
             return _is_message_index(body)
         if opcode == Opcode.MESSAGE:
-            # One wrong bit turns an index into what looks like a message.
+            # One wrong bit makes a message index look like a message.
             return len(body) >= _MESSAGE_LEAST and not _is_message_index(body)
         if opcode == Opcode.SCHEMA:
             return _end_of(body, _U16.size, (_U32, _U32, _U32)) == len(body)
@@ -252,7 +252,7 @@ def _is_message_index(body: bytes) -> bool:
 
 
 def _end_of(body: bytes, offset: int, sizes: tuple[struct.Struct, ...]) -> int:
-    """Where a row of fields ends that each begin with their size."""
+    """Return the end of consecutive fields that each begin with their size."""
     for size in sizes:
         offset += size.size + size.unpack_from(body, offset)[0]
     return offset

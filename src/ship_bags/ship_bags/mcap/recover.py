@@ -1,7 +1,7 @@
-"""Makes whole bags of damaged or unfinished ones: every message that can still be read, in a file with an index.
+"""Recovery of damaged or unfinished bags: every readable message, in a file with an index.
 
-The original is only read. The result gets its name when two other readers — the `mcap` project's seeking one and
-`rosbags` — have read every message of it back.
+The original is only read. The result is renamed to its final name after two other readers have read back every message:
+the seeking reader of the `mcap` project, and `rosbags`.
 """
 
 import os
@@ -24,12 +24,12 @@ from ship_bags.progress import with_progress
 
 _LIBRARY = "ship_bags record --recover"
 _NOTE = "recovered"
-"""Name of the metadata record that says what the result was made from and what was wrong with that."""
+"""Name of the metadata record with the name of the original and its problems."""
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """What came out: the file or folder made, its messages per topic, and one line for each thing found wrong."""
+    """Result: the file or folder made, its messages per topic, and one line per problem."""
 
     path: Path
     counts: Counter[str]
@@ -38,7 +38,7 @@ class Recovery:
 
 @dataclass
 class _Tally:
-    """Messages per topic, and a sum over their times and bytes that does not depend on their order."""
+    """Messages per topic, and a checksum of their times and bytes that does not depend on their order."""
 
     counts: Counter[str] = field(default_factory=Counter)
     digests: Counter[str] = field(default_factory=Counter)
@@ -49,7 +49,7 @@ class _Tally:
 
 
 def recovered_path(source: Path) -> Path:
-    """Where the result of a bag goes: ``voyage.recovered.mcap`` beside ``voyage.mcap``, or a folder of that kind."""
+    """Return the path of the result: ``voyage.recovered.mcap`` next to ``voyage.mcap``, or such a folder."""
     if source.is_dir():
         return source.with_name(f"{source.name}.recovered")
     return source.with_name(f"{source.name.removesuffix('.mcap')}.recovered.mcap")
@@ -60,16 +60,16 @@ def recover(source: Path, target: Path, force: bool = False) -> Recovery:
 
     Args:
         source: bag to read.
-        target: where the result goes.
-        force: whether a file may be there; a folder never.
+        target: path of the result.
+        force: True if a file may exist; a folder never.
 
     Raises:
-        BadInput: nothing can be read from the source, the target is there already or cannot be written, or the
-            result was not read back as it was written.
+        BadInput: the source is unreadable, the target exists or cannot be written, or the result read back differs from
+            what was written.
     """
     if source.is_dir():
         if os.path.lexists(target):
-            raise BadInput("is there already: take it away, or give another name by --out", file=target)
+            raise BadInput("already exists: remove it, or give another name by --out", file=target)
         return _recover_folder(source, target)
     check_file(target, force)
     if target.resolve() == source.resolve():
@@ -90,7 +90,7 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
         try:
             recovery, information = _recover_file(part, target / part.name, topics, written)
         except BadInput as problem:
-            # The last file of a folder may be without a single message; it is left out and named.
+            # The last file of a folder may have no message; it is left out and reported.
             whole.problems.append(str(problem))
             continue
         files.append(information)
@@ -105,7 +105,7 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
 
 
 def _number(path: Path) -> tuple[int, str]:
-    """Key by which files are sorted: voyage_10.mcap comes after voyage_9.mcap."""
+    """Sort key of files: voyage_10.mcap comes after voyage_9.mcap."""
     digits = path.stem.rpartition("_")[2]
     return (int(digits) if digits.isdigit() else 0, path.name)
 
@@ -113,9 +113,9 @@ def _number(path: Path) -> tuple[int, str]:
 def _recover_file(
     source: Path, target: Path, topics: dict[str, TopicInformation], whole: _Tally
 ) -> tuple[Recovery, FileInformation]:
-    """Recover one file; its topics and messages are added to those of the whole bag."""
+    """Recover one file; add its topics and messages to those of the whole bag."""
     file = open_mcap(source)
-    # rosbags takes a file for MCAP by its suffix only.
+    # rosbags recognises MCAP by its suffix only.
     part = target.with_name(f"{target.stem}.part.mcap")
     try:
         if not file.chunks:
@@ -141,7 +141,7 @@ def _recover_file(
 def _rewrite(
     file: McapFile, part: Path, name: str, topics: dict[str, TopicInformation]
 ) -> tuple[_Tally, FileInformation]:
-    """Write all that can be read into a new file, messages in the order in which they lay."""
+    """Write all readable records into a new file, messages in their original order."""
     tally, information, unknown = _Tally(), FileInformation(name), 0
     try:
         stream = open_new(part)
@@ -180,7 +180,7 @@ def _rewrite(
 
 
 class _Channels:
-    """Channels of the new file, made when the first message needs them."""
+    """Channels of the new file, made at the first message of each."""
 
     def __init__(self, file: McapFile, writer: Writer, topics: dict[str, TopicInformation]) -> None:
         self._file = file
@@ -190,7 +190,7 @@ class _Channels:
         self._numbers: dict[int, int] = {}
 
     def number(self, channel: Channel) -> int:
-        """The new file's number of a channel of the old one."""
+        """Return the new file's id of a channel of the old one."""
         if channel.id not in self._numbers:
             schema = self._file.schemas.get(channel.schema_id)
             if schema is not None and schema.id not in self._schemas:
@@ -234,7 +234,7 @@ def _read_by_rosbags(path: Path) -> _Tally:
 
 
 def _read_back(path: Path, name: Path, reader: str, read: Callable[[Path], _Tally], written: _Tally) -> None:
-    """Make sure that a reader finds in a file what was written.
+    """Check that a reader finds in a file what was written.
 
     Raises:
         BadInput: it does not, or fails.
@@ -242,12 +242,12 @@ def _read_back(path: Path, name: Path, reader: str, read: Callable[[Path], _Tall
     try:
         found = read(path)
     except Exception as problem:
-        # A reader may fail in any way: the result is then not what was meant to be written.
-        raise BadInput(f"is not written, reading it back by {reader} failed: {problem}", file=name) from problem
+        # A reader may raise anything: the result is then wrong.
+        raise BadInput(f"is not written: reading it back by {reader} failed: {problem}", file=name) from problem
     for topic in sorted(found.counts.keys() | written.counts.keys()):
         if (found.counts[topic], found.digests[topic]) != (written.counts[topic], written.digests[topic]):
             raise BadInput(
-                f"is not written, {reader} reads back {found.counts[topic]} messages of topic '{topic}' "
+                f"is not written: {reader} reads back {found.counts[topic]} messages of topic '{topic}' "
                 f"instead of {written.counts[topic]}, or with other bytes",
                 file=name,
             )

@@ -1,4 +1,4 @@
-"""rosbag2 folders and files that are no plain MCAP — sqlite3, or compressed — read by the library `rosbags`."""
+"""rosbag2 folders and files other than plain MCAP (sqlite3, or compressed), read by the library `rosbags`."""
 
 import shutil
 import tempfile
@@ -19,13 +19,13 @@ from ship_bags.stamps import NS_PER_S, utc_text
 
 _MOST_PLACES = 10_000
 _FRAME_HEAD_BYTES = 18
-"""Greatest length of the head of a zstd frame, which may state the size of its content."""
+"""Maximum length of the header of a zstd frame, which may state the size of its content."""
 _ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
 
 
 @dataclass
 class RosbagsFile(BagFile):
-    """A folder, or a file of sqlite3, by the reader of `rosbags`; each place is a span of log time."""
+    """Folder, or sqlite3 file, read by `rosbags`; each place is a range of log times."""
 
     reader: Reader = field(kw_only=True)
 
@@ -40,7 +40,7 @@ class RosbagsFile(BagFile):
         try:
             return list(self._messages(place))
         except Exception as problem:
-            # The library fails over damaged files in any way.
+            # The library may raise anything for damaged files.
             times = f"from {utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
             self.note(f"{self.path.name}: messages {times} cannot be read: {problem}")
             return []
@@ -55,7 +55,7 @@ class RosbagsFile(BagFile):
             for connection, time_ns, data in self.reader.messages((), *span_ns):
                 yield Message(connection.id, time_ns, bytes(data), publish_time=time_ns, sequence=0)
             return
-        # The library would unfold whatever a message says.
+        # The library would decompress to any size that a message states.
         numbers = {(connection.topic, connection.msgtype): connection.id for connection in self.reader.connections}
         for storage in getattr(self.reader.storage, "storages", ()):
             for connection, time_ns, data in storage.messages(storage.connections, *span_ns):
@@ -64,7 +64,7 @@ class RosbagsFile(BagFile):
 
 
 def open_with_rosbags(path: Path) -> RosbagsFile:
-    """Open a rosbag2 folder whose files are of sqlite3 or compressed, or one file of sqlite3.
+    """Open a rosbag2 folder with sqlite3 or compressed files, or one sqlite3 file.
 
     Raises:
         BadInput: it cannot be read.
@@ -74,7 +74,7 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
         reader = Reader(path)
         reader.open()
     except Exception as problem:
-        # The library fails over files that are none of its kind in any way.
+        # The library may raise anything for files of another format.
         raise BadInput(f"cannot be read by rosbags: {problem}", file=path) from problem
     file = RosbagsFile(path, reader=reader)
     for connection in reader.connections:
@@ -86,7 +86,7 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
 
 
 def _check_room(path: Path) -> None:
-    """Refuse a folder whose compressed files say that they unfold to more than the disk for temporary files takes.
+    """Refuse a folder whose compressed files state a size larger than the free space for temporary files.
 
     Raises:
         BadInput: as above.
@@ -101,18 +101,18 @@ def _check_room(path: Path) -> None:
     free = shutil.disk_usage(folder).free
     if needed > free:
         needed_mb, free_mb = (round(size / 1e6) for size in (needed, free))
-        raise BadInput(f"unfolds to {needed_mb} MB: {folder} has {free_mb} MB; name another by TMPDIR", file=path)
+        raise BadInput(f"needs {needed_mb} MB: {folder} has {free_mb} MB free; name another by TMPDIR", file=path)
 
 
 def _unfolded(data: bytes) -> bytes:
     content = decompressed("zstd", data)
     if len(content) > MAX_CHUNK_BYTES:
-        raise ValueError(f"a message unfolds to more than {MAX_CHUNK_MB} MB")
+        raise ValueError(f"a message decompresses to more than {MAX_CHUNK_MB} MB")
     return content
 
 
 def _described(connection: Connection) -> tuple[Schema, Channel]:
-    """Definition and topic of a connection, as records of MCAP; without a definition the suite's own is taken."""
+    """Return definition and topic of a connection as MCAP records; without a definition the suite's is used."""
     form, text = connection.msgdef
     schema = Schema(connection.id, text.encode(), _ENCODINGS.get(form, "ros2msg"), connection.msgtype)
     offers = getattr(connection.ext, "offered_qos_profiles", ())
@@ -122,9 +122,9 @@ def _described(connection: Connection) -> tuple[Schema, Channel]:
 
 
 def _places(file: RosbagsFile, start_ns: int, end_ns: int) -> Iterator[ChunkPlace]:
-    """Spans of log time of a second each, or longer ones where these would be too many."""
+    """Yield ranges of log times of a second each, or longer ones if they would be too many."""
     if not (has_time_of_stamps(start_ns) and has_time_of_stamps(end_ns)):
-        file.note(f"{file.path.name}: it has log times that no stamp can carry: it is not read")
+        file.note(f"{file.path.name}: it has log times that no stamp can represent: it is not read")
         return
     length_ns = max(NS_PER_S, -(-(end_ns - start_ns + 1) // _MOST_PLACES))
     for number, begin_ns in enumerate(range(start_ns, end_ns + 1, length_ns)):

@@ -1,5 +1,5 @@
-"""Sentences of NMEA 0183 become messages; logs of a ship are read into a bag.
+"""NMEA 0183 sentences as messages; import of ship logs into a bag.
 
-The room knows lines of text and messages; of a live instrument and of a log the same lines become the same messages. It
-imports the flat modules and :mod:`ship_bags.mcap`; rclpy is unknown here.
+The room handles lines of text and messages; the lines of a live instrument and of a log become the same messages. It
+imports the flat modules and :mod:`ship_bags.mcap`, and no rclpy.
 """

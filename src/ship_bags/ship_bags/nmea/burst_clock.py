@@ -1,9 +1,9 @@
-"""The ZDA that stamps an attitude without a time of its own: that of the same burst, before or after the attitude.
+"""Pairing of an attitude without its own time with the ZDA of the same burst, before or after it.
 
-Instruments send bursts. A ZDA opens those of a Seapath and closes those of others, so the ZDA before an attitude may be
-that of the burst before. The receive times decide: the delay from stamp to receive time must be the usual delay of the
-instrument, within half a period. The GGA of the burst gives that delay, as it carries a time of its own; where there
-is no GGA, the ZDA gives it.
+Instruments send bursts. The ZDA is the first sentence of a burst for Seapath and the last one for others, so the ZDA
+before an attitude may belong to the previous burst. The receive times decide: the delay from stamp to receive time must
+be the usual delay of the instrument, within half a period. The usual delay is that of the burst's GGA, which has its
+own time; without GGA it is that of the ZDA.
 """
 
 from collections import deque
@@ -15,24 +15,24 @@ from ship_bags.nmea.instrument_line import InstrumentLine, corrected_ns, datetim
 from ship_bags.stamps import NS_PER_S
 
 _LONGEST_PERIOD_NS = NS_PER_S
-"""Period of bursts until they are known; slower bursts are paired as if they had this one, ns."""
+"""Period of bursts until it is known, ns; slower bursts are paired as if they had this one."""
 _SHORTEST_PERIOD_NS = NS_PER_S // 100
 _GAPS = 9
-"""Gaps between attitudes whose median is their period."""
+"""Number of intervals between attitudes whose median is their period."""
 _EARLIEST_NS = NS_PER_S // 100
-"""An attitude that was received before its stamp by more than this has another stamp, ns."""
+"""Maximum time by which an attitude may be received before its stamp, ns."""
 _FASTER = 0.75
-"""Attitudes whose period is shorter than this times that of the ZDA are not one to a burst."""
+"""Ratio of the attitudes' period to that of the ZDA below which there are several attitudes per burst."""
 
 
 @dataclass(frozen=True)
 class ZdaTime:
-    """A ZDA.
+    """ZDA sentence with its time.
 
     Attributes:
         line: with its receive time.
-        stamp_ns: its date and time, as the instrument gives them.
-        delay_ns: from the stamp, corrected for lost weeks, to the receive time.
+        stamp_ns: its date and time, as stated by the instrument.
+        delay_ns: from the stamp, corrected for GPS week rollovers, to the receive time.
     """
 
     line: InstrumentLine
@@ -41,10 +41,10 @@ class ZdaTime:
 
 
 class BurstClock:
-    """Pairs each ZDA with one attitude of its burst. Lines come in the order in which they were received.
+    """Pairs each ZDA with one attitude of its burst. Lines must be given in order of reception.
 
     Attributes:
-        waiting: the attitude whose ZDA may follow.
+        pending_attitude: the attitude whose ZDA may follow.
     """
 
     def __init__(self) -> None:
@@ -56,12 +56,15 @@ class BurstClock:
         self.waiting: InstrumentLine | None = None
 
     def note_position(self, gga: InstrumentLine) -> None:
-        """Take the delay of a GGA."""
+        """Record the delay of a GGA."""
         stamp_ns = time_of_day_ns(gga.content.timestamp, gga.receive_ns)
         self._gga_ns, self._gga_delay_ns = gga.receive_ns, gga.receive_ns - stamp_ns
 
     def pair_attitude(self, attitude: InstrumentLine) -> ZdaTime | None:
-        """Return the ZDA before an attitude if it is of the same burst; otherwise the attitude is :attr:`waiting`."""
+        """Return the ZDA before an attitude if it is of the same burst.
+
+        Otherwise the attitude becomes :attr:`pending_attitude`.
+        """
         if self._last_attitude_ns:
             self._attitude_gaps_ns.append(max(attitude.receive_ns - self._last_attitude_ns, 0))
         self._last_attitude_ns = attitude.receive_ns
@@ -73,7 +76,7 @@ class BurstClock:
         return None
 
     def pair_time(self, line: InstrumentLine) -> tuple[InstrumentLine, ZdaTime] | None:
-        """Return the attitude that waits for this ZDA, with it, where they are of the same burst."""
+        """Return the waiting attitude with this ZDA if both are of the same burst."""
         zda = _zda_time(line)
         if zda is None:
             return None
@@ -88,7 +91,7 @@ class BurstClock:
         return None
 
     def _is_of_burst(self, attitude: InstrumentLine, zda: ZdaTime) -> bool:
-        """True if the attitude's delay by this ZDA is the instrument's own, within half a period."""
+        """True if the attitude's delay by this ZDA equals the usual one within half a period."""
         attitude_gap_ns = int(median(self._attitude_gaps_ns)) if self._attitude_gaps_ns else self._zda_gap_ns
         period_ns = max(min(attitude_gap_ns, self._zda_gap_ns), _SHORTEST_PERIOD_NS)
         delay_ns, usual_ns = attitude.receive_ns - (zda.line.receive_ns - zda.delay_ns), zda.delay_ns
@@ -100,12 +103,12 @@ class BurstClock:
 
 
 def _is_possible(attitude: InstrumentLine, zda: ZdaTime) -> bool:
-    """False for an attitude received before its stamp; a clock that is behind says nothing of that."""
+    """False for an attitude received before its stamp; a clock that is behind allows no check."""
     return zda.delay_ns < 0 or attitude.receive_ns - (zda.line.receive_ns - zda.delay_ns) >= -_EARLIEST_NS
 
 
 def _zda_time(line: InstrumentLine) -> ZdaTime | None:
-    """Return the time of a ZDA; None where it has no such day."""
+    """Return the time of a ZDA; None if its date is invalid."""
     content = line.content
     try:
         moment = datetime.combine(date(content.year, content.month, content.day), content.timestamp, timezone.utc)

@@ -1,4 +1,4 @@
-"""Sentences of common makers that pynmea2 knows in part or not at all: one table, a row for each.
+"""Sentences of common makers that pynmea2 supports partly or not at all: one table, a row for each.
 
 ========== ========================================================================================================
 PRDID      Teledyne RD Instruments, also of POS MV: Applanix, POS MV V5 Installation and Operation Guide, table 21.
@@ -31,13 +31,13 @@ DIALECTS: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "ROT": (("rate_of_turn", _NUMBER), ("status", "A")),
 }  # fmt: skip
-"""Kind → name of each field and the form in which it can be used."""
+"""Kind → name of each field and its valid form."""
 
 ATTITUDES = ("PRDID", "PTNTHPR", "PSAT,HPR")
 
 
 def dialect_of(text: str) -> str | None:
-    """Return the kind of a sentence of the table; None of another sentence."""
+    """Return the kind of a sentence of the table; None for other sentences."""
     name, _, rest = text.lstrip("$").partition(",")
     kind = name if name.startswith("P") else name[2:]
     subtype = f"{name},{rest.partition(',')[0]}"
@@ -45,7 +45,7 @@ def dialect_of(text: str) -> str | None:
 
 
 def dialect_fields(kind: str, text: str) -> dict[str, str] | None:
-    """Return the fields of a sentence by name, empty where they are void; None where one has not its form."""
+    """Return the fields of a sentence by name, empty if void; None if one is invalid."""
     row = DIALECTS[kind]
     fields = text.partition("*")[0].split(",")[1 + kind.count(",") :]
     if len(fields) < len(row):

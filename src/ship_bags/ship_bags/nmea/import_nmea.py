@@ -1,4 +1,4 @@
-"""Turns ship logs into a bag: one attitude system as the INS, others as references, position and weather."""
+"""Import of ship logs into a bag: one attitude system as the INS, others as references, position and weather."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ from ship_bags.nmea.nmea_log import LogReport, LogRules, read_log
 from ship_bags.stamps import ns_from_stamp
 
 IMPORT_RECORD = "import_nmea"
-"""Name of the metadata record, and with .yaml of the attachment, that mark an imported bag."""
+"""Name of the metadata record, and with .yaml of the attachment, of an imported bag."""
 
 GYRO_NAME = "gyro"
 RECEIVE_TIME = "receive"
@@ -46,18 +46,18 @@ RECEIVE_TIME = "receive"
 
 @dataclass(frozen=True)
 class ImportOrder:
-    """What to import.
+    """Inputs and options of an import.
 
     Attributes:
-        ins: log of the attitude system that becomes ``ins/imu`` and ``gnss/fix``; where it has positions and no
-            attitude at all, ``gnss/fix`` alone.
-        references: name → log of another attitude system, ``reference/<name>/imu``, never resampled.
+        ins: log of the attitude system for ``ins/imu`` and ``gnss/fix``; if it has positions and no attitude at all,
+            for ``gnss/fix`` only.
+        references: name → log of another attitude system, for ``reference/<name>/imu``, never resampled.
         weather: log with MET, MDA or XDR.
-        gyro: log with HDT or THS, which becomes ``reference/gyro/imu``.
-        time: :data:`INSTRUMENT_TIME` or :data:`RECEIVE_TIME`: what stamps attitudes and fixes.
-        resample_hz: rate of ``ins/imu`` by a rotation spline; None leaves the log's own samples.
+        gyro: log with HDT or THS, for ``reference/gyro/imu``.
+        time: source of the stamps of attitudes and fixes: :data:`INSTRUMENT_TIME` or :data:`RECEIVE_TIME`.
+        resample_hz: rate of ``ins/imu`` by a rotation spline; None for the log's own samples.
         suite: suite configuration to attach.
-        rules: by which the lines are read.
+        rules: rules for reading the lines.
         quality_9_is_fix: see :class:`ship_bags.nmea.instrument.InstrumentRole`.
     """
 
@@ -76,10 +76,10 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
     """Write the bag.
 
     Returns:
-        What became of the lines of each file.
+        Report on the lines of each file.
 
     Raises:
-        BadInput: a file is missing, empty or without what it is given for.
+        BadInput: a file is missing, empty or without the sentences it is given for.
     """
     factory = RosbagsFactory()
     by_instrument = order.time == INSTRUMENT_TIME
@@ -96,7 +96,7 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
                 raise BadInput(f"no two attitudes within {LONGEST_GAP_S:g} s of each other to resample", file=order.ins)
         timed += [imu_message(factory, INS, INS, sample) for sample in samples]
     else:
-        report.remarks.append("no attitude in it: gnss/fix alone")
+        report.remarks.append("no attitude in it: gnss/fix only")
         _remark_on_clock(report, [(log_ns, ns_from_stamp(message.header.stamp)) for log_ns, _, message in fixes])
     timed += fixes
     for name, path in sorted(order.references.items()):
@@ -140,10 +140,13 @@ def _attitudes(lines: list[InstrumentLine], report: LogReport, by_instrument: bo
 
 
 def _remark_on_clock(report: LogReport, times_ns: list[tuple[int, int]]) -> None:
-    """Note an instrument's clock that is ahead of the receive times, or behind: (receive time, stamp) of messages."""
+    """Add a remark if an instrument's clock is ahead of or behind the receive times.
+
+    ``times_ns`` are (receive time, stamp) of messages.
+    """
     delay_ns = int(np.median([receive_ns - stamp_ns for receive_ns, stamp_ns in times_ns]))
     if text := clock_problem(delay_ns, "the receive times"):
-        report.remarks.append(f"{text}: --time receive does without it")
+        report.remarks.append(f"{text}: use --time receive")
 
 
 def _read_with(path: Path, kinds: Sequence[str], rules: LogRules) -> tuple[list[InstrumentLine], LogReport]:

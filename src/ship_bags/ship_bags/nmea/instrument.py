@@ -1,4 +1,4 @@
-"""The lines of one instrument become messages, one line after the other: of a log that is imported as of a live source.
+"""Conversion of an instrument's lines to messages, one by one: of a log or of a live source.
 
 Attitude systems give sensor_msgs/Imu, receivers NavSatFix, weather stations temperature, humidity and pressure.
 """
@@ -19,7 +19,7 @@ from ship_geometry.ros_axes import flu_from_device_vector, quaternion_from_rotat
 from ship_geometry.rotations import FloatArray
 
 INS, REFERENCE, GYRO, GNSS, WEATHER = "ins", "reference", "gyro", "gnss", "weather"
-"""What the lines of an instrument may become."""
+"""Kinds of output of an instrument's lines."""
 
 INSTRUMENT_TIME = "instrument"
 FIX_TOPIC = "gnss/fix"
@@ -37,21 +37,21 @@ TimedMessage = tuple[int, str, Any]
 """(log time in ns, topic, message)."""
 
 _THS_RULES_NS = 3 * NS_PER_S
-"""So long after a THS no HDT of the same instrument is used, ns."""
+"""Time after a THS for which HDT sentences of the same instrument are ignored, ns."""
 
 _GYRO_HEADING_SIGMA_DEG = 0.1
-"""Assumed of a gyrocompass, which says nothing of its own accuracy."""
+"""Standard deviation assumed for a gyrocompass, which states no accuracy, degrees."""
 
 _UNKNOWN_ANGLE_VARIANCE = 1.0
-"""Variance (rad²) of roll and pitch where only a heading is measured: as good as unknown."""
+"""Variance of roll and pitch if only a heading is measured, rad²: practically unknown."""
 
 _UNKNOWN_RATE_VARIANCE = 1.0
-"""Variance (rad²/s²) of the rates of roll and pitch where only that of the heading is given."""
+"""Variance of the roll and pitch rates if only the rate of turn is given, rad²/s²."""
 _TURN_SIGMA_DEG_PER_MIN, _S_PER_MIN = 0.5, 60.0
-"""Standard deviation assumed of ROT, °/min: the error that IMO resolution A.526(13) allows a ship that hardly turns."""
+"""Standard deviation assumed for ROT, °/min: the error that IMO resolution A.526(13) allows at small rates of turn."""
 
 _RANGE_SIGMA_M = 3.0
-"""Position error per unit of dilution of precision, single-point GNSS."""
+"""Position error per unit of dilution of precision for single-point GNSS, m."""
 
 _UNKNOWN = np.zeros(9)
 _NOT_GIVEN = np.array([-1.0, *np.zeros(8)])
@@ -59,9 +59,9 @@ _NOT_GIVEN = np.array([-1.0, *np.zeros(8)])
 _NO_FIX, _FIX, _AUGMENTED, _GROUND_AUGMENTED = -1, 0, 1, 2
 _FIX_STATUS = {1: _FIX, 2: _AUGMENTED, 3: _FIX, 4: _GROUND_AUGMENTED, 5: _GROUND_AUGMENTED}
 """Quality in GGA → NavSatStatus: single, differential, PPS, RTK fixed, RTK float. Any other quality is no fix: 6 is
-dead reckoning, 7 typed in, 8 simulated."""
+dead reckoning, 7 manual input, 8 simulated."""
 _MAKERS_SBAS_QUALITY = 9
-"""Of some makers a fix with SBAS; the standard has no such quality."""
+"""Quality that some makers use for a fix with SBAS; the standard does not define it."""
 _SERVICE_GPS = 1
 _COVARIANCE_UNKNOWN, _COVARIANCE_APPROXIMATED = 0, 1
 
@@ -72,21 +72,21 @@ _TRANSDUCED = {
     ("P", "P"): ("pressure_pa", 1.0),
     ("P", "H"): ("pressure_pa", 100.0),
 }
-"""Type and unit of a transducer of XDR → field of a reading, and factor: °C, per cent, bar, pascal; H is hectopascal of
-Vaisala, the others are of the standard."""
+"""Type and unit of an XDR transducer → field of a reading, and factor: °C, per cent, bar, pascal. H is hectopascal of
+Vaisala; the others are of the standard."""
 
 _MOST_TRANSDUCERS, _MOST_TOLD = 100, 5
 
 
 @dataclass(frozen=True)
 class InstrumentRole:
-    """What the lines of an instrument become.
+    """Use of an instrument's lines.
 
     Attributes:
         becomes: :data:`INS`, :data:`REFERENCE`, :data:`GYRO`, :data:`GNSS` or :data:`WEATHER`.
         by_instrument: stamp attitudes and fixes by the instrument's time, otherwise by the receive time.
-        transducers: names of those of XDR that are used; empty where there is one of a kind.
-        has_fix: whether of an INS the positions are used, too.
+        transducers: names of the XDR transducers that are used; empty if there is one of each kind.
+        has_fix: True if the positions of an INS are used, too.
         quality_9_is_fix: take a GGA of quality 9 as a fix with SBAS; otherwise it is no fix.
     """
 
@@ -97,7 +97,7 @@ class InstrumentRole:
     quality_9_is_fix: bool = False
 
     def topics(self, name: str) -> dict[str, str]:
-        """Topic → type of all that may be published of an instrument of that name, the one that matters first."""
+        """Return topic → type of all outputs of an instrument of that name, the main one first."""
         if self.becomes == WEATHER:
             return MET_TOPICS
         fix = {FIX_TOPIC: FIX_TYPE}
@@ -107,13 +107,13 @@ class InstrumentRole:
 
 
 class Instrument:
-    """Turns the lines of one instrument into messages.
+    """Converts the lines of one instrument to messages.
 
     Args:
         factory: makes the messages.
-        role: what becomes of the lines.
+        role: use of the lines.
         name: of the instrument; part of the topic of a reference or gyrocompass.
-        report: counts what cannot be used.
+        report: counts unusable lines.
     """
 
     def __init__(self, factory: MessageFactory, role: InstrumentRole, name: str, report: LineReport) -> None:
@@ -127,7 +127,7 @@ class Instrument:
         self._transducers: dict[str, set[str]] = {}
 
     def take(self, line: InstrumentLine) -> Iterator[TimedMessage]:
-        """What becomes of the next line."""
+        """Yield the messages of the next line."""
         becomes = self._role.becomes
         if becomes in (INS, REFERENCE) and (attitude := self._attitudes.take(line)) is not None:
             yield imu_message(self._factory, becomes, self._name, attitude)
@@ -139,10 +139,10 @@ class Instrument:
             yield from self._weather(line)
 
     def _heading(self, line: InstrumentLine) -> Iterator[TimedMessage]:
-        """A gyrocompass's heading as sensor_msgs/Imu, level, with roll and pitch as good as unknown.
+        """Yield a gyrocompass's heading as a level sensor_msgs/Imu with practically unknown roll and pitch.
 
-        Neither sentence carries a time: the stamp is the receive time. Of an instrument that gives both THS rules, as
-        only that says when the heading is not to be used, until it has been silent for some seconds.
+        Neither sentence has a time: the stamp is the receive time. If an instrument sends both, THS takes precedence
+        until a timeout of some seconds, because only THS states that a heading is invalid.
         """
         if line.kind == "ROT":
             self._turn = line
@@ -164,7 +164,7 @@ class Instrument:
         yield line.receive_ns, imu_topic(GYRO, self._name), message
 
     def _turn_rate(self, receive_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Angular velocity (forward, left, up) by the ROT of the last second and its covariance, or none."""
+        """Return the angular velocity (forward, left, up) by the ROT of the last second and its covariance, or none."""
         if self._turn is None or not 0 <= receive_ns - self._turn.receive_ns <= NS_PER_S:
             return np.zeros(3), _NOT_GIVEN
         rate = np.deg2rad(self._turn.content.rate_of_turn) / _S_PER_MIN
@@ -173,7 +173,7 @@ class Instrument:
         return np.array([0.0, 0.0, -rate]), np.diag(variances).ravel()
 
     def _fix(self, line: InstrumentLine) -> Iterator[TimedMessage]:
-        """GGA as sensor_msgs/NavSatFix; the altitude is NaN where the geoid's height is not in the sentence."""
+        """Yield GGA as sensor_msgs/NavSatFix; the altitude is NaN if the sentence lacks the geoid height."""
         if line.kind != "GGA":
             return
         gga, stamp_ns = line.content, line.receive_ns
@@ -205,7 +205,7 @@ class Instrument:
         yield line.receive_ns, FIX_TOPIC, message
 
     def _weather(self, line: InstrumentLine) -> Iterator[TimedMessage]:
-        """Temperature (°C), humidity (0 to 1) and pressure (Pa) of the air, as far as told; stamped by receive time."""
+        """Yield the available temperature (°C), humidity (0 to 1) and pressure (Pa), stamped by the receive time."""
         if line.kind not in AIR_KINDS:
             return
         reading = self._transduced(line) if line.kind == "XDR" else line.content
@@ -223,7 +223,7 @@ class Instrument:
                 yield line.receive_ns, topic, self._factory.make(type_name, **fields, **{name: value})
 
     def _transduced(self, line: InstrumentLine) -> MetReading:
-        """The air in an XDR: of transducers that are named, or of the only one that the instrument has of a kind."""
+        """Return the air data of an XDR: of the named transducers, or of the only one of each kind."""
         told: dict[str, list[float]] = {}
         for index in range(line.content.num_transducers):
             transducer = line.content.get_transducer(index)
@@ -237,24 +237,27 @@ class Instrument:
                 names.add(transducer.id)
         for field in [field for field, values in told.items() if len(values) + len(self._transducers[field]) > 2]:
             several = ", ".join(sorted(self._transducers[field])[:_MOST_TOLD])
-            text = f"{field.partition('_')[0]} of {several}: name the air's in transducers"
+            text = f"{field.partition('_')[0]} of {several}: list the one of the air in transducers"
             self._report.reject("several transducers", line.number, text)
             del told[field]
         return MetReading(**{field: values[0] for field, values in told.items()})
 
 
 def imu_topic(becomes: str, name: str) -> str:
-    """Topic of an attitude system."""
+    """Return the topic of an attitude system."""
     return "ins/imu" if becomes == INS else f"reference/{name}/imu"
 
 
 def imu_message(factory: MessageFactory, becomes: str, name: str, attitude: LoggedAttitude) -> TimedMessage:
-    """sensor_msgs/Imu, ENU <- FLU; covariances unknown, the rate "not given" where the instrument tells none."""
+    """Return a sensor_msgs/Imu, ENU ← FLU.
+
+    Covariances are unknown, and the rate is "not given" if the instrument states none.
+    """
     rate_flu, rate_covariance = np.zeros(3), _NOT_GIVEN
     if attitude.rate_d is not None:
         rate_flu, rate_covariance = flu_from_device_vector(attitude.rate_d), _UNKNOWN
     frame_id = INS if becomes == INS else name
-    # The configured sigma of a reference stays its noise, which a covariance would replace.
+    # A reference has no covariance, so that its configured sigma remains its noise.
     covariance = _UNKNOWN
     if becomes == INS and attitude.sigmas is not None:
         covariance = _covariance_enu(attitude.rotation_nd, attitude.sigmas)
@@ -295,7 +298,7 @@ def _imu(
 
 
 def _numbers(*values: Any) -> list[float] | None:
-    """The values as numbers; None where one is missing or is none."""
+    """Return the values as numbers; None if one is missing or invalid."""
     try:
         return [float(value) for value in values]
     except (TypeError, ValueError):

@@ -1,6 +1,6 @@
-"""A line of an instrument with the time at which it was received, what becomes of lines, and the instrument's own time.
+"""Line of an instrument with its receive time, counts of lines, and correction of the instrument's time.
 
-Nothing is dropped silently: what is not used, not parsed or fails its checksum is counted.
+No line is dropped silently: unused, unparsed and failed lines are counted.
 """
 
 from collections import Counter
@@ -11,33 +11,33 @@ from typing import Any
 from ship_bags.stamps import NS_PER_S
 
 WRONG_TIME = "instrument time"
-"""Why a line is rejected whose time is further from the receive time than a network can hold it."""
+"""Reason for rejecting a line whose time is too far from the receive time for a network delay."""
 
 _FIRST_FEW = 3
 _LONGEST_DELAY_NS = 60 * NS_PER_S
-"""No network holds a sentence longer: an instrument's time that is further from the receive time is wrong."""
+"""Maximum difference of an instrument's time from the receive time, ns: no network delays a sentence longer."""
 _ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
-"""GPS counts weeks up to 1023. A receiver that has missed a beginning anew is whole multiples of these behind."""
+"""Period of the GPS week number, 1024 weeks, ns. A receiver that misses a rollover is whole multiples of it behind."""
 _AHEAD_NS = NS_PER_S // 20
-"""An instrument's clock that is further ahead of the receive time is reported, as estimators refuse its stamps, ns."""
+"""Time ahead of the receive time above which an instrument's clock is reported, ns: estimators reject its stamps."""
 _BEHIND_NS = 5 * NS_PER_S
-"""A clock that is further behind is reported; a slow line and a busy computer delay a sentence by less, ns."""
+"""Time behind the receive time above which a clock is reported, ns; slow lines and busy computers cause less."""
 _GPS_AHEAD_NS, _SAME_NS = 18 * NS_PER_S, NS_PER_S // 2
-"""GPS time less UTC since 2017; and how near an offset must be to it, ns."""
+"""GPS time minus UTC since 2017, and the tolerance of an offset that equals it, ns."""
 _DAY = timedelta(days=1)
 _DAY_NS = 86_400 * NS_PER_S
 
 
 @dataclass(frozen=True)
 class InstrumentLine:
-    """One line that could be parsed.
+    """Line that was parsed.
 
     Attributes:
         number: from 1.
-        receive_ns: when the ship's network received it, POSIX UTC.
+        receive_ns: receive time in the ship's network, POSIX UTC.
         kind: of the sentence, see :class:`ship_bags.nmea.sentences.Sentence`.
         content: of the sentence.
-        talker: two letters of its sender; empty where the sentence is a maker's own.
+        talker: two letters of its sender; empty for a proprietary sentence.
     """
 
     number: int
@@ -49,15 +49,15 @@ class InstrumentLine:
 
 @dataclass
 class LineReport:
-    """What became of the lines of one instrument.
+    """Counts of the lines of one instrument.
 
     Attributes:
-        name: of the instrument or its file, for people.
-        used: kind → count of lines given out.
-        unused: name of the sentence → count of lines with nothing of interest.
-        rejected: reason → count; what it was is in ``examples``.
-        mended: what was put right in lines given out → count.
-        examples: the first few of each reason, with line number.
+        name: of the instrument or its file, for texts.
+        used: kind → number of lines used.
+        unused: name of the sentence → number of irrelevant lines.
+        rejected: reason → number; the lines are in ``examples``.
+        corrected: correction in a used line → number.
+        examples: the first few lines of each reason, with line number.
     """
 
     name: str
@@ -69,14 +69,14 @@ class LineReport:
     examples: list[str] = field(default_factory=list)
 
     def reject(self, reason: str, line: int, text: str) -> None:
-        """Count a line that cannot be used."""
+        """Count an unusable line."""
         self.rejected[reason] += 1
         if self.rejected[reason] <= _FIRST_FEW:
             self.examples.append(f"{self.name}:{line}: {reason}: {text[:80]!r}")
 
 
 def time_of_day_ns(time_of_day: Any, near_ns: int) -> int:
-    """POSIX time of a time of day (UTC) on the day that brings it nearest to ``near_ns``."""
+    """Return the POSIX time of a time of day (UTC) on the day that brings it nearest to ``near_ns``."""
     near = datetime.fromtimestamp(near_ns // NS_PER_S, tz=timezone.utc)
     candidates = [
         datetime.combine((near + offset * _DAY).date(), time_of_day.replace(tzinfo=timezone.utc))
@@ -86,12 +86,12 @@ def time_of_day_ns(time_of_day: Any, near_ns: int) -> int:
 
 
 def instrument_ns(stamp_ns: int, line: InstrumentLine, report: LineReport) -> int | None:
-    """The instrument's time of a line, put right where it is whole GPS week rollovers off; None where it is wrong.
+    """Return the instrument's time of a line, corrected for whole GPS week rollovers; None if it is wrong.
 
     Args:
-        stamp_ns: as the instrument says.
-        line: that says so.
-        report: counts what is put right, and what is rejected.
+        stamp_ns: as stated by the instrument.
+        line: the line.
+        report: counts corrections and rejections.
     """
     result_ns = corrected_ns(stamp_ns, line.receive_ns)
     if result_ns is None:
@@ -103,7 +103,7 @@ def instrument_ns(stamp_ns: int, line: InstrumentLine, report: LineReport) -> in
         report.reject(WRONG_TIME, line.number, text)
     elif result_ns != stamp_ns:
         weeks = (result_ns - stamp_ns) // _ROLLOVER_NS * 1024
-        report.mended[f"instrument time put right by {weeks:+d} weeks (GPS week rollover)"] += 1
+        report.mended[f"instrument time corrected by {weeks:+d} weeks (GPS week rollover)"] += 1
     return result_ns
 
 
@@ -115,11 +115,11 @@ def corrected_ns(stamp_ns: int, receive_ns: int) -> int | None:
 
 
 def clock_problem(delay_ns: int, other_clock: str) -> str:
-    """Return a sentence on an instrument's clock that is ahead of another or behind it; empty where it is neither.
+    """Return a sentence on an instrument's clock that is ahead of another or behind it; empty if it is neither.
 
     Args:
         delay_ns: from the instrument's time to the receive time.
-        other_clock: the clock of the receive times, for people.
+        other_clock: the clock of the receive times, for the text.
     """
     if -_AHEAD_NS <= delay_ns <= _BEHIND_NS:
         return ""
@@ -130,6 +130,6 @@ def clock_problem(delay_ns: int, other_clock: str) -> str:
 
 
 def datetime_ns(moment: datetime) -> int:
-    """POSIX time of an aware datetime, exact to its microsecond."""
+    """Return the POSIX time of an aware datetime, exact to its microsecond, ns."""
     since_epoch = moment - datetime(1970, 1, 1, tzinfo=timezone.utc)
     return ((since_epoch.days * 86_400 + since_epoch.seconds) * 1_000_000 + since_epoch.microseconds) * 1000

@@ -1,8 +1,8 @@
-"""A line, live or of a log, becomes sentences, or what is wrong with it.
+"""Parsing of a line, live or of a log, into sentences or the reasons why it is unusable.
 
-A line is cut where a connection begins, ends or loses bytes, and where a logger stops. So a sentence counts only from
-its ``$`` to its checksum: half a heading, ``$GPHDT,21``, would be a heading as well. Sources that write no checksums
-are read by the forms of :mod:`ship_bags.nmea.whole_sentences` where that is asked for.
+A line is cut where a connection begins, ends or loses bytes, and where a logger stops. Therefore a sentence counts only
+from its ``$`` to its checksum: a truncated heading, ``$GPHDT,21``, would look valid. Sources without checksums are read
+by the forms of :mod:`ship_bags.nmea.whole_sentences` if that is requested.
 """
 
 import re
@@ -13,13 +13,13 @@ from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sen
 from ship_bags.nmea.whole_sentences import is_whole
 
 LONGEST_LINE = 512
-"""Bytes of a line: a sentence of the standard has 82, makers' own have up to three times as many."""
+"""Maximum length of a line, bytes: a standard sentence has 82, proprietary ones up to three times as many."""
 
 TOO_LONG, NOISE, HALF = "line too long", "binary noise", "half line or no checksum"
 BINARY = "binary"
 
 REQUIRED, OPTIONAL = "required", "optional"
-"""Whether the sentences of an instrument need a checksum."""
+"""Checksums of an instrument's sentences: required or optional."""
 
 # In front of a sentence on an IEC 61162-450 network: the datagram's mark and a TAG block.
 _FRONT = re.compile(rb"(UdPbC\x00)?(\\[^\\]*\\)*")
@@ -29,25 +29,25 @@ _CHECKSUM = re.compile(r".*\*[0-9A-Fa-f]{2}", re.DOTALL)
 
 @dataclass(frozen=True)
 class HeardText:
-    """A text and what it says."""
+    """Text with its parsing result."""
 
     text: str
     says: Sentence | NotOfInterest | Unusable
 
     @property
     def talker(self) -> str:
-        """Two letters of who speaks; empty where the sentence is a maker's own or broken."""
+        """Two letters of the talker; empty for a proprietary or broken sentence."""
         if self.says == NotOfInterest(BINARY) or (isinstance(self.says, Unusable) and not self.says.detail):
             return ""
         return self.text[1:3] if self.text.startswith("$") and not self.text.startswith("$P") else ""
 
 
 def heard_texts(line: bytes, needs_checksum: bool = True) -> Iterator[HeardText]:
-    """Return the texts of a line: one sentence, or several whose ends were lost.
+    """Yield the texts of a line: one sentence, or several whose line ends were lost.
 
     Args:
-        line: without anything in front but the mark of a datagram and TAG blocks.
-        needs_checksum: reject sentences without a checksum; otherwise whole ones are used.
+        line: may begin with the mark of a datagram and TAG blocks only.
+        needs_checksum: reject sentences without a checksum; otherwise complete ones are used.
     """
     if len(line) > LONGEST_LINE:
         yield HeardText(_shown(line), Unusable(TOO_LONG))
@@ -68,7 +68,7 @@ def heard_texts(line: bytes, needs_checksum: bool = True) -> Iterator[HeardText]
 
 
 def _read(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | Unusable:
-    """Read a text from its ``$`` on."""
+    """Parse a text that begins with ``$``."""
     if _CHECKSUM.fullmatch(text):
         return read_sentence(text)
     if needs_checksum or "*" in text:
@@ -78,17 +78,17 @@ def _read(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | Unusabl
 
 
 def is_talker(text: str) -> bool:
-    """True for a talker's two letters."""
+    """Return True for the two letters of a talker."""
     return len(text) == 2 and text.isascii() and text.isalnum() and text.isupper()
 
 
 def _binary(is_before_sentence: bool) -> NotOfInterest | Unusable:
-    """Classify binary data: messages of another kind (UBX, RTCM) before a sentence, or a disturbed line."""
+    """Classify binary data: messages of another protocol (UBX, RTCM) before a sentence, or noise."""
     return NotOfInterest(BINARY) if is_before_sentence else Unusable(NOISE)
 
 
 def _without_start(text: str, is_cut: bool) -> Sentence | NotOfInterest | Unusable:
-    """Read a text without ``$``: a line of a mast, an encapsulated sentence (AIS), or the end of a sentence."""
+    """Parse a text without ``$``: a mast's line, an encapsulated sentence (AIS), or the end of a sentence."""
     if text.startswith("!"):
         return NotOfInterest(text.split(",")[0])
     return Unusable(HALF) if is_cut or _CHECKSUM.fullmatch(text) else read_sentence(text)

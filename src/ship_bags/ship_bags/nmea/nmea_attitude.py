@@ -1,6 +1,6 @@
-"""Attitudes in the lines of an instrument, by its own time or by the receive time, as they are or resampled.
+"""Attitudes in the lines of an instrument, by its own time or by the receive time, unchanged or resampled.
 
-The attitude of a PSXN,23 is valid at the time in the ZDA of its burst. PASHR carries its own time of day.
+The attitude of a PSXN,23 is valid at the time in the ZDA of its burst. PASHR has its own time of day.
 """
 
 from collections.abc import Sequence
@@ -19,37 +19,38 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
 LONGEST_GAP_S = 3.0
-"""Attitudes further apart are not joined by a spline, s."""
+"""Maximum interval of attitudes that a spline bridges, s."""
 
 ATTITUDE_KINDS = ("PSXN23", "PASHR", *dialects.ATTITUDES)
-"""Of lines that tell an attitude."""
+"""Kinds of sentences with an attitude."""
 
 _INVALID_QUALITY = 2
 
 _PASHR_SIGMAS, _LARGEST_SIGMA_DEG = slice(7, 10), 180.0
-"""Fields of PASHR with the standard deviations of roll, pitch and heading, and a value that is none."""
+"""Fields of PASHR with the standard deviations of roll, pitch and heading, and the value from which one is invalid."""
 
 _PASHR_STATUS = slice(10, 12)
-"""Fields of PASHR behind the accuracies: aiding, and status of the IMU."""
+"""Fields of PASHR after the accuracies: aiding, and status of the IMU."""
 
 NOT_LATER = "not later than the attitude before"
 WITHOUT_TIME = "attitude without ZDA"
-"""No ZDA came near enough to the PSXN,23 to be of its burst."""
+"""Reason: no ZDA near enough to the PSXN,23 to be of its burst."""
 
 UNAIDED = "PASHR: no aiding, and the IMU's status is 0"
-"""Both last fields are 0: not aligned at NovAtel and Trimble. One 0 alone differs in meaning from maker to maker."""
+"""Reason: both last fields are 0, which means not aligned for NovAtel and Trimble. The meaning of a single 0 depends on
+the maker."""
 
 
 @dataclass(frozen=True)
 class LoggedAttitude:
-    """An attitude that an instrument tells.
+    """Attitude of an instrument.
 
     Attributes:
         stamp_ns: time of validity, POSIX UTC.
-        log_time_ns: when it was there to be used.
+        log_time_ns: time at which it was available.
         rotation_nd: horizon from deck, shape (3, 3).
-        rate_d: angular velocity (bow, up, starboard) rad/s, shape (3,); None where it tells none.
-        sigmas: standard deviations of roll, pitch and heading by the instrument, rad; None where it gives none.
+        rate_d: angular velocity (bow, up, starboard) rad/s, shape (3,); None if not given.
+        sigmas: standard deviations of roll, pitch and heading by the instrument, rad; None if not given.
     """
 
     stamp_ns: int
@@ -60,12 +61,12 @@ class LoggedAttitude:
 
 
 class AttitudeReader:
-    """The attitudes in the lines of one instrument, in order of stamps.
+    """Attitudes in the lines of one instrument, in order of stamps.
 
     Args:
         by_instrument: stamp by the instrument's time, otherwise by the receive time.
-        report: counts what cannot be used: invalid by PSXN,20 or by PASHR's own status, without a ZDA, of a wrong
-            time, not later than the one before.
+        report: counts unusable ones: invalid by PSXN,20 or by PASHR's status, without a ZDA, of a wrong time, not later
+            than the previous one.
     """
 
     def __init__(self, by_instrument: bool, report: LineReport) -> None:
@@ -76,7 +77,7 @@ class AttitudeReader:
         self._last_ns: int | None = None
 
     def take(self, line: InstrumentLine) -> LoggedAttitude | None:
-        """Return the attitude that can be used now: that of the line, or one that waited for its ZDA."""
+        """Return the attitude that is usable now: that of the line, or one that waited for its ZDA."""
         if line.kind == "ZDA" and self._by_instrument:
             pair = self._bursts.pair_time(line)
             if pair is not None:
@@ -91,11 +92,11 @@ class AttitudeReader:
         return None
 
     def end(self) -> None:
-        """Count the attitude whose ZDA did not come."""
+        """Count the attitude whose ZDA did not arrive."""
         self._reject_waiting()
 
     def _is_usable(self, line: InstrumentLine) -> bool:
-        """False for an attitude that the instrument itself calls invalid, which is counted."""
+        """Return False for an attitude that the instrument marks as invalid, and count it."""
         if self._is_invalid:
             self._report.reject("invalid by PSXN,20", line.number, str(line.content))
             return False
@@ -105,7 +106,7 @@ class AttitudeReader:
         return True
 
     def _stamp_ns(self, line: InstrumentLine) -> int | None:
-        """Return the time at which an attitude is valid; None where it is wrong or not known yet."""
+        """Return the time of validity of an attitude; None if it is wrong or not known yet."""
         if not self._by_instrument:
             return line.receive_ns
         time_of_day = getattr(line.content, "timestamp", None)
@@ -135,17 +136,17 @@ class AttitudeReader:
 
 
 def _pashr_sigmas(content: Any) -> FloatArray | None:
-    """Return the standard deviations in a PASHR, rad; None where one is missing or no accuracy."""
+    """Return the standard deviations in a PASHR, rad; None if one is missing or invalid."""
     sigmas_deg = np.array([number(field) or 0.0 for field in content.data[_PASHR_SIGMAS]])
     is_known = len(sigmas_deg) == 3 and bool(np.all((sigmas_deg > 0.0) & (sigmas_deg < _LARGEST_SIGMA_DEG)))
     return np.deg2rad(sigmas_deg) if is_known else None
 
 
 def resampled(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAttitude]:
-    """Attitudes and rates of a rotation spline through those logged, at whole multiples of the period.
+    """Resample attitudes and rates by a rotation spline, at whole multiples of the period.
 
-    Straight interpolation of a ship's motion sampled at 1 Hz would err by 0.14°. Gaps longer than
-    :data:`LONGEST_GAP_S` stay gaps. The log time is the stamp plus the median delay of the log.
+    Linear interpolation of a ship's motion sampled at 1 Hz would cause errors of 0.14°. Gaps longer than
+    :data:`MAX_GAP_S` remain. The log time is the stamp plus the median delay of the log.
     """
     delay_ns = int(np.median([attitude.log_time_ns - attitude.stamp_ns for attitude in logged]))
     result: list[LoggedAttitude] = []
@@ -171,7 +172,7 @@ def resampled(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAt
 
 
 def _segments(logged: Sequence[LoggedAttitude]) -> list[list[LoggedAttitude]]:
-    """The attitudes split at gaps."""
+    """Split the attitudes at gaps."""
     segments: list[list[LoggedAttitude]] = []
     for attitude in logged:
         gap_ns = attitude.stamp_ns - segments[-1][-1].stamp_ns if segments else None

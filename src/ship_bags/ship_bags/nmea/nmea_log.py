@@ -1,4 +1,4 @@
-"""Reads ship logs: one record a line, ISO 8601 receive time, a space, the device's sentence (OpenRVDAS style)."""
+"""Reader of ship logs: one record per line, ISO 8601 receive time, a space, the sentence (OpenRVDAS style)."""
 
 import re
 from collections.abc import Iterator, Set
@@ -22,11 +22,11 @@ _TIME = re.compile(
 
 @dataclass(frozen=True)
 class LogRules:
-    """Rules by which the lines of logs are read.
+    """Rules for reading the lines of logs.
 
     Attributes:
-        needs_checksum: reject sentences without a checksum; otherwise whole ones are used.
-        talkers: the talkers whose sentences are used; empty for all. Sentences of makers have none.
+        needs_checksum: reject sentences without a checksum; otherwise complete ones are used.
+        talkers: talkers whose sentences are used; empty for all. Proprietary sentences have none.
     """
 
     needs_checksum: bool = True
@@ -35,13 +35,13 @@ class LogRules:
 
 @dataclass
 class LogReport(LineReport):
-    """What became of the lines of one file; ``remarks`` hold what else is to be said of it."""
+    """Counts of the lines of one file; ``remarks`` are further texts about it."""
 
     path: Path = Path()
     remarks: list[str] = field(default_factory=list)
 
     def text(self) -> str:
-        """One line for people, and one for each example."""
+        """Return one line for the user, and one for each example."""
         parts = [f"used {name} {count}" for name, count in sorted(self.used.items())]
         parts += [f"{name} {count}" for name, count in sorted(self.rejected.items())]
         parts += [f"{name} {count}" for name, count in sorted(self.mended.items())]
@@ -52,7 +52,7 @@ class LogReport(LineReport):
 
 
 def read_log(path: Path, rules: LogRules) -> tuple[list[InstrumentLine], LogReport]:
-    """All usable lines of a log, in order of the file.
+    """Return all usable lines of a log, in order of the file.
 
     Raises:
         BadInput: the file is missing, unreadable or empty, or no line begins with a time.
@@ -84,10 +84,10 @@ def _lines(path: Path, rules: LogRules, report: LogReport) -> Iterator[Instrumen
 
 
 def _parsed(number: int, content: bytes, rules: LogRules, report: LogReport) -> Iterator[InstrumentLine]:
-    """Return what a line of the file holds: mostly one sentence."""
+    """Yield the content of a line of the file: usually one sentence."""
     time_text, _, sentences = content.partition(b" ")
     receive_ns = _receive_ns(time_text.decode("ascii", errors="replace"))
-    if receive_ns is None or sentences.lstrip()[:1] in (b"+", b"-"):  # an offset behind a space
+    if receive_ns is None or sentences.lstrip()[:1] in (b"+", b"-"):  # an offset after a space
         report.reject("no receive time", number, content.decode("ascii", errors="backslashreplace"))
         return
     for heard in heard_texts(sentences, rules.needs_checksum):
@@ -111,7 +111,7 @@ def _line(number: int, receive_ns: int, heard: HeardText, rules: LogRules, repor
 
 
 def _receive_ns(text: str) -> int | None:
-    """Return a time as POSIX time; None where it is not wholly understood."""
+    """Return a time text as POSIX time, ns; None if it is not valid."""
     match = _TIME.fullmatch(text)
     if match is None:
         return None
@@ -122,5 +122,5 @@ def _receive_ns(text: str) -> int | None:
         time_ns = datetime_ns(moment) + int((fraction or "0").ljust(9, "0"))
     except ValueError:
         return None
-    # The time of day in a sentence may lie on the day before or after: both must be times that a stamp can carry.
+    # The time of day in a sentence may be on the previous or next day: a stamp must represent both.
     return time_ns if _DAY_NS <= time_ns < END_OF_TIME_NS - 2 * _DAY_NS else None

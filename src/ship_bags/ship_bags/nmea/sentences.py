@@ -1,7 +1,7 @@
-"""One line of an instrument read: a sentence of NMEA 0183, or a line ``MET`` of a mast.
+"""Parsing of one line of an instrument: an NMEA 0183 sentence, or a line ``MET`` of a mast.
 
-Sentences are parsed by pynmea2. What it lacks stands here: THS, PASHR with a time of any precision, and MET,
-which is not NMEA.
+Sentences are parsed by pynmea2. This module adds what it lacks: THS, PASHR with a time of any precision, and MET, which
+is not NMEA.
 """
 
 import math
@@ -17,10 +17,9 @@ from ship_bags.nmea.dialects import dialect_fields, dialect_of
 
 BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
 UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"
-HALF_POSITION = "GGA without its position's N, S, E or W, or without a part of it"
+HALF_POSITION = "GGA with an incomplete position (N, S, E or W, or a coordinate missing)"
 WRONG_MINUTES, WRONG_POSITION = "GGA with 60 minutes or more", "GGA beyond 90° of latitude or 180° of longitude"
-"""Why in particular a line is unparsed: pynmea2 does not know the sentence, the instrument has nothing to say, or says
-what cannot be."""
+"""Details of an unparsed line: unknown to pynmea2, without values, or with impossible values."""
 
 # Fields of the line MET of the station mwx1.
 _MET_TEMPERATURE, _MET_HUMIDITY, _MET_PRESSURE = 3, 4, -1
@@ -32,7 +31,7 @@ _PASHR_LEAST_FIELDS = 6
 _PA_PER_BAR = 1e5
 
 AUTONOMOUS = "A"
-"""Mode of THS in which the heading is measured: not estimated, manual, simulated or invalid."""
+"""Mode of THS with a measured heading: not estimated, manual, simulated or invalid."""
 
 _NEEDED = {
     "ZDA": ("timestamp", "day", "month", "year"),
@@ -45,16 +44,16 @@ _NEEDED = {
     "MDA": (),
     "XDR": (),
 }
-"""Name of a class of pynmea2 → fields without which the sentence says nothing."""
+"""Name of a class of pynmea2 → required fields."""
 
 _RANGES_DEG = {
     "heading": (0.0, 360.0), "head": (0.0, 360.0), "true_heading": (0.0, 360.0), "pitch": (-90.0, 90.0),
     "roll": (-180.0, 180.0),
 }  # fmt: skip
-"""Angles beyond are none: some instruments write 999.99 where they know nothing."""
+"""Valid ranges of angles: some instruments write 999.99 for an unknown value."""
 
 _NO_NUMBERS = ("timestamp", "status")
-"""Fields of dialects that are no numbers."""
+"""Fields of dialects that are not numbers."""
 
 _KINDS = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
 
@@ -62,18 +61,18 @@ _KINDS = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
 _TIME_OF_DAY = re.compile(r"\d{6}(\.\d+)?", re.ASCII)
 _LATITUDE, _LONGITUDE = (re.compile(rf"\d{{3,{most}}}(\.\d*)?", re.ASCII) for most in (4, 5))
 _MINUTES = 60.0
-"""Of a degree."""
+"""Minutes of a degree."""
 
 
 class THS(pynmea2.TalkerSentence):  # type: ignore[misc]
-    """True heading with its status (IEC 61162-1): A is autonomous, V invalid; pynmea2 finds it by the class's name."""
+    """True heading with its status (IEC 61162-1): A autonomous, V invalid; pynmea2 finds it by the class's name."""
 
     fields = (("True heading, degrees", "heading", float), ("Mode indicator", "mode"))
 
 
 @dataclass(frozen=True)
 class Sentence:
-    """What a line says.
+    """Parsed sentence.
 
     Attributes:
         kind: ``ZDA``, ``GGA``, ``HDT``, ``THS``, ``PSXN20``, ``PSXN23``, ``PASHR``, ``XDR``, ``MDA`` or ``MET``, or a
@@ -87,14 +86,14 @@ class Sentence:
 
 @dataclass(frozen=True)
 class NotOfInterest:
-    """A line of that name is known, and nothing becomes of it."""
+    """Known line that is not used."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class Unusable:
-    """A line cannot be used; ``detail`` says more than the reason, where more is known."""
+    """Unusable line; ``detail`` is more specific than the reason, if more is known."""
 
     reason: str
     detail: str = ""
@@ -102,7 +101,7 @@ class Unusable:
 
 @dataclass(frozen=True)
 class MetReading:
-    """The air at the mast: temperature in °C, relative humidity from 0 to 1, pressure in Pa; None where not told."""
+    """Air at the mast: temperature in °C, relative humidity from 0 to 1, pressure in Pa; None if not given."""
 
     temperature_c: float | None = None
     humidity: float | None = None
@@ -111,7 +110,7 @@ class MetReading:
 
 @dataclass(frozen=True)
 class DialectContent:
-    """Content of a sentence of the table of dialects: angles in degrees, a rate in °/min; None where it has none."""
+    """Content of a dialect's sentence: angles in degrees, a rate in °/min; None if it has none."""
 
     text: str
     timestamp: time | None = None
@@ -126,7 +125,7 @@ class DialectContent:
 
 
 def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
-    """What a line says, without anything in front of the sentence."""
+    """Parse a line that begins with the sentence."""
     name = text.split(",")[0]
     if name == "MET":
         reading = _met_reading(text)
@@ -141,7 +140,7 @@ def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
     except pynmea2.SentenceTypeError:
         return Unusable(UNPARSED, UNKNOWN)
     except Exception:
-        # Over sentences that are cut short pynmea2 raises IndexError and others, which it does not declare.
+        # For truncated sentences pynmea2 raises IndexError and other undeclared exceptions.
         return Unusable(UNPARSED)
     if kind := dialect_of(text):
         return _dialect(kind, text)
@@ -149,7 +148,7 @@ def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
 
 
 def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
-    """The content of a sentence of the table of dialects, if it is complete."""
+    """Return the content of a dialect's sentence, if it is complete."""
     fields = dialect_fields(kind, text)
     if kind == "ROT" and (fields is None or not all(fields.values())):
         return NotOfInterest(text.split(",")[0].lstrip("$"))
@@ -166,7 +165,7 @@ def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
 
 
 def _pashr(content: Any) -> Any:
-    """The attitude in a PASHR, which pynmea2 knows by a time with two or three decimals alone; others as they are."""
+    """Return the attitude of a PASHR, whose time pynmea2 accepts with two or three decimals only; others unchanged."""
     data = list(content.data)
     if len(data) < _PASHR_LEAST_FIELDS or not _TIME_OF_DAY.fullmatch(data[1]):
         return content
@@ -176,13 +175,13 @@ def _pashr(content: Any) -> Any:
 
 
 def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable:
-    """The sentence if it is one of those used, complete, and its fields are numbers."""
+    """Return the sentence if its kind is used, it is complete, and its fields are numbers."""
     kind = type(content).__name__
     if kind not in _NEEDED:
-        # The sentences PSXN are told apart by a number behind the name, which pynmea2 puts into the name of its class.
+        # PSXN sentences differ by a number after the name, which pynmea2 puts into its class name.
         return NotOfInterest(name + kind.removeprefix("SXN") if "SXN" in kind else name)
-    # Where a field is no number pynmea2 gives its text.
-    # A THS that says that its heading is not to be used may leave that out.
+    # pynmea2 returns the text of a field that is not a number.
+    # A THS with an invalid mode may have no heading.
     needed = () if kind == "THS" and content.mode not in ("", AUTONOMOUS) else _NEEDED[kind]
     values = [getattr(content, field) for field in needed]
     if any(value is None for value in values):
@@ -192,25 +191,25 @@ def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable
     if any(not _is_angle(field, value) for field, value in zip(needed, values, strict=True)):
         return Unusable(UNPARSED, OUT_OF_RANGE)
     if kind == "ZDA" and not 1970 < content.year < 2038:
-        return Unusable("no year of ours")
+        return Unusable("year out of range")
     if kind == "GGA" and (problem := _position_problem(content)):
         return problem
     return Sentence(_KINDS.get(kind, kind), _mda_reading(content) if kind == "MDA" else content)
 
 
 def _is_finite(value: Any) -> bool:
-    """False for a number that is none, as of the field ``nan``; times of day are finite."""
+    """False for NaN and infinity, as of the field ``nan``; times of day are finite."""
     return not isinstance(value, (float, Decimal)) or number(value) is not None
 
 
 def _is_angle(field: str, value: Any) -> bool:
-    """False for an angle beyond its range; other fields have none."""
+    """False for an angle outside its range; other fields have no range."""
     least, most = _RANGES_DEG.get(field, (None, None))
     return least is None or most is None or least <= float(value) <= most
 
 
 def _position_problem(gga: Any) -> Unusable | None:
-    """Return why the position of a GGA cannot be used; None where it can, or where there is none."""
+    """Return why the position of a GGA cannot be used; None if it can, or if there is none."""
     parts = (gga.lat, gga.lat_dir, gga.lon, gga.lon_dir)
     if not any(parts):
         return None
@@ -240,7 +239,7 @@ def _met_reading(sentence: str) -> MetReading | None:
 
 
 def _mda_reading(mda: Any) -> MetReading:
-    """What the meteorological composite tells: bar, °C, per cent; what is no number is not told."""
+    """Return the meteorological composite: bar, °C, per cent; None for a field that is not a number."""
     temperature_c, percent, bar = (number(v) for v in (mda.air_temp, mda.rel_humidity, mda.b_pressure_bar))
     return MetReading(
         temperature_c=temperature_c,
@@ -250,7 +249,7 @@ def _mda_reading(mda: Any) -> MetReading:
 
 
 def number(value: Any) -> float | None:
-    """A field as a finite number; None where it is none."""
+    """Return a field as a finite number; None if it is none."""
     try:
         result = float(value)
     except (TypeError, ValueError):

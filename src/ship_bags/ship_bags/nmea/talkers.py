@@ -1,6 +1,6 @@
-"""Instruments of one kind in one stream: their talkers, and by how much they differ.
+"""Several instruments of one kind in one stream: their talkers, and their differences.
 
-Two receivers or two compasses whose sentences lie in one log, or come by one line, would be mixed on one topic.
+Two receivers or compasses in one log or on one line would be mixed on one topic.
 """
 
 from collections import Counter
@@ -12,11 +12,11 @@ from ship_bags.nmea.sentences import number
 from ship_geometry.rotations import FloatArray
 
 _MOST = 20
-"""Talkers of a kind that are compared; the others are counted as one."""
+"""Maximum number of talkers of a kind that are compared; the others are counted as one."""
 _OTHERS = "others"
 _EARTH_M_PER_DEG = 111_000.0
 _SIMULTANEOUS_NS = 5_000_000_000
-"""Values of two talkers within this time are compared, ns."""
+"""Maximum interval between two values that are compared, ns."""
 
 
 class TalkerComparison:
@@ -28,7 +28,7 @@ class TalkerComparison:
         self._largest: dict[str, float] = {}
 
     def add(self, line: InstrumentLine) -> None:
-        """Take a line that is used."""
+        """Add a line that is used."""
         value = _value(line)
         if value is None or not line.talker:
             return
@@ -41,7 +41,7 @@ class TalkerComparison:
         self._last[line.kind, talker] = line.receive_ns, value
 
     def texts(self, since_ns: int = 0) -> list[str]:
-        """Return a line for each kind of sentence of several talkers since a time, with their largest difference."""
+        """Return a line per kind of sentence with several talkers since a time, with their largest difference."""
         found = []
         for kind, counts in sorted(self._counts.items()):
             recent = [talker for talker in sorted(counts) if self._last[kind, talker][0] >= since_ns]
@@ -59,7 +59,7 @@ class TalkerComparison:
 
 
 def _value(line: InstrumentLine) -> FloatArray | None:
-    """Return a heading or a position, degrees; None of a line that has neither."""
+    """Return a heading or a position, degrees; None for a line that has neither."""
     if line.kind in ("HDT", "THS"):
         heading_deg = number(line.content.heading)
         return None if heading_deg is None else np.array([heading_deg])

@@ -1,7 +1,7 @@
-"""Sentences without a checksum: the whole ones, by the number of their fields and the form of each.
+"""Completeness of sentences without a checksum, by the number of their fields and the form of each.
 
-Half a heading is a heading: ``$HEHDT,21`` may be the beginning of ``$HEHDT,218.0,T``. Without a checksum a sentence is
-therefore used only if the form of its kind has an end that a cut sentence lacks.
+A truncated heading looks valid: ``$HEHDT,21`` may be the beginning of ``$HEHDT,218.0,T``. Therefore a sentence without
+a checksum is used only if its kind has an end that a truncated sentence lacks.
 """
 
 import re
@@ -29,12 +29,12 @@ _FORMS: dict[str, tuple[str, ...]] = {
         _TIME, _NUMBER, "T", _NUMBER, _NUMBER, f"({_NUMBER})?", _SIGMA, _SIGMA, _SIGMA, _DIGIT, _DIGIT,
     ),
 }  # fmt: skip
-"""Kind of a sentence → form of each field behind the name. MDA and XDR have none: their last fields may be void."""
+"""Kind of a sentence → form of each field after the name. MDA and XDR have none: their last fields may be void."""
 
 _PATTERNS = {kind: re.compile(",".join(forms), re.ASCII) for kind, forms in _FORMS.items()}
 
 
 def is_whole(kind: str, text: str) -> bool:
-    """True if a sentence without a checksum has all fields of its kind, each in its form; False for other kinds."""
+    """Return True if a sentence without a checksum has all fields of its kind in their forms; False for other kinds."""
     pattern = _PATTERNS.get(kind)
     return pattern is not None and bool(pattern.fullmatch(text.partition(",")[2]))

@@ -1,5 +1,5 @@
-"""Black boxes: what a node used and gave, in the order of use, written while it runs.
+"""Black boxes: all inputs and outputs of a node in order of use, written while it runs.
 
-The format is known to the offline replay too and imports no ROS; the writer needs rclpy. Of the package the room knows
-the parameter files, the edge and the documents.
+The offline replay uses the format too, which imports no ROS; the writer needs rclpy. Of the package the room uses the
+parameter files, the messages and the documents.
 """

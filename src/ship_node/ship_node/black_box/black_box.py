@@ -1,6 +1,6 @@
-"""The black box of a live node: everything it used and gave, in that order, on the disk within a tenth of a second.
+"""Black box of a live node: all inputs and outputs in order of use, on the disk within a tenth of a second.
 
-The node only puts entries into a queue; a thread writes them, so that a slow disk never holds up the estimate.
+The node only puts entries into a queue; a thread writes them, so that a slow disk never delays the estimate.
 """
 
 import json
@@ -34,19 +34,20 @@ from ship_node.edge.topics import OutputTopic
 from ship_node.parameters.parameter_file import parameter_text
 
 FLUSH_PERIOD_S = 0.07
-"""Period of the flushes, s: with the time that a flush takes, all that is older than 0.1 s is on the disk."""
+"""Flush period, s: with the time of a flush, all data older than 0.1 s are on the disk."""
 
 LONGEST_QUEUE = 50_000
-"""Entries that may wait for a slow disk, about a minute of a node at 200 Hz; further ones are lost, which is told."""
+"""Maximum number of entries waiting for a slow disk, about a minute of a node at 200 Hz; further ones are lost and
+counted."""
 
 LARGEST_QUEUE_BYTES = 64 * 2**20
-"""Bytes of the entries that wait; the files that the node read and wrote are not counted."""
+"""Maximum size of the waiting entries, bytes; files that the node read and wrote do not count."""
 
 RETRY_S = 10.0
-"""Period at which a new file is tried after the disk has failed, s."""
+"""Period of the attempts to open a new file after a failure of the disk, s."""
 
 MOST_BEFORE_TIME = 1000
-"""Entries that are kept while the node has no time yet; of more, the newest are kept."""
+"""Maximum number of entries kept before the node has a time; of more the newest are kept."""
 
 
 class _Message(NamedTuple):
@@ -62,19 +63,19 @@ class _Attachment(NamedTuple):
 
 
 class BlackBox:
-    """One box being written.
+    """Black box being written.
 
     Attributes:
         path: the file; of several the first.
 
     Args:
-        path: the file as the parameter names it; see :func:`ship_node.black_box.box_files.free_path`.
-        adapter: what the node runs.
+        path: path given by the parameter; see :func:`ship_node.black_box.box_files.free_path`.
+        adapter: adapter of the node.
         config: its configuration.
-        outputs: everything that is published.
-        namespace: the node's.
-        on_failure: receives a line when the disk fails, and when a new file goes on.
-        part_bytes: size from which on a new file begins; 0 for never.
+        outputs: all topics that are published.
+        namespace: namespace of the node.
+        on_failure: called with a line when the disk fails, and when a new file continues.
+        part_bytes: size at which a new file begins; 0 for never.
 
     Raises:
         BadInput: the file cannot be made.
@@ -111,13 +112,13 @@ class BlackBox:
         self._thread.start()
 
     def put(self, topic: str, data: bytes, time_ns: int, waiting_ns: int | None = None) -> None:
-        """Note a message used or published.
+        """Record a message used or published.
 
         Args:
             topic: relative name.
             data: its CDR bytes.
-            time_ns: the node's time; 0 before the first /clock: it then gets the time of the first entry that has one.
-            waiting_ns: the time of waiting; None where it is the same.
+            time_ns: the node time; 0 before the first /clock: it then gets the time of the first entry that has one.
+            waiting_ns: timeout-clock time; None if it is equal.
         """
         if time_ns == 0:
             if len(self._before_time) >= MOST_BEFORE_TIME:
@@ -134,11 +135,11 @@ class BlackBox:
         self._append(_Message(topic, data, time_ns, time_ns if waiting_ns is None else waiting_ns))
 
     def put_event(self, event: Event, time_ns: int, waiting_ns: int | None = None) -> None:
-        """Note an event; the times are those of :meth:`put`."""
+        """Record an event; the times are those of :meth:`add`."""
         self.put(EVENTS_TOPIC, _event_data(event), time_ns, waiting_ns)
 
     def put_file(self, use: FileUse, time_ns: int) -> None:
-        """Note a file read or written, with its content."""
+        """Record a file read or written, with its content."""
         name = None
         if use.content is not None:
             self._file_count += 1
@@ -147,9 +148,9 @@ class BlackBox:
         self.put_event(FileUsed(use.path, use.written, name, use.error), time_ns)
 
     def status(self) -> DiagnosticStatus:
-        """How the box does."""
+        """Return the status of the black box."""
         if self._failure:
-            text = f"{self._files.last_path}: writing ended: {self._failure}; a new file is tried every {RETRY_S:g} s"
+            text = f"{self._files.last_path}: writing failed: {self._failure}; a new file is tried every {RETRY_S:g} s"
             return DiagnosticStatus("black box", Level.ERROR, text)
         values = {"bytes": str(self._files.whole_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
         if self._lost:
@@ -158,12 +159,12 @@ class BlackBox:
         return DiagnosticStatus("black box", Level.OK, f"writing {self._files.last_path}", values)
 
     def close(self) -> None:
-        """Write what is left and finish the file; a second time does nothing."""
+        """Write the remaining entries and finish the file; a second call does nothing."""
         if self._stopping.is_set():
             return
         self._stopping.set()
         self._thread.join()
-        # Where the node never had a time, the entries that wait for one are written now.
+        # If the node never had a time, the entries waiting for it are written now.
         self.put_event(Closed(), max(self._last_ns, 1))
         self._guarded(self._write_all)
         self._guarded(self._files.close)
@@ -191,7 +192,7 @@ class BlackBox:
             self._guarded(self._write_all)
 
     def _write_all(self) -> None:
-        """Bring what waits onto the disk."""
+        """Write the waiting entries to the disk."""
         count = len(self._queue)
         for _ in range(count):
             entry = self._queue.popleft()
@@ -207,13 +208,16 @@ class BlackBox:
             self._unflushed = 0
 
     def _write_loss(self, entry: _Message) -> None:
-        """Note before an entry what was lost since the disk failed."""
+        """Record before an entry the number of entries lost since the disk failed."""
         if self._lost_by_failure:
             lost, self._lost_by_failure = _event_data(EntriesLost(self._lost_by_failure)), 0
             self._files.write(EVENTS_TOPIC, lost, entry.time_ns, entry.waiting_ns)
 
     def _guarded(self, write: Callable[[], None]) -> None:
-        """Write; after a failure, which does not end the node, entries are lost until a new file takes them."""
+        """Call a write function; a failure does not end the node.
+
+        After a failure entries are lost until a new file is open.
+        """
         if self._failure and not self._has_new_file():
             self._drop()
             return
@@ -225,12 +229,12 @@ class BlackBox:
             self._files.cut()
             self._drop()
             self._on_failure(
-                f"black box {self._files.last_path}: writing ended: {self._failure}; it is whole up to the last flush,"
-                f" and a new file is tried every {RETRY_S:g} s"
+                f"black box {self._files.last_path}: writing failed: {self._failure}; it is complete up to the last "
+                f"flush, and a new file is tried every {RETRY_S:g} s"
             )
 
     def _has_new_file(self) -> bool:
-        """Try to go on in a new file; True if it could be made."""
+        """Try to continue in a new file; return True if it could be made."""
         if time.monotonic() < self._retry_s:
             return False
         try:
@@ -239,11 +243,11 @@ class BlackBox:
             self._retry_s = time.monotonic() + RETRY_S
             return False
         self._failure = ""
-        self._on_failure(f"black box goes on in {self._files.last_path}: {self._lost_by_failure} entries were lost")
+        self._on_failure(f"black box continues in {self._files.last_path}: {self._lost_by_failure} entries were lost")
         return True
 
     def _drop(self) -> None:
-        """Count as lost what waits, and what was written since the last flush."""
+        """Count the waiting entries and those written since the last flush as lost."""
         count = len(self._queue)
         for _ in range(count):
             entry = self._queue.popleft()

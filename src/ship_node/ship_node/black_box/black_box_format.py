@@ -1,9 +1,9 @@
-"""What stands in a black box besides the messages: the events of a node, and the names of everything.
+"""Format of a black box: the events of a node besides the messages, and all names.
 
-A box is an MCAP bag. Inputs lie in it under their own topics, outputs under theirs, events as JSON text on
-:data:`EVENTS_TOPIC`; the order in the file is the order of use, and what a use led to follows it. The sequence numbers
-count all of them from 1. The log time is the node's time of the use, which may go back; the publish time is the time of
-waiting (:class:`ship_node.edge.adapter.Adapter`).
+A black box is an MCAP bag. Inputs and outputs have their own topics; events are JSON texts on :data:`EVENTS_TOPIC`. The
+order in the file is the order of use, and the results of a use follow it. The sequence numbers count all entries from
+1. The log time is the node time of the use, which may go back; the publish time is the timeout-clock time
+(:class:`ship_node.edge.adapter.Adapter`).
 """
 
 from collections.abc import Mapping
@@ -15,32 +15,33 @@ from ship_bags.renamed_topics import BOX_METADATA
 from ship_node.edge.overload import Overload
 
 FORMAT = "2"
-"""Version of this description."""
+"""Version of this format."""
 
 EVENTS_TOPIC = "black_box/events"
 EVENTS_TYPE = "std_msgs/msg/String"
 METADATA = BOX_METADATA
-"""Metadata record with the entries ``format``, ``node``, ``namespace``, and ``box`` (the same in all files of a box),
-``part`` (from 1) and ``first`` (name of the first file), which boxes of one file alone may lack."""
+"""Name of the metadata record with the entries ``format``, ``node``, ``namespace``, ``box`` (the same in all files of a
+black box), ``part`` (from 1) and ``first`` (name of the first file). The last three may be missing in a black box of
+one file."""
 
 VERSIONS_ATTACHMENT = "versions.json"
-"""Attachment with :func:`ship_node.black_box.versions.versions`; that with the parameters is
+"""Attachment with :func:`ship_node.black_box.versions.versions`; the parameters are in
 :data:`ship_bags.mcap.bag_writer.SUITE_ATTACHMENT`."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """The adapter was ticked."""
+    """Tick of the adapter."""
 
 
 @dataclass(frozen=True)
 class ClockJumpedBack:
-    """The adapter was told that the clock went back."""
+    """The clock went back, reported to the adapter."""
 
 
 @dataclass(frozen=True)
 class Contested:
-    """The adapter was told that two publishers send on an input topic; an empty text: that they do no more."""
+    """Two publishers send on an input topic, reported to the adapter; an empty text: no longer."""
 
     topic: str
     text: str
@@ -48,16 +49,16 @@ class Contested:
 
 @dataclass(frozen=True)
 class ClockStepped:
-    """The computer's clock was set by ``step_ns`` against a steady clock; the log time is by the clock as it is set."""
+    """The computer's clock was set by ``step_ns`` against a steady clock; the log time is that after the step."""
 
     step_ns: int
 
 
 @dataclass(frozen=True)
 class ParametersChanged:
-    """Live parameters were given to the adapter, dotted name → value.
+    """Live parameters, dotted name → value, passed to the adapter.
 
-    ``refused`` is its reason to refuse them, None where it took them.
+    ``refused`` is the reason of its refusal; None if it applied them.
     """
 
     changes: Mapping[str, Any]
@@ -66,7 +67,7 @@ class ParametersChanged:
 
 @dataclass(frozen=True)
 class ChangeRefused:
-    """The node refused live parameters, dotted name → value, before the adapter was asked."""
+    """Live parameters, dotted name → value, refused by the node without calling the adapter."""
 
     changes: Mapping[str, Any]
     reason: str
@@ -74,7 +75,7 @@ class ChangeRefused:
 
 @dataclass(frozen=True)
 class ServiceCalled:
-    """A service was called, with its answer; None where it raised."""
+    """Service call with its answer; None if it raised."""
 
     name: str
     success: bool | None
@@ -83,13 +84,13 @@ class ServiceCalled:
 
 @dataclass(frozen=True)
 class FileUsed:
-    """The adapter read or wrote a file, during its construction or the use that follows.
+    """File read or written by the adapter, during its construction or the use that follows.
 
     Attributes:
-        path: as the adapter named it.
-        written: whether it was written, not read.
-        attachment: name of the attachment that holds the content; None where it failed.
-        error: error number (errno) where it failed.
+        path: path given by the adapter.
+        written: True if it was written, False if it was read.
+        attachment: name of the attachment with the content; None if the operation failed.
+        error: error number (errno) if the operation failed.
     """
 
     path: str
@@ -100,14 +101,14 @@ class FileUsed:
 
 @dataclass(frozen=True)
 class EntriesLost:
-    """The disk was too slow or full: so many entries are missing here."""
+    """Number of entries missing here because the disk was too slow or full."""
 
     count: int
 
 
 @dataclass(frozen=True)
 class Closed:
-    """The node ended in order; a box without it ends suddenly."""
+    """Regular end of the node; without it the black box ends abruptly."""
 
 
 Event = (
@@ -141,18 +142,18 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 
 def event_text(event: Event) -> str:
-    """The event as it lies in the box."""
-    import json  # only a node that keeps a box needs it
+    """Return an event as text."""
+    import json  # needed for black boxes only
 
-    # A value that was refused may be of any type, bytes too.
+    # A refused value may be of any type, also bytes.
     return json.dumps({"event": _NAMES[type(event)], **asdict(event)}, default=repr)
 
 
 def event_from_text(text: str) -> Event:
-    """The event of a text.
+    """Return the event of a text.
 
     Raises:
-        BadInput: it is none.
+        BadInput: the text is not an event.
     """
     import json
 
@@ -160,4 +161,4 @@ def event_from_text(text: str) -> Event:
         fields = json.loads(text)
         return _KINDS[fields.pop("event")](**fields)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise BadInput(f"'{text:.100}' on {EVENTS_TOPIC} is no event of a black box") from error
+        raise BadInput(f"'{text:.100}' on {EVENTS_TOPIC} is not an event of a black box") from error

@@ -1,7 +1,7 @@
-"""The files of a black box: the first, and a further one whenever that is full or the disk takes data again.
+"""Files of a black box: the first one, and a further one when the last is full or the disk works again.
 
-A further file, ``NAME.part2.mcap`` and so on, lies beside the first and has the head of a box, too, so that it can be
-read by itself. The reader of bags reads all of them as one when the first is opened.
+A further file, ``NAME.part2.mcap`` and so on, lies next to the first one. It starts with the same header, so that it
+can be read by itself. The bag reader reads all of them as one when the first is opened.
 """
 
 import re
@@ -19,7 +19,7 @@ from ship_node.edge.topics import OutputTopic
 
 
 class BoxHead(NamedTuple):
-    """The beginning of each file of a box: names, parameters and versions as texts, and all topics."""
+    """Header of each file of a black box: names, parameters and versions as texts, and all topics."""
 
     node: str
     namespace: str
@@ -29,17 +29,17 @@ class BoxHead(NamedTuple):
 
 
 class BoxFiles:
-    """The files of one box, of which the last is being written.
+    """Files of one black box, of which the last is being written.
 
     Attributes:
         path: the first file.
-        last_path: the file that is being written.
-        count: entries written so far, in all files; each entry has its number.
+        last_path: the file being written.
+        count: number of entries written, in all files; each entry has its number.
 
     Args:
-        path: as the parameter names it; see :func:`free_path`.
-        head: with what each file begins.
-        part_bytes: size from which on a file is full; 0 for never.
+        path: path given by the parameter; see :func:`free_path`.
+        head: header of each file.
+        part_bytes: size at which a file is full; 0 for never.
 
     Raises:
         BadInput: the first file cannot be made.
@@ -60,7 +60,7 @@ class BoxFiles:
         return self._writer.whole_bytes
 
     def write(self, topic: str, data: bytes, time_ns: int, waiting_ns: int) -> None:
-        """Add an entry. Those of all topics are counted together: one that is missing shows at the next one."""
+        """Add an entry. Entries of all topics are numbered together: a missing one shows at the next one."""
         self.count += 1
         self._writer.write_raw(topic, self._types[topic], data, time_ns, waiting_ns, self.count)
 
@@ -69,7 +69,7 @@ class BoxFiles:
         self._writer.add_attachment(name, content, "application/octet-stream")
 
     def flush(self) -> None:
-        """Bring all of it onto the disk, and begin a new file where the last one is full."""
+        """Write everything to the disk, and begin a new file if the last one is full."""
         self._writer.flush()
         if self._part_bytes and self._writer.whole_bytes >= self._part_bytes:
             full = self._writer
@@ -80,7 +80,7 @@ class BoxFiles:
         """Begin a new file.
 
         Raises:
-            OSError, BadInput: it cannot be made; nothing is left of the attempt.
+            OSError, BadInput: it cannot be made; no part of it is left.
         """
         number = self._part + 1
         while (path := self.path.with_name(f"{self.path.stem}.part{number}.mcap")).exists():
@@ -97,7 +97,7 @@ class BoxFiles:
         self._writer, self.last_path = writer, path
 
     def cut(self) -> None:
-        """Give the last file up after a failed write: it is whole up to its last flush."""
+        """Give up the last file after a failed write: it stays valid up to its last flush."""
         self._writer.cut()
 
     def close(self) -> None:
@@ -116,7 +116,7 @@ class BoxFiles:
 
 
 def free_path(path: Path) -> Path:
-    """The path itself, or with the number after all that are there: ``box.mcap``, ``box_2.mcap``, ``box_3.mcap``."""
+    """Return the path, or one with the next free number: ``box.mcap``, ``box_2.mcap``, ``box_3.mcap``."""
     pattern = re.compile(re.escape(path.stem) + r"_(\d+)" + re.escape(path.suffix))
     matches = [pattern.fullmatch(other.name) for other in path.parent.iterdir()]
     newest = max((int(match[1]) for match in matches if match), default=1 if path.exists() else 0)
@@ -124,7 +124,7 @@ def free_path(path: Path) -> Path:
 
 
 def _open(text: str, node_name: str) -> BagWriter:
-    """A new file for a box at a path, or of the node's name in a folder."""
+    """Open a new file at a path, or one with the node's name in a folder."""
     path = Path(text)
     if text.endswith("/") or path.is_dir():
         path = path / f"{node_name}.mcap"
@@ -149,6 +149,6 @@ def _writer(path: Path) -> BagWriter:
 
 
 def _unusable(path: str, reason: str) -> BadInput:
-    """The parameter names a place where no box can be written."""
+    """Return the error about a path where no black box can be written."""
     name = BLACK_BOX_PARAMETER
     return BadInput(f"parameter '{name}' = '{path}': {reason}", parameters=(name,), value=path)

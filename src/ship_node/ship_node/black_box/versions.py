@@ -1,4 +1,4 @@
-"""The versions of everything that must be the same for the same bits: a black box holds them."""
+"""Versions of all software that bit-identical results depend on, for the black box."""
 
 import platform
 from collections.abc import Iterable
@@ -6,14 +6,14 @@ from importlib import metadata
 from typing import Any
 
 SUITE_PACKAGES = "ship_msgs", "ship_geometry", "ship_estimation", "ship_node"
-"""Packages of the suite whose code every node's numbers go through; ``ship_bags`` only carries them."""
+"""Packages of the suite that compute numbers of every node; ``ship_bags`` only transports them."""
 
 LIBRARIES = "numpy", "rclpy", "mcap"
-"""Libraries whose versions a box holds."""
+"""Libraries whose versions a black box contains."""
 
 
 def versions(own_package: str, type_hashes: dict[str, str]) -> dict[str, Any]:
-    """The versions of everything that must be the same for the same bits.
+    """Return the versions of all software that bit-identical results depend on.
 
     Args:
         own_package: package of the node.
@@ -29,7 +29,7 @@ def versions(own_package: str, type_hashes: dict[str, str]) -> dict[str, Any]:
 
 
 def package_versions(names: Iterable[str]) -> dict[str, str]:
-    """Package → version, "unknown" where it was not installed as a package."""
+    """Return package → version; "unknown" if it was not installed as a package."""
     return {name: _version(name) for name in names}
 
 

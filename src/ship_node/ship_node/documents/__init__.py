@@ -1,4 +1,4 @@
-"""Files that outlast a run: what a node saves for its next start, and figures and pages for people.
+"""Persistent files: documents saved for a node's next start, figures and pages.
 
-The lowest room of the package: it imports no other, and no ROS.
+The lowest room of the package: it imports no other one, and no ROS.
 """

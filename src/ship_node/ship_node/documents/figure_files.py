@@ -1,4 +1,7 @@
-"""The figures of a study as PNG, in one style. Import it late: loading matplotlib takes longer than most studies."""
+"""Figures of a study as PNG files, in one style.
+
+Import it late: loading matplotlib takes longer than most studies.
+"""
 
 import io
 from collections.abc import Iterable
@@ -16,7 +19,7 @@ from ship_bags.output_files import write_whole
 from ship_geometry.rotations import FloatArray
 
 _STYLE = {
-    "text.parse_math": False,  # a name with $ is a name
+    "text.parse_math": False,  # names may contain $
     "font.size": 11,
     "axes.titlesize": 11.5,
     "axes.grid": True,
@@ -30,17 +33,17 @@ _STYLE = {
 
 
 MOST_ROWS = 60
-"""Rows of a figure, one for each source or name: tables have all of them."""
+"""Maximum number of rows of a figure, one per source or name; tables have all of them."""
 
 _LONGEST_NAME = 40
-"""Letters of a name beside an axis: more would leave no room for what is drawn."""
+"""Maximum length of a name at an axis, characters: longer ones leave no room for the drawing."""
 
 _SETTLED = 3.0
-"""A start is over when sigma has come down to this many times what it is at its best."""
+"""Ratio of sigma to its best value below which the start is over."""
 
 
 def settled(sigma: FloatArray) -> slice:
-    """The part of a course that a figure is scaled by: all but the start, when little was known yet.
+    """Return the part of a time series that scales a figure: all but the start, with its large uncertainty.
 
     Args:
         sigma: predicted, in order of time, shape (n,); NaN where none was given.
@@ -48,21 +51,21 @@ def settled(sigma: FloatArray) -> slice:
     known = sigma[np.isfinite(sigma)]
     if not len(known):
         return slice(None)
-    # The least tenth and not the minimum, which sigma may have had for a moment only.
+    # The tenth percentile, because sigma may reach its minimum for a short time only.
     return slice(int(np.argmax(sigma <= _SETTLED * np.percentile(known, 10.0))), None)
 
 
 def short_name(name: str) -> str:
-    """Return a name as a figure has room for it; tables have all of it."""
+    """Return a name shortened for a figure; tables have the full name."""
     return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
 
 
 def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[str, Path]:
-    """Write figures into a folder that exists, each drawn when its turn comes.
+    """Write figures into an existing folder, one after the other.
 
     Args:
         figures: names and figures; drawn in the style while iterated over.
-        folder: where ``NAME.png`` go.
+        folder: folder for ``NAME.png``.
 
     Returns:
         The files by the figures' names.
@@ -71,7 +74,7 @@ def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[s
     with plt.rc_context(_STYLE):
         for name, figure in figures:
             files[name] = folder / f"{name}.png"
-            # Without the version of matplotlib the same study gives the same file.
+            # No version of matplotlib in the metadata: the same study gives the same file.
             content = io.BytesIO()
             figure.savefig(content, format="png", dpi=110, metadata={"Software": None})
             write_whole(files[name], content.getvalue())

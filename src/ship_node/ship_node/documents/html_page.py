@@ -1,4 +1,4 @@
-"""Pieces of the HTML pages that studies write, one self-contained file each: style, tables, embedded figures."""
+"""Parts of the HTML pages of studies, one self-contained file each: style, tables, embedded figures."""
 
 import base64
 from collections.abc import Iterable, Sequence
@@ -35,15 +35,15 @@ table.groups th:nth-child(3n+2), table.groups td:nth-child(3n+2) { border-left: 
 dd { margin: 0 0 0.5rem 1.2rem; }
 @media print { body { font-size: 11pt; max-width: none; } img, table { break-inside: avoid; } }
 """
-"""What stands between the tags of the style."""
+"""Content of the style element."""
 
 
 def image(path: Path, words: str, style: str = "wide") -> str:
-    """A PNG file, embedded.
+    """Return an img element with an embedded PNG file.
 
     Args:
         path: the file.
-        words: what it shows, for those who cannot see it.
+        alt_text: alternative text.
         style: ``wide`` or ``small``.
     """
     data = base64.b64encode(path.read_bytes()).decode("ascii")
@@ -51,25 +51,25 @@ def image(path: Path, words: str, style: str = "wide") -> str:
 
 
 def folded(title: str, content: str, is_open: bool = False) -> str:
-    """A part of a page that a click on its title opens and closes."""
+    """Return a part of a page that a click on its title opens and closes."""
     return f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{content}</details>"
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]], last_is_sum: bool = False, style: str = "") -> str:
-    """A table of texts.
+    """Return a table of texts.
 
     Args:
-        header: of its columns.
+        header: titles of its columns.
         rows: its cells.
-        last_is_sum: whether the last row is the sum of the others.
-        style: ``words`` where the second column has words, ``groups`` where every three columns belong together.
+        last_is_sum: True if the last row is the sum of the others.
+        style: ``words`` if the second column has texts, ``groups`` if every three columns belong together.
     """
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
     return f'<table class="{style}"><thead><tr>{head}</tr></thead>{table_body(rows, last_is_sum)}</table>'
 
 
 def table_body(rows: Iterable[Sequence[str]], last_is_sum: bool) -> str:
-    """The rows of a table whose head is special; the arguments are those of :func:`table`."""
+    """Return the body of a table with a special header; arguments as in :func:`table`."""
     lines = ["<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
     if last_is_sum:
         lines[-1] = lines[-1].replace("<tr>", '<tr class="sum">')
@@ -77,7 +77,7 @@ def table_body(rows: Iterable[Sequence[str]], last_is_sum: bool) -> str:
 
 
 def arcsec_texts(values: FloatArray, digits: int = 2) -> list[str]:
-    """Numbers of a table, shape (n,); a dash for NaN."""
-    # Adding zero takes the sign from a rounded zero.
+    """Return numbers as texts for a table, shape (n,); a dash for NaN."""
+    # Adding zero removes the sign of a rounded zero.
     texts = ("–" if np.isnan(value) else f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)
     return [text.replace("-", "−") for text in texts]

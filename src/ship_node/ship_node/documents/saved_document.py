@@ -1,8 +1,8 @@
-"""The files that an adapter reads and writes while it runs, and the documents that a node saves for its next start.
+"""Files that an adapter reads and writes while it runs, and documents that a node saves for its next start.
 
-What a node reads is an input like any message: a replay must be given the same bytes. So an adapter reads and writes
-through :class:`Files` alone, where a black box can note each use. A saved document is YAML that people can read, with
-format and version.
+A file that a node reads is an input like any message: a replay must get the same bytes. Therefore an adapter reads and
+writes only through :class:`Files`, where a black box can record each use. A saved document is readable YAML with format
+and version.
 """
 
 import errno
@@ -23,7 +23,7 @@ from ship_bags.stamps import END_OF_TIME_NS
 from ship_bags.yaml_text import plain_data
 
 LONGEST_FILE_BYTES = 16_000_000
-"""A saved alignment or calibration has some ten thousand."""
+"""Maximum size of a file, bytes; a saved alignment or calibration has some ten thousand."""
 
 _ROUNDING = 1e-6
 
@@ -33,13 +33,13 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class FileUse:
-    """One file read or written.
+    """File read or written once.
 
     Attributes:
-        path: as the adapter named it.
-        written: whether it was written or set aside, not read.
-        content: the bytes; of a file set aside its new path; None where it failed.
-        error: error number (errno) where it failed.
+        path: path given by the adapter.
+        written: True if it was written or set aside, False if it was read.
+        content: the bytes; of a file set aside its new path; None if the operation failed.
+        error: error number (errno) if the operation failed.
     """
 
     path: str
@@ -49,29 +49,29 @@ class FileUse:
 
 
 class Files(Protocol):
-    """What an adapter may do with files; a failure is an OSError."""
+    """File operations of an adapter; a failure is an OSError."""
 
     def read(self, path: Path) -> bytes:
-        """The whole content."""
+        """Return the whole content."""
         ...
 
     def write(self, path: Path, content: bytes) -> None:
-        """Write a file that is either the old or the new one, never a part; folders are made."""
+        """Write a file atomically: it is either the old or the new one. Missing folders are made."""
         ...
 
     def set_aside(self, path: Path) -> Path:
-        """Rename a file that cannot be used, so that it stays and another one can take its place; return its new path.
+        """Rename an unusable file, so that it is kept and a new one can be written; return its new path.
 
-        The new name ends with ``.unreadable``, or ``.unreadable.2`` and so on where such a file is there already.
+        The new name ends with ``.unreadable``, or ``.unreadable.2`` and so on if such a file exists.
         """
         ...
 
 
 class DiskFiles:
-    """The files themselves."""
+    """Files on the disk."""
 
     def read(self, path: Path) -> bytes:
-        """See :meth:`Files.read`; a file longer than anything that is saved is an OSError, too."""
+        """See :meth:`Files.read`; a file longer than :data:`MAX_FILE_BYTES` is an OSError, too."""
         try:
             check_regular(path)
             with path.open("rb") as stream:
@@ -101,24 +101,24 @@ class DiskFiles:
 
 
 class UntouchedFiles(DiskFiles):
-    """The files themselves, read as they are and never changed: what is written is forgotten.
+    """Files on the disk, never changed: written content is discarded.
 
-    Whoever runs an adapter to see what it would do, as a replay does, must not replace what a ship has saved.
+    A program that runs an adapter without being the node, such as a replay, must not replace a ship's saved documents.
     """
 
     def write(self, path: Path, content: bytes) -> None:
-        """See :meth:`Files.write`: nothing happens."""
+        """See :meth:`Files.write`; does nothing."""
 
     def set_aside(self, path: Path) -> Path:
-        """See :meth:`Files.set_aside`: nothing happens; the path is that which a node would use."""
+        """See :meth:`Files.set_aside`; returns the path that a node would use, without renaming."""
         return _free_name(path)
 
 
 class NotedFiles:
-    """The files themselves, each use noted.
+    """Files on the disk, with a record of each use.
 
     Attributes:
-        uses: in order; whoever takes them clears the list.
+        uses: in order; the reader of the list clears it.
     """
 
     def __init__(self) -> None:
@@ -160,14 +160,14 @@ DISK, UNTOUCHED = DiskFiles(), UntouchedFiles()
 
 @dataclass(frozen=True)
 class SavedFormat(Generic[Content]):
-    """A kind of saved document.
+    """Format of a saved document.
 
     Attributes:
         format: first line of the file.
-        version: of its layout; no other is read.
-        what: "alignment", "calibration": for messages.
-        document: what is written of a content.
-        content: what a document says; a ValueError names the section that cannot be used.
+        version: version of the layout; no other is read.
+        kind_name: "alignment", "calibration": for texts.
+        document: converts a content to a document.
+        content: converts a document to a content; a ValueError names the section that cannot be used.
     """
 
     format: str
@@ -177,7 +177,7 @@ class SavedFormat(Generic[Content]):
     content: Callable[[dict[str, Any]], Content]
 
     def save(self, path: Path, content: Content, files: Files = DISK) -> bytes:
-        """Write a document; the file is either the old one or the new one, never a part. Returns what was written.
+        """Write a document atomically; return what was written.
 
         Raises:
             BadInput: the file cannot be written.
@@ -194,12 +194,12 @@ class SavedFormat(Generic[Content]):
         """Read a document.
 
         Raises:
-            BadInput: names the file and what is wrong with it.
+            BadInput: names the file and the error.
         """
         return self.parsed(path, self.read_at(path, files))
 
     def read_at(self, path: Path, files: Files = DISK) -> bytes:
-        """The bytes of a document.
+        """Return the bytes of a document.
 
         Raises:
             BadInput: the file cannot be read.
@@ -210,7 +210,11 @@ class SavedFormat(Generic[Content]):
             raise self._unreadable(path, error) from error
 
     def written_at(self, path: Path, files: Files = DISK) -> bytes | None:
-        """As :meth:`read_at`; None where there is no such file."""
+        """Return the bytes of a document; None if the file does not exist.
+
+        Raises:
+            BadInput: the file cannot be read.
+        """
         try:
             return files.read(path)
         except (FileNotFoundError, NotADirectoryError):
@@ -222,15 +226,15 @@ class SavedFormat(Generic[Content]):
         return BadInput(f"the {self.what} cannot be read: {open_refusal(error.errno or errno.EIO)}", file=path)
 
     def parsed(self, path: Path, written: bytes) -> Content:
-        """What the bytes of a document say.
+        """Return the content of a document's bytes.
 
         Raises:
-            BadInput: names the file and what is wrong with it.
+            BadInput: names the file and the error.
         """
         try:
             document = plain_data(str(path), written.decode())
         except UnicodeDecodeError as error:
-            raise BadInput(f"not a text in UTF-8: {error.reason} at byte {error.start}", file=path) from error
+            raise BadInput(f"not UTF-8 text: {error.reason} at byte {error.start}", file=path) from error
         article = "an" if self.what[0] in "aeiou" else "a"
         if not isinstance(document, dict) or document.get("format") != self.format:
             raise BadInput(f"not {article} {self.what}: expected 'format: {self.format}'", file=path)
@@ -240,11 +244,11 @@ class SavedFormat(Generic[Content]):
         try:
             return self.content(document)
         except ValueError as error:
-            raise BadInput(f"the {self.what} cannot be used: {error}; save it anew", file=path) from error
+            raise BadInput(f"the {self.what} cannot be used: {error}; save it again", file=path) from error
 
 
 def section(document: dict[str, Any], key: str, read: Callable[[Any], Value]) -> Value:
-    """One section of a document.
+    """Return one section of a document.
 
     Raises:
         ValueError: names the section that is missing or cannot be read.
@@ -260,10 +264,10 @@ def section(document: dict[str, Any], key: str, read: Callable[[Any], Value]) ->
 
 
 def stamp_ns(value: Any) -> int:
-    """A time in nanoseconds.
+    """Return a time, ns.
 
     Raises:
-        ValueError: it is none that a message can carry.
+        ValueError: it is not a time that a stamp can represent.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < END_OF_TIME_NS:
         raise ValueError("expected a whole number of nanoseconds since 1970")
@@ -271,7 +275,7 @@ def stamp_ns(value: Any) -> int:
 
 
 def texts(values: Mapping[Any, Any]) -> dict[str, str]:
-    """Texts by name.
+    """Return texts by name.
 
     Raises:
         ValueError: one is a list or a group.
@@ -283,10 +287,10 @@ def texts(values: Mapping[Any, Any]) -> dict[str, str]:
 
 
 def finite_numbers(values: dict[str, Any]) -> dict[str, float]:
-    """Numbers by name.
+    """Return finite numbers by name.
 
     Raises:
-        ValueError: one is NaN, infinite or no number.
+        ValueError: one is NaN, infinite or not a number.
     """
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(float(value)):
@@ -295,7 +299,7 @@ def finite_numbers(values: dict[str, Any]) -> dict[str, float]:
 
 
 def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float64]:
-    """A covariance of numbers in different units, shape (size, size).
+    """Return a covariance of quantities in different units, shape (size, size).
 
     Raises:
         ValueError: wrong shape, not finite, not symmetric or not positive semidefinite.
@@ -305,7 +309,7 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
     covariance = np.array(rows, dtype=float)
     if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
         raise ValueError(f"shape {covariance.shape}: expected {size} x {size} finite numbers")
-    # In sigmas, because angles are far smaller numbers than seconds; what is held fixed has none.
+    # Relative to the sigmas, because angles are far smaller numbers than seconds; a fixed quantity has sigma 0.
     sigma = np.sqrt(np.abs(np.diagonal(covariance)))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     correlation = covariance / np.outer(scale, scale)
@@ -317,11 +321,11 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
 
 
 def _free_name(path: Path) -> Path:
-    """Return the first name for a file set aside that is not taken."""
+    """Return the first free name for a file that is set aside."""
     names = (path.with_name(f"{path.name}.unreadable{number}") for number in ("", *(f".{n}" for n in range(2, 100))))
     return next((name for name in names if not os.path.lexists(name)), path.with_name(f"{path.name}.unreadable"))
 
 
 def _plain(number: int, path: Path) -> OSError:
-    """The error as a replay of the black box will raise it, which knows only its number."""
+    """Return the error as a replay of the black box will raise it, which has only its number."""
     return OSError(number, os.strerror(number), str(path))

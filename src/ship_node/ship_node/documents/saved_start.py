@@ -1,4 +1,4 @@
-"""The saved document that a node starts from, and what people are told of it."""
+"""Saved document that a node starts from, and the remarks for the user about it."""
 
 import errno
 from collections.abc import Callable, Mapping
@@ -12,31 +12,31 @@ from ship_bags.errors import BadInput
 from ship_node.documents.saved_document import Files, SavedFormat
 
 _WORSE = 1.1
-"""A sigma that is larger than another one by this factor is worse: by less it wavers with the stars in view."""
+"""Ratio of a sigma to another one above which it counts as worse; smaller changes depend on the stars in view."""
 
 _NO_START = (
-    *(errno.EISDIR, errno.ESPIPE),  # the path is meant otherwise
-    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # the next start may have them
+    *(errno.EISDIR, errno.ESPIPE),  # the path is wrong
+    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # lack of resources, maybe temporary
 )
 """Errors for which a node does not start."""
 
 _NEVER_READABLE = (errno.EFBIG, errno.ELOOP)
-"""Errors for which a file is set aside, as for its content. All others say nothing of the file: it may be good."""
+"""Errors for which a file is set aside, as for a bad content. After any other error the file may be good."""
 
 _NEVER_NS = 1 << 62
-"""Later than any time, ns."""
+"""Time that is never reached, ns."""
 
 
 class Saved(Protocol):
-    """What a node starts from: an alignment, a calibration."""
+    """Content that a node starts from: an alignment, a calibration."""
 
     @property
     def time_ns(self) -> int:
-        """Stamp of the newest data in it, ns; 0 where there is none."""
+        """Stamp of the newest data in it, ns; 0 if there is none."""
         ...
 
     def sigmas(self) -> Mapping[str, npt.NDArray[np.float64]]:
-        """Standard deviations of each quantity, in its own units, by a name that says of which device it is."""
+        """Return the standard deviations of each quantity, in its own units, by a name that contains the device."""
         ...
 
 
@@ -44,25 +44,25 @@ Prior = TypeVar("Prior", bound=Saved)
 
 
 class SavedStart(Generic[Prior]):
-    """The saved document that a node starts from: read when the node is made, used as soon as there is a time.
+    """Saved document that a node starts from: read when the node is made, used as soon as there is a time.
 
     Args:
         kind: the format.
         path: of the file; empty for none.
-        files: where it is read and written.
-        start_from: gives the core a content at a time in ns, and returns remarks for the operator.
-        to_save: what the core has to save; None where it has nothing yet.
-        nothing: why it has nothing, for people.
+        files: file operations.
+        start_from: starts the core from a content at a time in ns; returns remarks for the operator.
+        content_to_save: returns the content to save; None if there is none yet.
+        nothing_text: why there is none, for the user.
 
     Attributes:
-        notices: what a log should tell, until somebody has taken it.
-        messages: what the core said of the content that it started from.
-        trouble: why the node does not save by itself at the moment; empty where it does.
-        unreadable: why the file was set aside or cannot be read, until one is saved or read; empty where it can.
-        is_due: whether a content was read and the core has not been given it yet.
+        notices: lines for the log, until they are taken.
+        messages: remarks of the core on the content that it started from.
+        autosave_problem: why automatic saving fails at present; empty if it works.
+        unreadable_reason: why the file was set aside or cannot be read, until one is saved or read; empty otherwise.
+        is_pending: True if a content was read and not yet passed to the core.
 
     Raises:
-        BadInput: the path names a folder, a pipe or a device; or the computer has no file descriptors or memory.
+        BadInput: the path is a folder, a pipe or a device; or the computer has no file descriptors or memory.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class SavedStart(Generic[Prior]):
         self.messages: list[str] = []
         self.trouble = self.unreadable = ""
         self._is_in_the_way = False
-        # The bytes of the file that the core's state has grown out of; None where it has grown out of none.
+        # Bytes of the file from which the core's state has developed; None if there is none.
         self._origin: bytes | None = None
         self._saved_ns = 0
         self._looked_ns: int | None = None
@@ -90,20 +90,20 @@ class SavedStart(Generic[Prior]):
             self.notices.append(f"no {kind.what} at {path} yet: the filter starts as configured")
 
     def start(self, now_ns: int) -> None:
-        """Give the core what was read when the node was made; its age is judged by the time now, ns."""
+        """Pass the content that was read to the core; its age is relative to the current time, ns."""
         content, self._content, self.is_due = self._content, None, False
         if content is not None:
             self._give(content, now_ns)
 
     def restarted(self) -> None:
-        """Take note that the core has forgotten what it measured: the file may know more than the core now."""
+        """Record that the core was reset: the file may now contain more than the core."""
         self._origin, self._saved_ns, self._looked_ns = None, 0, None
 
     def save(self) -> str:
-        """Write what the core has; returns what was done.
+        """Write the core's content; return a text about the result.
 
         Raises:
-            BadInput: there is nothing to save or no file is named, or it cannot be written.
+            BadInput: there is no content or no file is named, or it cannot be written.
         """
         path, content = self._file(), self._to_save()
         if content is None:
@@ -112,33 +112,33 @@ class SavedStart(Generic[Prior]):
         return f"{self._kind.what} saved to {path}"
 
     def next_look_ns(self, period_s: float) -> int:
-        """Time of waiting before which :meth:`is_time` says no."""
+        """Return the timeout-clock time before which :meth:`is_autosave_time` is False."""
         if not self._path or not period_s:
             return _NEVER_NS
         return 0 if self._looked_ns is None else self._looked_ns + round(period_s * 1e9)
 
     def is_time(self, waiting_ns: int, period_s: float) -> bool:
-        """Whether the node should save by itself now: once a period of the time of waiting, never with one of 0."""
+        """Return True if the node should save automatically now: once a period, never with period 0."""
         if waiting_ns < self.next_look_ns(period_s):
             return False
         is_first, self._looked_ns = self._looked_ns is None, waiting_ns
         return not is_first
 
     def save_by_itself(self) -> None:
-        """Write what the core has if it is newer than what was written last, and no worse than what the file holds.
+        """Write the core's content if it is newer than the last one written and no worse than that of the file.
 
-        What hinders it is :attr:`trouble`, and a notice when that changes.
+        An obstacle becomes :attr:`autosave_problem`, and a notice when it changes.
         """
         try:
             trouble = self._saved_unless_worse(self._file())
         except BadInput as error:
             trouble = str(error)
         if trouble != self.trouble:
-            self.notices.append(trouble or f"{self._kind.what} is saved again by itself to {self._path}")
+            self.notices.append(trouble or f"{self._kind.what} is saved automatically again to {self._path}")
         self.trouble = trouble
 
     def load(self, now_ns: int) -> str:
-        """Read the file anew and start from it; returns what was done.
+        """Read the file again and start from it; return a text about the result.
 
         Raises:
             BadInput: no file is named, or it cannot be read.
@@ -159,18 +159,18 @@ class SavedStart(Generic[Prior]):
             return self.unreadable
         if self.unreadable != unreadable_before:
             self.notices.append(self.unreadable)
-        # What the core's state has grown out of, or is itself, it cannot be worse than.
+        # The core's state cannot be worse than the file from which it has developed.
         if known is not None and there != self._origin:
             worse = worse_in(content, known)
             if worse:
-                return f"{self._kind.what} not saved by itself: {path} knows {worse}; ~/save_alignment replaces it"
+                return f"{self._kind.what} not saved automatically: {path} has {worse}; ~/save_alignment replaces it"
         self._write(path, content)
         return ""
 
     def _usable(self, path: Path) -> tuple[bytes | None, Prior | None]:
         """Return the file's bytes and its content, or None twice.
 
-        A file whose content cannot be used is set aside. One that cannot be read stays where it is.
+        A file with an unusable content is set aside. One that cannot be read stays in place.
 
         Raises:
             BadInput: see the class.
@@ -190,7 +190,7 @@ class SavedStart(Generic[Prior]):
             reason = str(error)
             if number is not None and number not in _NEVER_READABLE:
                 self._is_in_the_way = True
-                self.unreadable = f"{reason}; not saved by itself until it can be read; ~/save_alignment replaces it"
+                self.unreadable = f"{reason}; not saved automatically until readable; ~/save_alignment replaces it"
                 return None, None
         try:
             self.unreadable = f"{reason}; set aside as {self._files.set_aside(path)}"
@@ -205,7 +205,7 @@ class SavedStart(Generic[Prior]):
 
     def _give(self, content: Prior, now_ns: int) -> None:
         self.messages = self._start_from(content, now_ns)
-        # With remarks only a part of it was used, or with less trust than the file has.
+        # Remarks mean that only a part of it was used, or with a wider covariance.
         self._origin, self._saved_ns = None if self.messages else self._read, content.time_ns
         told = f"{self._kind.what} {self._path}, {age_words(content.time_ns, now_ns)}"
         self.notices.append("; ".join([told, *self.messages]))
@@ -217,21 +217,24 @@ class SavedStart(Generic[Prior]):
 
 
 def worse_in(content: Saved, there: Saved) -> str:
-    """The first quantity that a content knows worse than another one does, or not at all; empty where there is none."""
+    """Return the first quantity with a larger sigma in a content than in another; empty if there is none.
+
+    A quantity that is missing counts as less precise.
+    """
     own = content.sigmas()
     if not all(np.all(np.isfinite(sigma)) for sigma in own.values()):
-        return "finite numbers, and here are none"
+        return "finite numbers, unlike the current state"
     for name, known in there.sigmas().items():
         if name not in own:
             return f"{name}, which is not configured here"
         measured = known > 0.0
         if not np.all(own[name][measured] <= _WORSE * known[measured]):
-            return f"{name} better"
+            return f"a smaller sigma of {name}"
     return ""
 
 
 def age_words(time_ns: int, now_ns: int) -> str:
-    """How old the data of a saved document are, by the node's clock."""
+    """Return the age of a saved document's data as text, by the node's clock."""
     if time_ns <= 0:
         return "of unknown age"
     age_s = (now_ns - time_ns) * 1e-9

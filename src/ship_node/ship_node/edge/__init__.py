@@ -1,4 +1,4 @@
-"""Where messages meet a node: checks of fields, health of inputs, messages of every node, the reporting adapter.
+"""Conversion of messages and the common adapters: field checks, input health, messages of every node.
 
-The room may import ``documents/``. Nothing here imports rclpy, so that the replay uses all of it.
+The room may import ``documents/``. Nothing here imports rclpy, so that the offline replay can use all of it.
 """

@@ -1,7 +1,7 @@
-"""What the shell of a node, and the offline replay, expect of an adapter.
+"""Interface of a node's adapter, as the node runtime and the offline replay use it.
 
-An adapter says which topic feeds which method of a core and which result goes to which topic. It only reads and
-sets attributes of messages, so it serves rclpy messages in a live node and decoded messages of a bag alike.
+An adapter defines which topic feeds which method of a core and which result goes to which topic. It only reads and sets
+attributes of messages, so the same adapter serves rclpy messages in a live node and decoded messages of a bag.
 """
 
 from collections.abc import Mapping
@@ -14,25 +14,28 @@ from ship_node.edge.overload import Overload
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 TICK_PERIOD_NS = 100_000_000
-"""Period of :meth:`Adapter.tick` in the time of the node, ns."""
+"""Period of :meth:`Adapter.tick` in the node's time, ns."""
 
 
 class ServiceResult(NamedTuple):
-    """Answer of a service: whether it was done, and a sentence for people."""
+    """Answer of a service: success, and one sentence for the user."""
 
     success: bool
     message: str
 
 
 class Adapter(Protocol):
-    """One per node; the first line of its docstring is what ``--help`` says that the node does.
+    """Adapter of one node; ``--help`` prints the first line of the adapter's docstring.
 
-    All times are integer ns. A message and a tick come with two: the node's clock, which judges stamps, and the time of
-    waiting, which judges silence. Nobody sets the second: it is the time in which a live node was listening, or /clock
-    where that rules, or the log time in replay; without it the two are one. Files are read and written through
-    ``files`` alone, so that a black box can hold what was read. ``health`` is fed by the adapter and, with what only
-    the middleware knows, by the shell; the adapter publishes it in :meth:`tick`. ``start_warnings`` say what the
-    configuration lacks, one line each; ``notices`` what happened that a log should tell, until the shell has taken it.
+    All times are integer ns. Each message and each tick has two times. ``receive_ns`` or ``now_ns`` is the node's time,
+    against which stamps are checked. ``waiting_ns`` is the time by which timeouts are measured (the timeout clock). It
+    is never set: it is the time in which a live node was listening, /clock with ``use_sim_time``, or the log time in
+    replay. Without it both times are equal.
+
+    Files are read and written through ``files`` only, so that a black box can record what was read. The adapter updates
+    ``health``; the node runtime adds what only the middleware reports. The adapter publishes it in :meth:`tick`.
+    ``start_warnings`` has one line for each thing that the configuration lacks. ``notices`` are lines for the log,
+    until the node runtime takes them.
     """
 
     node_name: ClassVar[str]
@@ -47,40 +50,47 @@ class Adapter(Protocol):
     def __init__(self, config: Any, factory: MessageFactory, files: Files = DISK) -> None: ...
 
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        """Take one message of an input topic."""
+        """Process one message of an input topic; return the messages to publish."""
         ...
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        """Do what depends on waiting; called every ``TICK_PERIOD_NS``."""
+        """Process timeouts and periodic outputs; called every ``TICK_PERIOD_NS``."""
         ...
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        """Claim nothing while the node is behind its inputs; called where messages are cut, and where it keeps up."""
+        """Publish no valid output while the node is behind its inputs.
+
+        Called when messages are cut, and when the node keeps up again.
+        """
         ...
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
-        """Start anew: the clock went back, as when a bag starts over."""
+        """Restart, because the clock went back, as when a bag is played again."""
         ...
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
-        """Take note that the computer's clock was set by ``step_ns``; ``now_ns`` is by the clock as it is set."""
+        """Record that the computer's clock was set by ``step_ns``; ``now_ns`` is the time after the step."""
         ...
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
-        """Do one of ``services``."""
+        """Call one of ``services``."""
         ...
 
     def contest(self, topic: str, text: str) -> None:
-        """Set that two publishers send on an input topic, with a text that names them; an empty text ends it.
+        """Set that two publishers send on an input topic; an empty text ends this state.
 
-        Which of the two is right cannot be known: what rests on the topic meanwhile is not VALID.
+        It is unknown which publisher is right: outputs that depend on the topic are not VALID meanwhile.
+
+        Args:
+            topic: the input topic.
+            text: for the user, with the names of the publishers.
         """
         ...
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Take live parameters, dotted name → value.
+        """Apply live parameters, dotted name → value.
 
         Raises:
-            ParameterError: nothing was changed; the text says why.
+            ParameterError: nothing was changed; the text gives the reason.
         """
         ...

@@ -1,4 +1,4 @@
-"""What a ship_msgs/RtkBaseline says: a vector between two antennas, how good it is, how it was solved."""
+"""Reader of ship_msgs/RtkBaseline: vector between two antennas, covariance, kind of solution."""
 
 from typing import Any, Protocol
 
@@ -14,26 +14,26 @@ _LONGEST_M = 1e5
 
 
 class Antennas(Protocol):
-    """What a message must say of its antennas; an empty text accepts any."""
+    """Expected identity of a baseline's antennas; an empty text accepts any."""
 
     @property
     def frame_id(self) -> str:
-        """The horizon at the base."""
+        """Frame: the horizon at the base antenna."""
 
     @property
     def base_id(self) -> str:
-        """Where the vector begins."""
+        """Antenna at which the vector starts."""
 
     @property
     def rover_id(self) -> str:
-        """Where it ends."""
+        """Antenna at which the vector ends."""
 
 
 def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
-    """The stamp of a message that is of these antennas.
+    """Return the stamp of a message of these antennas, ns.
 
     Raises:
-        Refused: it is of others, or its stamp is none.
+        Refused: the message is of other antennas, or its stamp is invalid.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, antennas.frame_id)
@@ -47,7 +47,7 @@ def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
 
 
 def not_fixed(message: Any, least_fix: str) -> Refusal | None:
-    """The refusal of a solution that is less than ``least_fix`` ("float", "fixed"), or of a kind unknown."""
+    """Return the rejection of a solution below ``least_fix`` ("float", "fixed") or of unknown kind; else None."""
     if _FIXES.index(least_fix.upper()) <= message.fix < len(_FIXES):
         return None
     fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
@@ -55,7 +55,7 @@ def not_fixed(message: Any, least_fix: str) -> Refusal | None:
 
 
 def baseline_vector(message: Any) -> tuple[FloatArray, FloatArray | None]:
-    """The vector (North, Up, East), m, shape (3,), and its covariance, m², shape (3, 3); None where none is given.
+    """Return the vector (North, Up, East), m, shape (3,), and its covariance, m², shape (3, 3), or None if not given.
 
     Raises:
         Refused: with the reason.

@@ -1,6 +1,6 @@
-"""The adapter of a node whose core looks ahead: offline many messages of a topic are read and judged before their turn.
+"""Adapter that can evaluate many messages of a topic as one batch, offline.
 
-What a message leads to is what it leads to by itself (:mod:`ship_node.edge.reporting_adapter`), to the last bit.
+The result of each message equals that of :mod:`ship_node.edge.reporting_adapter` to the last bit.
 """
 
 from abc import abstractmethod
@@ -16,27 +16,27 @@ from ship_node.edge.topics import Published
 
 
 class BlockAdapter(ReportingAdapter):
-    """An adapter that takes the messages of some topics in blocks, too; see :class:`ReportingAdapter`."""
+    """Adapter that can also process the messages of some topics in batches; see :class:`ReportingAdapter`."""
 
     quiet_ticks: ClassVar[bool] = True
-    """Whether a tick among the messages of a block asks the core for nothing."""
+    """True if a tick among the messages of a batch does not change the core."""
 
     def takes_blocks(self, topic: str) -> bool:
-        """Whether the messages of a topic can be given many at once."""
+        """Return True if messages of a topic can be processed in batches now."""
         return self.feeds[topic].block is not None and not self.is_off(topic) and not self.time_base.is_in_question
 
     def reads_rows(self, topic: str) -> bool:
-        """Whether the messages of a topic can be read many at once, each of which is then taken by itself."""
+        """Return True if messages of a topic can be read many at once, for processing one by one."""
         return topic in self.feeds and self.feeds[topic].read_rows is not None
 
     def read_rows(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> Sequence[ReadMessage[Any] | None]:
-        """What is read of messages, for :meth:`handle_read`; None for each that is to be handled by itself."""
+        """Read messages for :meth:`handle_read`; None for each that :meth:`handle` must process."""
         read = self.feeds[topic].read_rows
         assert read is not None
         return read(messages, receive_ns)
 
     def handle_read(self, topic: str, reading: ReadMessage[Any], receive_ns: int) -> list[Published]:
-        """Take one message of an input topic that was read before its turn."""
+        """Process one message of an input topic that was read in advance."""
         feed = self.feeds[topic]
         if self.is_off(topic):
             return self.set_aside(feed, reading, receive_ns, receive_ns)
@@ -51,7 +51,7 @@ class BlockAdapter(ReportingAdapter):
 
     @property
     def quiet_until_ns(self) -> int:
-        """Time of waiting before which a tick asks nothing but the core, as long as blocks are taken as they come."""
+        """Timeout-clock time before which a tick only calls the core, while batches are processed as they come."""
         if self.slow_due_ns is None or (self.saved is not None and self.saved.is_due):
             return 0
         if self.saved is None:
@@ -59,10 +59,10 @@ class BlockAdapter(ReportingAdapter):
         return min(self.slow_due_ns, self.saved.next_look_ns(self.config.alignment_autosave_s))
 
     def look_ahead(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> BlockTurn | None:
-        """Read and judge the first messages of a block before their turn; None where the first is to be taken alone.
+        """Read and evaluate the leading messages of a batch; None if the first must be processed by itself.
 
-        Until all of them had their turn no other message of the topic is handled. Estimates and levels, which no other
-        message asks for, are computed at the end (:meth:`end_ahead`).
+        Until the whole batch is committed, no other message of the topic is processed. Estimates and protection levels,
+        on which no other message depends, are computed at the end (:meth:`finish_batch`).
         """
         block = self.feeds[topic].block
         if block is None or (self.saved is not None and self.saved.is_due):
@@ -82,7 +82,7 @@ class BlockAdapter(ReportingAdapter):
         return BlockTurn(topic, reading, receive_ns[:count], ahead)
 
     def take_ahead(self, turn: BlockTurn, stop: int) -> list[BlockPart]:
-        """The messages of a block have their turn, up to one that is not included; what is to be published at once."""
+        """Commit the messages of a batch before index ``stop``; return what must be published at once."""
         block = self.feeds[turn.topic].block
         assert block is not None
         block.core.take_ahead(turn.ahead, min(stop, turn.ahead.followed.usual))
@@ -94,7 +94,7 @@ class BlockAdapter(ReportingAdapter):
         return parts
 
     def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
-        """All messages of a block had their turn: what they lead to besides."""
+        """Finish a batch whose messages are all committed; return its remaining outputs."""
         feed, usual, known = self.feeds[turn.topic], turn.ahead.followed.usual, turn.reading.covariance_known
         assert feed.block is not None
         samples = turn.reading.samples.some(slice(len(turn.receive_ns)))
@@ -112,12 +112,12 @@ class BlockAdapter(ReportingAdapter):
         return parts
 
     def parts(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BlockPart]:
-        """What estimates lead to, with the protection levels that are told before some of them.
+        """Yield the outputs of estimates, with the protection levels to be published before some of them.
 
         Args:
-            some: their places among all that are made together.
-            found: a run of them, or why they could not be computed.
-            times_ns: stamps of all that are made together.
+            some: their indices among all that are computed together.
+            found: a run of estimates, or why they could not be computed.
+            times_ns: stamps of all that are computed together.
         """
         if isinstance(found, Refusal):
             for place in range(some.start, some.stop):
@@ -133,4 +133,4 @@ class BlockAdapter(ReportingAdapter):
 
     @abstractmethod
     def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:
-        """What the outputs of several runs become, the messages of each in the order in which they are published."""
+        """Return the messages of several runs of outputs, those of each output in order of publication."""

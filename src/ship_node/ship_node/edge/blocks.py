@@ -1,7 +1,7 @@
-"""Blocks: the messages of one topic that follow one another and differ in numbers alone, taken together offline.
+"""Batches: consecutive messages of one topic that differ only in numbers, processed together offline.
 
-A message of a block becomes what it becomes by itself, to the last bit; only the work is done for all at once. Where
-one is not as the others, the block ends before it, and it is taken by itself.
+Each message gives the same result as by itself, to the last bit; only the computation is shared. A message that differs
+otherwise ends the batch and is processed by itself.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,12 +21,12 @@ StampArray = NDArray[np.int64]
 
 
 class ReadBlock(NamedTuple):
-    """What a reader makes of the messages of a block, as far as nothing is to be said of them.
+    """Leading messages of a batch that were read without remarks.
 
     Attributes:
-        samples: what the core takes, with the stamps ``times_ns``, shape (N,), of the messages from the first one on;
-            the next one is to be read by itself.
-        covariance_known: False where they give no covariance, and the configured sigma stands in.
+        samples: input of the core, with the stamps ``times_ns``, shape (N,). The message after them must be read by
+            itself.
+        covariance_known: False if they give no covariance; the configured sigma is used then.
     """
 
     samples: Any
@@ -34,11 +34,11 @@ class ReadBlock(NamedTuple):
 
 
 class Ahead(Protocol):
-    """Samples of a block that a core has judged before their turn.
+    """Batch of samples that a core has evaluated and not yet committed.
 
     Attributes:
-        followed: what the guard said of them.
-        told: number of a sample, and what its turn led to besides estimates, as far as nobody has asked for it.
+        checked: result of the INS check.
+        pending_outcomes: index of a sample and its outcome other than estimates, until it is published.
     """
 
     followed: Followed
@@ -49,31 +49,31 @@ SamplesAhead = TypeVar("SamplesAhead", bound=Ahead)
 
 
 class AheadCore(Protocol[SamplesAhead]):
-    """What a core has for samples of a block that it judges before their turn."""
+    """Interface of a core that evaluates batches of samples before it commits them."""
 
     def look_ahead(self, samples: Any, arrivals_ns: StampArray) -> SamplesAhead | None:
-        """Judge samples, from the first one on, as long as they go the usual way; None where the first does not."""
+        """Evaluate the leading samples that need no special treatment; None if the first one does."""
         ...
 
     def take_ahead(self, ahead: SamplesAhead, stop: int) -> None:
-        """Those that go the usual way have their turn, up to one that is not included."""
+        """Commit the evaluated samples before index ``stop``."""
         ...
 
     def end_ahead(self, ahead: SamplesAhead) -> Any:
-        """All had their turn: the outcome of the last one where that does not go the usual way, or None."""
+        """Finish a committed batch; return the outcome of its last sample if that needed special treatment."""
         ...
 
     def estimates_ahead(self, ahead: SamplesAhead) -> list[tuple[slice, Any]]:
-        """Numbers of samples, and their estimates, which rest on one state, or why they could not be computed."""
+        """Return indices of samples with their estimates on one state, or why they could not be computed."""
         ...
 
 
 class BlockFeed(NamedTuple):
-    """The way of a block of messages into a core, beside that of one message.
+    """Processing of a batch of messages by a core.
 
     Attributes:
-        read: of the messages, and the times at which they come.
-        core: takes the samples read.
+        read: reads the messages and their receive times.
+        core: processes the samples read.
     """
 
     read: Callable[[CdrRows, StampArray], ReadBlock]
@@ -81,13 +81,13 @@ class BlockFeed(NamedTuple):
 
 
 class BlockTurn(NamedTuple):
-    """Messages of a block that were read and judged ahead, and have their turn among others.
+    """Batch of messages that were read and evaluated, and are committed in order with messages of other topics.
 
     Attributes:
-        topic: of the messages.
-        reading: what was read of them.
-        receive_ns: when each comes by the node's clock, which is the time of waiting too.
-        ahead: what the core knows of them.
+        topic: their topic.
+        reading: the messages as read.
+        receive_ns: receive times, equal by both clocks.
+        evaluated: the core's evaluation.
     """
 
     topic: str
@@ -97,12 +97,13 @@ class BlockTurn(NamedTuple):
 
 
 class BlockPart(NamedTuple):
-    """Some of what the messages of a block lead to.
+    """Part of the outputs of a batch.
 
     Attributes:
-        place: number of the message in the block, or of the first one.
-        published: messages on their way out, all with that message.
-        estimates: outputs of which messages are still to be made, one with each message from there on; None for none.
+        place: index of the message in the batch, or of the first one.
+        published: messages to publish with that message.
+        estimates: outputs still to be converted to messages, one for each message from there on; None if there are
+            none.
     """
 
     place: int
@@ -111,12 +112,12 @@ class BlockPart(NamedTuple):
 
 
 class PublishedRows(NamedTuple):
-    """The messages of one topic that some of N outputs become.
+    """Messages of one topic for some of N outputs.
 
     Attributes:
         topic: the topic.
         messages: in order.
-        places: which of the outputs each message is of.
+        places: index of the output of each message.
     """
 
     topic: str
@@ -132,15 +133,15 @@ def parts_with_levels(
     directions: FloatArray,
     levels_before: Callable[[Any], list[Published]],
 ) -> Iterator[BlockPart]:
-    """A run of outputs, cut where protection levels are told before one of them.
+    """Yield a run of outputs, split where protection levels are published before one of them.
 
     Args:
-        place: of the first one in its block.
-        run: N outputs that rest on one state.
-        told: the levels told last; ``levels_before`` changes it.
-        checked_by: of each output, what decides beside the state whether its sources check one another.
+        place: index of the first one in its batch.
+        run: N outputs on one state.
+        published: the published protection levels; ``protection_level_messages`` changes them.
+        redundancy_keys: attributes of each output on which, besides the state, the redundancy of its sources depends.
         directions: of each output, shape (N, 3, 3).
-        levels_before: the levels of one output, where those told last do not cover it.
+        protection_level_messages: protection levels of one output, if the published ones do not cover it.
     """
     start, count = 0, len(run.time_ns)
     while start < count:

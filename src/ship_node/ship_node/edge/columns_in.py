@@ -1,8 +1,8 @@
-"""What the messages of a block must hold before any of it reaches a filter, checked over arrays.
+"""Checks of the messages of a batch before any of them reaches a filter, as array operations.
 
-Each check says of every message whether :mod:`ship_node.edge.messages_in` lets it pass in the usual way; what it gives
-of those that pass is, to the last bit, what is given there. The others are read one by one, and may be used all the
-same. Every comparison is written so that NaN is no good.
+Each check returns for every message whether :mod:`ship_node.edge.messages_in` accepts it without remark. For those the
+values are equal to the last bit. The others are read one by one and may still be used. Every comparison is written so
+that NaN fails it.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,25 +28,25 @@ from ship_node.edge.messages_in import (
 )
 
 _ABOVE, _BELOW = [1, 2, 5], [3, 6, 7]
-"""The elements beside the diagonal of a matrix of nine numbers."""
+"""Indices of the off-diagonal elements of a 3x3 matrix given as nine numbers."""
 
 Good = NDArray[np.bool_]
-"""Of each message whether it passes, shape (N,)."""
+"""True for each message that passes, shape (N,)."""
 
 ReadRows = list[ReadMessage[Any] | None]
-"""What was read of each message; None where it is to be read by itself."""
+"""Reading of each message; None if it must be read by itself."""
 
 
 def read_of_good(
     messages: CdrRows, frame_id: str, good: Good, read: Callable[[], Iterator[ReadMessage[Any] | None]]
 ) -> ReadRows:
-    """What was read of those messages that are good; none of another frame is, and all have the same one.
+    """Return the readings of the valid messages; None for the others, and for all if the frame is wrong.
 
     Args:
-        messages: the messages.
-        frame_id: that they must have; empty for any.
-        good: which of them are.
-        read: reads these.
+        messages: the messages, which all have the same frame.
+        frame_id: expected frame; empty for any.
+        valid: True for the valid ones.
+        read: yields the readings of these.
     """
     if frame_id and messages.message(0).header.frame_id != frame_id:
         return [None] * len(good)
@@ -55,18 +55,18 @@ def read_of_good(
 
 
 def columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
-    """The numbers of a vector in all messages, shape (N, n)."""
+    """Return the components of a vector field of all messages, shape (N, n)."""
     return np.stack([numbers[f"{field}.{name}"] for name in names], axis=1)
 
 
 def stamps(numbers: np.ndarray, receive_ns: StampArray) -> tuple[StampArray, Good]:
-    """The stamps, ns, shape (N,)."""
+    """Return the stamps, ns, shape (N,), and their validity."""
     times_ns, good = stamps_of_rows(numbers), numbers["header.stamp.nanosec"] < NS_PER_S
     return times_ns, good & (times_ns > 0) & (times_ns <= receive_ns[: len(numbers)] + FUTURE_TOLERANCE_NS)
 
 
 def unit_quaternions(numbers: np.ndarray, field: str = "orientation") -> tuple[FloatArray, Good]:
-    """Quaternions x, y, z, w with norm 1, shape (N, 4)."""
+    """Return quaternions x, y, z, w with norm 1, shape (N, 4), and their validity."""
     quaternions = columns(numbers, field, "xyzw")
     x, y, z, w = quaternions.T
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -77,23 +77,23 @@ def unit_quaternions(numbers: np.ndarray, field: str = "orientation") -> tuple[F
 
 
 def imu_quaternions(numbers: np.ndarray, accept_unset_covariance: bool) -> tuple[FloatArray, Good]:
-    """Orientations of sensor_msgs/Imu, x, y, z, w with norm 1, shape (N, 4)."""
+    """Return the orientations of sensor_msgs/Imu, x, y, z, w with norm 1, shape (N, 4), and their validity."""
     quaternions, good = unit_quaternions(numbers)
     given: Good = numbers["orientation_covariance"][:, 0] != NOT_GIVEN
     return quaternions, good & (given | accept_unset_covariance)
 
 
 def ship_rates(numbers: np.ndarray) -> tuple[FloatArray, Good]:
-    """Angular velocities, rad/s, in the axes of the messages, shape (N, 3)."""
+    """Return the angular velocities in the axes of the messages, rad/s, shape (N, 3), and their validity."""
     rates_ros = columns(numbers, "angular_velocity", "xyz")
     good: Good = np.abs(rates_ros).max(axis=1) <= LARGEST_RATE
     return rates_ros, good
 
 
 def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Good]:
-    """Covariances given as nine numbers each, shape (N, 9), symmetric, shape (N, 3, 3).
+    """Return symmetric covariances, shape (N, 3, 3), of nine numbers each, shape (N, 9), and their validity.
 
-    Those that are unknown do not pass, and neither do those that are positive definite by rounding at most.
+    Unknown covariances are not valid, nor are those that are positive definite only within rounding.
     """
     above, below = values[:, _ABOVE], values[:, _BELOW]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -111,6 +111,6 @@ def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Good]:
 
 
 def angular_covariances(values: FloatArray) -> tuple[FloatArray, Good]:
-    """The same of angles or of rotation vectors, rad²."""
+    """Return :func:`covariances_3x3` of angles or rotation vectors, rad²; too large variances are not valid."""
     covariances, good = covariances_3x3(values)
     return covariances, good & (values[:, ::4] <= LARGEST_VARIANCE).all(axis=1)

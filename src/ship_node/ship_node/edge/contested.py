@@ -1,7 +1,7 @@
-"""The inputs of a node on which two publishers send; which of them is right cannot be known.
+"""Inputs on which two publishers send; it is unknown which of them is right.
 
-A live node learns of them from the middleware (:mod:`ship_node.live.senders`). In a recording only the values tell:
-those of two publishers run alternately, each continuous with itself (:mod:`ship_estimation.interleaved`).
+A live node gets their names from the middleware (:mod:`ship_node.live.senders`). In a recording only the values show
+them: two streams alternate, each continuous with itself (:mod:`ship_estimation.interleaved`).
 """
 
 from collections.abc import Callable
@@ -15,19 +15,19 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 _ROTATION = np.sqrt(2.0)
-"""Distance of two rotation matrices, all nine elements, for a small angle of one radian between them."""
+"""Distance of two rotation matrices (all nine elements) per radian of a small angle between them."""
 
 _SILENT_NS = 30 * SECOND_NS
-"""Time of waiting without a value after which the two streams found by the values count as one again."""
+"""Timeout after which the two streams found by their values count as one again, ns."""
 
 
 class Continuous(NamedTuple):
-    """Continuous part of the values of an input.
+    """Quantity of an input that is continuous within one stream.
 
     Attributes:
-        of: the quantity of a value, shape (n,).
-        least: distance of two streams below which they count as one.
-        words: a distance for people.
+        quantity: returns the quantity of a value, shape (n,).
+        min_distance: distance of two streams below which they count as one.
+        distance_text: returns a distance as text.
     """
 
     of: Callable[[Any], FloatArray]
@@ -48,10 +48,10 @@ ATTITUDE = Continuous(
     30.0 * ARCSEC * _ROTATION,
     lambda distance: _degrees(2.0 * np.arcsin(min(distance / (2.0 * _ROTATION), 1.0))),
 )
-"""An attitude; 30″ are six times the noise of a coarse one."""
+"""Attitude; 30″ are six times the noise of a coarse system."""
 
 def _in_sigmas(decision: Any) -> FloatArray:
-    """The innovation of a measurement in standard deviations of its own noise, which is 0.1″ at least."""
+    """Return the innovation in standard deviations of the measurement's own noise, which is at least 0.1″."""
     in_sigmas: FloatArray = decision.residual / np.sqrt(np.maximum(decision.noise.diagonal(), (0.1 * ARCSEC) ** 2))
     return in_sigmas
 
@@ -61,25 +61,25 @@ INNOVATION = Continuous(
     10.0,
     lambda distance: f"{distance:.0f} sigma of their noise apart",
 )
-"""The innovation of an attitude in standard deviations of its own noise; it does not move with the ship."""
+"""Innovation of an attitude in standard deviations of its own noise; independent of the ship's motion."""
 
 POSITION = Continuous(lambda fix: ecef_from_geodetic(fix.position), 5.0, _metres)
-"""A position fix; 5 m make 0.2″."""
+"""Position fix; 5 m correspond to 0.2″."""
 
 BASELINE = Continuous(lambda sample: sample.vector, 0.05, _metres)
-"""A baseline to a drone."""
+"""Baseline to a drone."""
 
 ENCODERS = Continuous(
     lambda sample: np.concatenate([np.cos(sample.vector), np.sin(sample.vector)]), 10.0 * ARCSEC, _degrees
 )
-"""Both encoders, modulo a turn."""
+"""Both encoder angles, modulo a full turn."""
 
 
 class ContestedInputs:
-    """The inputs on which two publishers send, by what the middleware and the values say.
+    """Inputs on which two publishers send, by the middleware's information and by the values.
 
     Args:
-        continuous: topic → what is continuous in its values, of the inputs that are judged by their values.
+        continuous: topic → continuous quantity, of the inputs that are checked by their values.
     """
 
     def __init__(self, continuous: dict[str, Continuous]) -> None:
@@ -88,16 +88,16 @@ class ContestedInputs:
         self._named: dict[str, str] = {}
 
     def restart(self) -> None:
-        """Forget the values: the clock went back, or the node was reset."""
+        """Reset the value checks: the clock went back, or the node was reset."""
         self._streams = {topic: InterleavedStreams(kind.least) for topic, kind in self._continuous.items()}
-        # Of each topic with two streams, the stamp of its newest value, and the time of waiting when that was seen.
+        # For each topic with two streams: stamp of its newest value, and timeout-clock time at which that was found.
         self._newest: dict[str, tuple[int | None, int]] = {}
 
     def end_silent(self, waiting_ns: int) -> list[str]:
-        """Forget two streams that have ended, both, without a stream that goes on; returns their topics.
+        """End pairs of streams without values since the timeout; return their topics.
 
         Args:
-            waiting_ns: the time of waiting.
+            waiting_ns: time by the timeout clock.
         """
         two = {topic: streams.newest_ns for topic, streams in self._streams.items() if streams.distance}
         self._newest = {topic: self._newest.get(topic, (None, 0)) for topic in two}
@@ -111,9 +111,9 @@ class ContestedInputs:
         return silent
 
     def name(self, topic: str, text: str) -> None:
-        """Set the text of a topic on which the middleware sees two publishers that send; an empty text ends it.
+        """Set the text of a topic with two publishers by the middleware's information; an empty text ends it.
 
-        Then the values need not show it too: of slow messages they would take a minute.
+        The value check of the topic restarts then: for slow messages it would need a minute to end.
         """
         if text:
             self._named[topic] = text
@@ -121,22 +121,22 @@ class ContestedInputs:
             self._streams[topic] = InterleavedStreams(self._continuous[topic].least)
 
     def text(self, topic: str) -> str:
-        """For people, that two publishers send on a topic; empty where one does."""
+        """Return the text for the user if two publishers send on a topic; empty otherwise."""
         streams = self._streams.get(topic)
         if topic in self._named or streams is None or not streams.distance:
             return self._named.get(topic, "")
         apart = self._continuous[topic].words(streams.distance)
-        return f"two streams alternate on {topic}, {apart}: end one of its two publishers"
+        return f"two streams alternate on {topic}, {apart}: stop one of its two publishers"
 
     def see(self, topic: str, time_ns: int, value: Any) -> bool:
-        """See a value of a topic; returns whether the text may have changed."""
+        """Add a value of a topic; return True if the text may have changed."""
         streams = self._streams.get(topic)
         return streams is not None and streams.add(time_ns, self._continuous[topic].of(value))
 
     def count_before_change(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> int:
-        """Number of attitudes of a block, from the first one on, that change no text."""
+        """Return the number of leading attitudes of a batch that change no text."""
         return self._streams[topic].count_before_change(times_ns, rotations_nd.reshape(-1, 9))
 
     def see_block(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> None:
-        """See the attitudes of a block, which change no text."""
+        """Add the attitudes of a batch, which change no text."""
         self._streams[topic].add_all(times_ns, rotations_nd.reshape(-1, 9))

@@ -1,7 +1,7 @@
-"""The adapter of a node whose outputs are put out together: offline each is computed when somebody asks for it.
+"""Adapter of a node whose outputs may be computed together: offline each is computed on demand.
 
-The core says what is due as its inputs come, and its inputs have their turn one by one. What comes of it is what comes
-of putting each out at once, to the last bit.
+The core lists the pending outputs while its inputs are processed one by one. The result equals that of publishing each
+output at once, to the last bit.
 """
 
 from typing import Any, Protocol
@@ -13,47 +13,48 @@ from ship_node.edge.topics import Published
 
 
 class DeferringCore(Protocol):
-    """What a core has for outputs that are computed together.
+    """Core that computes several outputs together.
 
     Attributes:
-        due: what the outputs rest on, each with its stamp ``time_ns``; None where each is put out at once.
+        pending: basis of the pending outputs, each with its stamp ``time_ns``; None if each output is published at
+            once.
     """
 
     due: list[Any] | None
 
     def estimates_due(self) -> list[tuple[slice, Any | Refusal]]:
-        """Numbers of the outputs that are due, and these, or why they could not be computed; then none is due."""
+        """Compute all pending outputs; return their indices and the outputs, or why they cannot be computed."""
         ...
 
 
 class DeferringAdapter(BlockAdapter):
-    """An adapter that puts its outputs out together, too; see :class:`BlockAdapter`."""
+    """Adapter that can also publish its outputs together; see :class:`BatchAdapter`."""
 
     def defer(self) -> None:
-        """From now on what messages lead to lacks the outputs: :meth:`take_parts` gives them."""
+        """Leave the outputs out of the results from now on: :meth:`take_outputs` returns them."""
         self.core.due = []
         self._parts_made: list[BlockPart] = []
         self._made = 0
 
     @property
     def promised(self) -> int:
-        """How many outputs were due since :meth:`defer` or :meth:`take_parts`."""
+        """Number of outputs pending since :meth:`defer_outputs` or :meth:`take_outputs`."""
         return self._made + len(self.core.due)
 
     def take_parts(self) -> list[BlockPart]:
-        """All outputs that were due, by their numbers among these, with what is published before some of them."""
+        """Compute and return all pending outputs by their indices, with the messages published before some of them."""
         self._make_due()
         parts, self._parts_made, self._made = self._parts_made, [], 0
         return parts
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        """See :class:`ship_node.edge.adapter.Adapter`. What is told once a period is told of the last output."""
+        """See :class:`ship_node.edge.adapter.Adapter`; periodic messages are those of the last output."""
         if (now_ns if waiting_ns is None else waiting_ns) >= self.quiet_until_ns:
             self._make_due()
         return super().tick(now_ns, waiting_ns)
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
-        """See :class:`ReportingAdapter`. An output that is put out at once comes after all that are due."""
+        """See :class:`ReportingAdapter`; an output that is published at once follows all pending ones."""
         if outcome.estimates:
             self._make_due()
         return super().published(outcome, now_ns, waiting_ns)

@@ -1,4 +1,4 @@
-"""How the inputs of a node do: their records judged, for ``input_health`` and ``/diagnostics``."""
+"""Health of a node's inputs: evaluation of their statistics for ``input_health`` and ``/diagnostics``."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -12,24 +12,24 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 
 WATCHDOG_NS = 5_000_000_000
-"""A required topic must have come this long after the start, and any topic with publishers, ns."""
+"""Maximum time from the start to the first message of a required topic or one with publishers, ns."""
 
 REFUSAL_SHOWN_NS = 2_000_000_000
-"""A single refusal is shown for this long, ns."""
+"""Time for which a single rejection is shown, ns."""
 
 SILENT_PERIODS = 3.0
 SILENCE_ERROR_NS = 1_000_000_000
-"""A required topic may not be silent for longer, ns."""
+"""Timeout of a required topic after which the level is ERROR, ns."""
 
 LEAST_SILENCE_NS = 100_000_000
-"""Nothing shorter counts as silence: it is judged once per tick, ns."""
+"""Minimum timeout, ns: the evaluation runs once per tick."""
 
 REFUSALS_WARN = 5
 REFUSALS_ERROR = 20
 FUTURE_ERROR = 10
 
 _EXPECTED_REASONS = (Reason.GATE, Reason.REVISED)
-"""Refusals that good data also meet now and then: only a run of them is worth a warning."""
+"""Rejections that also good data meet occasionally: only several in a row are a warning."""
 
 _EDGES = (*(f"up to {edge:g} s" for edge in LATE_EDGES_S), f"above {LATE_EDGES_S[-1]:g} s")
 
@@ -37,12 +37,12 @@ _Verdict = tuple[Level, str]
 
 
 class _State(NamedTuple):
-    """How one topic does at a moment.
+    """State of one input topic at one time.
 
     Attributes:
-        record: its book.
-        level, text: the worst that there is to say.
-        rate_hz, latency_s, age_s: as the book gives them.
+        record: its statistics.
+        level, text: the worst issue.
+        rate_hz, latency_s, age_s: from the statistics.
     """
 
     record: InputRecord
@@ -54,16 +54,16 @@ class _State(NamedTuple):
 
 
 class InputHealthBook(InputRecords):
-    """The records of all inputs of a node, and what they and the middleware say of each.
+    """Health of all inputs of a node, from their statistics and from information of the middleware.
 
-    What only the middleware knows is told by the shell; offline it stays unknown.
+    The node runtime adds what only the middleware reports; offline that stays unknown.
 
     Args:
-        inputs: the topics; others are unknown (KeyError).
-        max_age_s: stamps further than this before the node's clock are of another time, s.
+        inputs: the topics; others raise KeyError.
+        max_age_s: maximum age of a stamp, s: an older one belongs to another time.
 
     Attributes:
-        first_contested: topic → the first text that two publishers send on it, of topics where they ever did.
+        first_duplicate_publishers: topic → first text about two publishers, of the topics that ever had two.
     """
 
     def __init__(self, inputs: Iterable[InputTopic], max_age_s: float = MAX_AGE_S) -> None:
@@ -77,47 +77,50 @@ class InputHealthBook(InputRecords):
         self._lost: dict[str, int] = {}
 
     def publisher_count(self, topic: str, count: int, names: Sequence[str] = ()) -> None:
-        """Set the number of publishers of a topic, and the names of several; without any, none is incompatible."""
+        """Set the number of publishers of a topic, and their names if there are several.
+
+        Without a publisher the note of an incompatible QoS is removed.
+        """
         self._publishers[topic] = count
         self._names[topic] = ", ".join(names)
         if count == 0:
             self._incompatible.pop(topic, None)
 
     def contested(self, topic: str, text: str) -> None:
-        """Set that two publishers send on a topic, with a text that names them; an empty text ends it."""
+        """Set the text about two publishers of a topic; an empty text ends it."""
         self._contested[topic] = text
         if text:
             self.first_contested.setdefault(topic, text)
 
     def incompatible_qos(self, topic: str, text: str) -> None:
-        """A publisher's quality of service does not fit: nothing of it will ever arrive."""
+        """Record that a publisher's QoS is incompatible: none of its messages will arrive."""
         self._incompatible[topic] = text
 
     def clock_unused(self, is_unused: bool) -> None:
-        """Whether somebody publishes /clock and this node does not follow it."""
+        """Set whether /clock is published although this node does not use it."""
         self._is_clock_unused = is_unused
 
     def of_another_time(self) -> str:
-        """What there is to say of the first input whose stamps are too old, for the log; empty where none is."""
+        """Return the log text about the first input with too old stamps; empty if there is none."""
         old = [record for record in self.records.values() if record.is_too_old]
         return f"{old[0].input.topic}: {self._age_text(old[0].latency_s)}" if old else ""
 
     def lost(self, topic: str, count: int) -> None:
-        """The middleware lost ``count`` further messages."""
+        """Record that the middleware lost ``count`` further messages."""
         self._lost[topic] = self._lost.get(topic, 0) + count
 
     def statuses(self, now_ns: int, waiting_ns: int | None = None) -> list[DiagnosticStatus]:
-        """One diagnostic status per topic; without a time of waiting it is the node's."""
+        """Return one diagnostic status per topic; ``waiting_ns`` defaults to the node's time."""
         return [self._status(state) for state in self._states(now_ns, waiting_ns)]
 
     def messages(self, factory: MessageFactory, now_ns: int, waiting_ns: int | None = None) -> list[Any]:
-        """One ship_msgs/InputHealth per topic; without a time of waiting it is the node's."""
+        """Return one ship_msgs/InputHealth per topic; ``waiting_ns`` defaults to the node's time."""
         return [_message(factory, state, now_ns) for state in self._states(now_ns, waiting_ns)]
 
     def told(
         self, factory: MessageFactory, now_ns: int, waiting_ns: int
     ) -> tuple[list[Any], list[DiagnosticStatus]]:
-        """Messages and statuses of one moment."""
+        """Return the messages and the diagnostic statuses for one time."""
         states = self._states(now_ns, waiting_ns)
         return [_message(factory, state, now_ns) for state in states], [self._status(state) for state in states]
 
@@ -151,7 +154,7 @@ class InputHealthBook(InputRecords):
         return DiagnosticStatus(f"input {topic}", state.level, state.text, values)
 
     def _judge(self, record: InputRecord, latency_s: float, rate_hz: float, waiting_ns: int) -> _Verdict:
-        """The worst that there is to say; the earlier of equals."""
+        """Return the worst issue; of equally bad ones the first."""
         verdicts = [
             *self._judge_connection(record, waiting_ns),
             *([(Level.ERROR, self._age_text(latency_s))] if record.is_too_old else []),
@@ -168,7 +171,7 @@ class InputHealthBook(InputRecords):
         return f"stamps {_latency_text(latency_s)} before the node's clock: a bag of another time?{hint}"
 
     def _judge_connection(self, record: InputRecord, waiting_ns: int) -> list[_Verdict]:
-        """Whether messages can come at all."""
+        """Return issues that prevent messages from arriving at all."""
         topic, verdicts = record.input.topic, []
         if topic in self._incompatible:
             verdicts.append((Level.ERROR, f"incompatible QoS: {self._incompatible[topic]}"))
@@ -179,10 +182,10 @@ class InputHealthBook(InputRecords):
             publishers = self._publishers.get(topic)
             waited_s = (waiting_ns - (self.start_ns or 0)) * 1e-9
             if publishers:
-                hint = f"{publishers} publisher(s) but no message for {waited_s:.0f} s: QoS mismatch, or it is silent"
+                hint = f"{publishers} publisher(s) but no message for {waited_s:.0f} s: QoS mismatch, or none is sent"
             else:
                 hint = f"no message for {waited_s:.0f} s since the start"
-                hint += ": nobody publishes it" if publishers == 0 else ""
+                hint += ": no publisher" if publishers == 0 else ""
             if record.input.required:
                 verdicts.append((Level.ERROR, f"required: {hint}"))
             elif (publishers and not record.input.at_times) or record.input.named:
@@ -209,17 +212,17 @@ def _message(factory: MessageFactory, state: _State, now_ns: int) -> Any:
 
 
 def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
-    """Whether what comes can be used."""
+    """Return issues from rejected messages."""
     last = record.last_refusal
     if last is None or record.last_refusal_ns is None:
         return []
     if record.future_in_a_row >= FUTURE_ERROR:
-        return [(Level.ERROR, f"clock offset: {record.future_in_a_row} in a row from the future; {last.text}")]
+        return [(Level.ERROR, f"clock offset: {record.future_in_a_row} stamps in a row in the future; {last.text}")]
     if record.refused_in_a_row >= REFUSALS_WARN:
         level = Level.ERROR if record.refused_in_a_row >= REFUSALS_ERROR else Level.WARN
-        return [(level, f"{record.refused_in_a_row} refused in a row, last {last.reason.word}: {last.text}")]
+        return [(level, f"{record.refused_in_a_row} rejected in a row, last {last.reason.word}: {last.text}")]
     if waiting_ns - record.last_refusal_ns <= REFUSAL_SHOWN_NS and last.reason not in _EXPECTED_REASONS:
-        return [(Level.WARN, f"refused, {last.reason.word}: {last.text}")]
+        return [(Level.WARN, f"rejected, {last.reason.word}: {last.text}")]
     return []
 
 
@@ -232,7 +235,7 @@ def _latency_text(latency_s: float) -> str:
 
 
 def _judge_silence(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
-    """Whether it still comes."""
+    """Return the issue of a timeout."""
     if record.last_arrival_ns is None or record.input.at_times:
         return []
     silence_ns = waiting_ns - record.last_arrival_ns
@@ -240,4 +243,4 @@ def _judge_silence(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     if silence_ns <= (WATCHDOG_NS if math.isnan(record.mean_period_ns) else expected_ns):
         return []
     level = Level.ERROR if record.input.required and silence_ns > SILENCE_ERROR_NS else Level.WARN
-    return [(level, f"silent for {silence_ns * 1e-9:.1f} s")]
+    return [(level, f"no data for {silence_ns * 1e-9:.1f} s")]

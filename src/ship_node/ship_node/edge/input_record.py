@@ -1,6 +1,6 @@
-"""What has come on the input topics: counts, rate, latency, age, refusals in a row. Time only from arguments, ns.
+"""Statistics of the input topics: counts, rate, latency, age, consecutive rejections.
 
-Whether that is well is judged in :mod:`ship_node.edge.input_health`.
+All times come from the arguments, ns. The statistics are evaluated in :mod:`ship_node.edge.input_health`.
 """
 
 import itertools
@@ -17,10 +17,10 @@ from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import InputTopic
 
 WINDOW = 50
-"""Arrivals from which rate and latency are taken."""
+"""Number of arrivals from which rate and latency are computed."""
 
 MAX_AGE_S = 10.0
-"""Age of a stamp beyond which it is of another time, s."""
+"""Maximum age of a stamp, s: an older one belongs to another time."""
 
 LATE_EDGES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 """Upper edges of the histogram of the delays of late messages, s."""
@@ -29,20 +29,21 @@ _MOST_FAILURES = 20
 
 
 class InputRecord:
-    """The book of one topic.
+    """Statistics of one topic.
 
     Attributes:
         input: the topic.
-        received, accepted, rejected: messages since the start.
-        reasons: how often each reason was met, in order of first appearance.
-        noted: of these, with messages that were used all the same.
-        late_delays: late messages per bin of :data:`LATE_EDGES_S`, and above.
-        refused_in_a_row: messages refused since the last accepted one, those of a source that is taken out aside.
-        future_in_a_row: likewise, stamped in the future.
-        last_refusal_ns: when the last message was refused, in the time of waiting; None where none was.
-        last_refusal: why; None where none was.
-        is_too_old: whether the last accepted one was stamped too long before the node's clock.
-        last_arrival_ns: when the last message came, in the time of waiting; None where none has.
+        received, accepted, rejected: numbers of messages since the start.
+        reasons: number of messages by reason, in order of first appearance.
+        note_counts: the part of ``reasons`` with messages that were used nevertheless.
+        late_delays: number of late messages per bin of :data:`DELAY_BIN_EDGES_S`, and above.
+        consecutive_rejections: messages rejected since the last accepted one; those of a source that is switched off do
+            not count.
+        consecutive_future_stamps: messages stamped in the future since the last other one.
+        last_rejection_ns: timeout-clock time of the last rejection; None if there was none.
+        last_rejection: the last rejection; None if there was none.
+        is_too_old: True if the last accepted stamp was too long before the node's time.
+        last_arrival_ns: timeout-clock time of the last message; None if there was none.
     """
 
     def __init__(self, input_topic: InputTopic) -> None:
@@ -54,7 +55,7 @@ class InputRecord:
         self.forget_times()
 
     def forget_times(self) -> None:
-        """Keep the counts, start anew with everything that has to do with time."""
+        """Reset everything that depends on time; keep the counts."""
         self.last_refusal_ns: int | None = None
         self.last_refusal: Refusal | None = None
         self.last_arrival_ns: int | None = None
@@ -62,24 +63,24 @@ class InputRecord:
         self.forget_stamps()
 
     def forget_stamps(self) -> None:
-        """Keep the counts and when messages came."""
+        """Reset everything that depends on stamps; keep the counts and the arrival times."""
         self.refused_in_a_row = self.future_in_a_row = 0
         self.is_too_old = False
         self._newest_stamp_ns: int | None = None
         self._latencies_ns: deque[int] = deque(maxlen=WINDOW)
 
     def add_arrival(self, waiting_ns: int) -> None:
-        """A message came."""
+        """Count the arrival of a message."""
         self.received += 1
         if self.last_arrival_ns is not None:
             self._intervals_ns.append(waiting_ns - self.last_arrival_ns)
         self.last_arrival_ns = waiting_ns
 
     def add_block(self, arrivals_ns: np.ndarray, stamps_ns: np.ndarray, max_age_ns: int) -> None:
-        """Messages came, one after another, and each was used; times as in the two methods beside.
+        """Count a batch of messages that were all used, as by :meth:`add_arrival` and :meth:`add_accepted`.
 
         Args:
-            arrivals_ns: shape (N,); the time of waiting is that of the node's clock.
+            arrivals_ns: receive times by the node's clock, which the timeout clock equals here, shape (N,).
             stamps_ns: in ascending order, shape (N,).
             max_age_ns: see :meth:`add_accepted`.
         """
@@ -102,7 +103,7 @@ class InputRecord:
             self._newest_stamp_ns = int(stamps_ns[-1])
 
     def add_accepted(self, stamp_ns: int, receive_ns: int, max_age_ns: int) -> None:
-        """A message was used; that ends a run of refusals. One older than ``max_age_ns`` counts for CLOCK."""
+        """Count a used message and end a run of rejections; one older than ``max_age_ns`` is counted as CLOCK."""
         self.accepted += 1
         self.refused_in_a_row = self.future_in_a_row = 0
         self._latencies_ns.append(receive_ns - stamp_ns)
@@ -114,10 +115,10 @@ class InputRecord:
             self._newest_stamp_ns = stamp_ns
 
     def add_rejected(self, refusal: Refusal, waiting_ns: int, receive_ns: int, stamp_ns: int | None) -> None:
-        """A message was refused; the delay of a late one goes into the histogram."""
+        """Count a rejected message; the delay of a late one is added to the histogram."""
         self.rejected += 1
         self.reasons[refusal.reason] += 1
-        # A source that people have taken out may be as good as ever: that is no run of refusals.
+        # A source that is switched off may be good: its messages do not count as consecutive rejections.
         self.refused_in_a_row += refusal.reason is not Reason.OFF
         self.future_in_a_row = self.future_in_a_row + 1 if refusal.reason is Reason.FUTURE else 0
         self.last_refusal_ns, self.last_refusal = waiting_ns, refusal
@@ -126,7 +127,7 @@ class InputRecord:
             self.late_delays[sum(delay_s > edge for edge in LATE_EDGES_S)] += 1
 
     def add_overflow(self, count: int, why: str, waiting_ns: int) -> None:
-        """Messages were cut; that says nothing about those that were looked at."""
+        """Count messages that were cut unread because of a bound; a run of rejections neither grows nor ends."""
         self.received += count
         self.rejected += count
         self.reasons[Reason.OVERFLOW] += count
@@ -135,7 +136,7 @@ class InputRecord:
         self.last_refusal = Refusal(Reason.OVERFLOW, f"{cut} messages cut, the last {why}")
 
     def add_behind(self, count: int, why: str, waiting_ns: int) -> None:
-        """Messages came and were cut because the node is behind: that is no silence of their source."""
+        """Count messages that were cut because the node is behind; they count as arrivals for the timeout."""
         self.received += count
         self.rejected += count
         self.reasons[Reason.BEHIND] += count
@@ -144,7 +145,7 @@ class InputRecord:
 
     @property
     def mean_period_ns(self) -> float:
-        """Mean time between arrivals, NaN before three came.
+        """Mean time between arrivals, ns; NaN before three messages.
 
         The longest interval is left out, so that one gap does not hide the next.
         """
@@ -153,7 +154,7 @@ class InputRecord:
         return (sum(self._intervals_ns) - max(self._intervals_ns)) / (len(self._intervals_ns) - 1)
 
     def rate_hz(self, waiting_ns: int) -> float:
-        """Mean rate of arrival, a silence that is longer than any interval included; NaN before two came."""
+        """Return the mean arrival rate, Hz, with a current gap longer than any interval; NaN before two messages."""
         if self.last_arrival_ns is None or not self._intervals_ns:
             return math.nan
         since_ns = waiting_ns - self.last_arrival_ns
@@ -163,31 +164,31 @@ class InputRecord:
 
     @property
     def latency_s(self) -> float:
-        """Median time from stamp to arrival of the accepted ones, NaN before one came."""
+        """Median time from stamp to arrival of the accepted messages, s; NaN before the first."""
         if not self._latencies_ns:
             return math.nan
         ordered, middle = sorted(self._latencies_ns), len(self._latencies_ns) // 2
-        # The two in the middle, or the one twice.
+        # The two middle values, which are equal for an odd number.
         return 0.5 * (ordered[middle] + ordered[~middle]) * 1e-9
 
     def age_s(self, now_ns: int) -> float:
-        """Time since the newest stamp accepted, NaN before one came."""
+        """Return the time since the newest accepted stamp, s; NaN before the first."""
         return math.nan if self._newest_stamp_ns is None else (now_ns - self._newest_stamp_ns) * 1e-9
 
 
 class InputRecords:
-    """The books of all inputs of a node, as an adapter and the shell of a node write them.
+    """Statistics of all inputs of a node, updated by the adapter and the node runtime.
 
-    Rates and silence are taken in the time of waiting (:class:`ship_node.edge.adapter.Adapter`), ages and latencies by
-    the node's clock, as stamps are.
+    Rates and timeouts are measured by the timeout clock (:class:`ship_node.edge.adapter.Adapter`), ages and latencies
+    by the node's clock, as stamps are.
 
     Args:
-        inputs: the topics; others are unknown (KeyError).
-        max_age_s: stamps further than this before the node's clock are of another time, s.
+        inputs: the topics; others raise KeyError.
+        max_age_s: maximum age of a stamp, s: an older one belongs to another time.
 
     Attributes:
-        records: topic → its book.
-        start_ns: the first time of waiting that was told; None before.
+        records: topic → its statistics.
+        start_ns: first timeout-clock time; None before.
     """
 
     def __init__(self, inputs: Iterable[InputTopic], max_age_s: float = MAX_AGE_S) -> None:
@@ -206,15 +207,15 @@ class InputRecords:
         refusal: Refusal | None,
         used: bool,
     ) -> None:
-        """A message came and was read, and this is what became of it at once.
+        """Record a message that was read, and the immediate result.
 
         Args:
-            topic: the topic that it came on.
-            waiting_ns: when it came, in the time of waiting.
-            receive_ns: the same by the node's clock.
-            reading: what was read.
-            refusal: why it was not used; None where it was, or where that is decided later.
-            used: whether a message that was not refused counts as used already.
+            topic: the input topic.
+            waiting_ns: receive time by the timeout clock.
+            receive_ns: receive time by the node's clock.
+            reading: the message as read.
+            rejection: why it was rejected; None if it was used, or if a decision follows later.
+            is_used: True if a message without rejection counts as used already.
         """
         self.arrived(topic, waiting_ns)
         if not reading.covariance_known:
@@ -229,13 +230,13 @@ class InputRecords:
     def took_block(
         self, topic: str, receive_ns: np.ndarray, stamps_ns: np.ndarray, covariance_known: bool
     ) -> None:
-        """Messages came and were used, with nothing else to be said of any; as :meth:`took` of each.
+        """Record a batch of messages that were all used without remarks, as :meth:`record_input` does for each.
 
         Args:
-            topic: the topic that they came on.
-            receive_ns: when each came, by the node's clock and in the time of waiting, shape (N,).
+            topic: the input topic.
+            receive_ns: receive times, equal by both clocks, shape (N,).
             stamps_ns: in ascending order, shape (N,).
-            covariance_known: whether they give a covariance.
+            covariance_known: True if they give a covariance.
         """
         self._now(int(receive_ns[0]))
         self._now(int(receive_ns[-1]))
@@ -246,17 +247,17 @@ class InputRecords:
             record.noted[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
 
     def turned_away(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, refusal: Refusal) -> None:
-        """A message came and could not be read; the times are those of :meth:`took` and its stamp."""
+        """Record a message that could not be read; times as in :meth:`record_input`, and its stamp."""
         self.arrived(topic, waiting_ns)
         self.rejected(topic, refusal, receive_ns, stamp_ns)
 
     def judged(self, topic: str, decision: Decision[Any], now_ns: int) -> None:
-        """It was decided whether a measurement that had come on a topic is used.
+        """Record the decision on a measurement of a topic.
 
         Args:
-            topic: the topic.
-            decision: about the measurement.
-            now_ns: when it was decided, by the node's clock.
+            topic: the input topic.
+            decision: on the measurement.
+            now_ns: time of the decision by the node's clock.
         """
         time_ns = decision.measurement.time_ns
         if decision.revised:
@@ -271,21 +272,21 @@ class InputRecords:
             self.noted(topic, left_out.reason)
 
     def arrived(self, topic: str, waiting_ns: int) -> None:
-        """A message came, in the time of waiting."""
+        """Record the arrival of a message at a timeout-clock time."""
         self.records[topic].add_arrival(self._now(waiting_ns))
 
     def accepted(self, topic: str, stamp_ns: int, receive_ns: int) -> None:
-        """A message was used."""
+        """Record a used message."""
         self.records[topic].add_accepted(stamp_ns, receive_ns, self._max_age_ns)
 
     def rejected(self, topic: str, refusal: Refusal, receive_ns: int, stamp_ns: int | None = None) -> None:
-        """A message was not used.
+        """Record a rejected message.
 
         Args:
-            topic: the topic that it came on.
-            refusal: why.
-            receive_ns: when it was refused, by the node's clock.
-            stamp_ns: its stamp, where there is one to believe.
+            topic: the input topic.
+            rejection: the reason.
+            receive_ns: time of the rejection by the node's clock.
+            stamp_ns: stamp of the message; None if it is unusable.
         """
         if refusal.reason is Reason.FAILED:
             self.failed(f"{topic}: {refusal.text}")
@@ -293,48 +294,51 @@ class InputRecords:
         self.records[topic].add_rejected(refusal, waiting_ns, receive_ns, stamp_ns)
 
     def noted(self, topic: str, reason: Reason) -> None:
-        """Count a remark (such as COVARIANCE_UNKNOWN) on a message that is used."""
+        """Record a remark (such as COVARIANCE_UNKNOWN) on a message that is used."""
         self.records[topic].reasons[reason] += 1
         self.records[topic].noted[reason] += 1
 
     def overflowed(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
-        """So many messages came and were not looked at: they were beyond a bound.
+        """Record messages that were cut unread because a bound was exceeded.
 
         Args:
-            topic: the topic that they came on.
-            count: how many.
-            why: which bound, for people.
-            waiting_ns: when that is told.
+            topic: the input topic.
+            count: number of messages.
+            why: the bound, for the user.
+            waiting_ns: time of the report by the timeout clock.
         """
         self.records[topic].add_overflow(count, why, self._now(waiting_ns))
 
     def cut_behind(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
-        """Count messages that were cut because the node is behind; arguments as in :meth:`overflowed`."""
+        """Record messages that were cut because the node is behind; arguments as in :meth:`record_overflow`."""
         self.records[topic].add_behind(count, why, self._now(waiting_ns))
 
     def failed(self, text: str) -> None:
-        """Our own code raised, and that was caught: for the log of a live node."""
+        """Record an exception of the suite's own code that was caught, for the log of a live node."""
         self._failures.append(text)
 
     def take_failures(self) -> list[str]:
-        """What failed since the last call, the latest few."""
+        """Return the latest exceptions recorded since the last call."""
         failures = list(self._failures)
         self._failures.clear()
         return failures
 
     def restart(self) -> None:
-        """The clock went back or the node was reset: counts stay, everything timed starts anew."""
+        """Reset everything that depends on time, after the clock went back or the node was reset; keep the counts."""
         self.start_ns = None
         for record in self.records.values():
             record.forget_times()
 
     def forget_stamps(self) -> None:
-        """All clocks stepped: what rests on stamps of before is forgotten."""
+        """Reset everything that depends on stamps, after all clocks stepped."""
         for record in self.records.values():
             record.forget_stamps()
 
     def refused_and_noted(self) -> dict[str, tuple[Counter[Reason], Counter[Reason]]]:
-        """Topic → reason → messages that were not used, and messages used with a note, of topics that had either."""
+        """Return topic → reason → numbers of rejected messages and of messages used with a remark.
+
+        Topics without either are left out.
+        """
         return {
             topic: (record.reasons - record.noted, record.noted)
             for topic, record in self.records.items()

@@ -1,4 +1,4 @@
-"""The messages of an INS, sensor_msgs/Imu, which every node hears: one of them, and the many of a block."""
+"""Readers of the INS's messages (sensor_msgs/Imu), for one message and for a batch."""
 
 from typing import Any
 
@@ -23,11 +23,11 @@ from ship_node.edge.messages_in import (
 )
 
 CONTRADICTED_FACTOR = 1.5
-"""Ratio of a sigma that an INS states to the configured one from which on it is reported."""
+"""Ratio of the sigma that an INS states to the configured one above which it is reported."""
 
 
 def contradicted_sigmas(covariance: FloatArray, config: InsInputConfig) -> str:
-    """Return the sigmas that an INS states of itself and that are larger than the configured ones; empty if none is.
+    """Return a text with the sigmas stated by the INS that exceed the configured ones; empty if none does.
 
     Args:
         covariance: of the orientation in its messages, rad², shape (3, 3); the third axis is vertical.
@@ -46,9 +46,9 @@ def contradicted_sigmas(covariance: FloatArray, config: InsInputConfig) -> str:
 
 
 def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
-    """``ins/imu`` → attitude and rate of the deck.
+    """Convert an ``ins/imu`` message to attitude and angular rate of the deck.
 
-    Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
+    The message's covariance is the INS's total error, not white noise: it is checked and not used further.
 
     Raises:
         Refused: with the reason.
@@ -65,13 +65,13 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMes
 
 
 def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig) -> ReadBlock:
-    """The messages of a block that :func:`ins_sample` takes, with rates and the same covariance in all: a SampleBlock.
+    """Return the leading messages of a batch that :func:`ins_sample` accepts, as a SampleBlock.
 
-    Each sample is, to the last bit, what :func:`ins_sample` makes of its message.
+    They all have angular rates and the same covariance. Each sample equals that of :func:`ins_sample` to the last bit.
 
     Args:
         messages: of ``ins/imu``.
-        receive_ns: when each came by the node's clock, shape (N,).
+        receive_ns: receive time of each message by the node's clock, shape (N,).
         config: of the INS.
     """
     first, numbers = messages.message(0), messages.numbers
@@ -79,7 +79,7 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
         frame(first.header.frame_id, config.frame_id)
         covariance = covariance_3x3(first.orientation_covariance, "orientation_covariance")
     except Refused:
-        # The first one will be refused by itself.
+        # The first message is rejected by ins_sample, with its reason.
         numbers, covariance = numbers[:0], None
     times_ns, timely = stamps(numbers, receive_ns)
     quaternions, of_norm_1 = imu_quaternions(numbers, config.accept_unset_covariance)
@@ -95,12 +95,12 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
 
 
 def _rotations_nd(quaternions: FloatArray, config: InsInputConfig) -> FloatArray:
-    """Horizon from deck, shape (N, 3, 3), of orientations of the INS as quaternions, shape (N, 4)."""
+    """Return the rotations deck → horizon, shape (N, 3, 3), of the INS's quaternions, shape (N, 4)."""
     rotations: FloatArray = rotation_from_quaternion(quaternions, config.convention) @ config.rotation_di.T
     return rotations
 
 
 def _rates_d(rates_ros: FloatArray, config: InsInputConfig) -> FloatArray:
-    """Rates in the deck frame, of rates in the axes of the message, rad/s, shape (N, 3)."""
+    """Return angular rates in the deck frame, rad/s, shape (N, 3), of rates in the axes of the message."""
     rates: FloatArray = (config.rotation_di @ device_vector_from_ros(rates_ros, config.convention)[..., None])[..., 0]
     return rates

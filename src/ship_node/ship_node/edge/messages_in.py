@@ -1,7 +1,7 @@
-"""What a message must hold before any of it reaches a filter, checked field by field.
+"""Checks of a message's fields before any of them reaches a filter.
 
-Each check returns the value in the form that cores use, or raises :class:`Refused`. The readers of the packages are
-made of these checks.
+Each check returns the value in the form that cores use, or raises :class:`MessageRejected`. The packages' readers are
+built from these checks.
 """
 
 import math
@@ -19,7 +19,7 @@ from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 
 FUTURE_TOLERANCE_NS = 50_000_000
-"""A stamp may be this far ahead of the node's clock, ns."""
+"""Maximum time by which a stamp may be ahead of the node's clock, ns."""
 
 Value = TypeVar("Value")
 
@@ -28,26 +28,28 @@ LEAST_QUATERNION_NORM = 1e-6
 QUATERNION_NORM_TOLERANCE = 1e-2
 COVARIANCE_TOLERANCE = 1e-6
 CLEAR_DETERMINANT = 1e-9
-"""Of correlations: nothing above it is due to rounding."""
+"""Determinant of a correlation matrix above which it is positive definite beyond rounding."""
 NOT_GIVEN = -1.0
 """First element of a covariance in sensor_msgs/Imu whose quantity is not given."""
 _LONGEST_ID = 64
 LARGEST_VARIANCE = (2.0 * math.pi) ** 2
-"""Of an angle, rad²: no sigma is more than a full turn."""
+"""Largest accepted variance of an angle, rad²: a sigma of one full turn."""
 
 LARGEST_RATE = 100.0
-"""No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
+"""Largest accepted angular rate of a ship, rad/s.
+
+Rates in degrees per second stay below it; they are detected by their ratio to the expected ones."""
 
 
 @dataclass(frozen=True)
 class ReadMessage(Generic[Value]):
-    """What a reader makes of a message.
+    """Result of reading a message.
 
     Attributes:
         value: the struct that the core takes, with its stamp ``time_ns``.
-        covariance_known: False where the message gives no covariance, and the configured sigma stands in.
-        left_out: parts of the message (stars, lights) that cannot be used, by name, and why.
-        empty: True where the device works and saw nothing, so that there is nothing to compare.
+        covariance_known: False if the message gives no covariance; the configured sigma is used then.
+        rejected_parts: rejected parts of the message (stars, lights), by name, with the reasons.
+        is_empty: True if the device works and saw nothing, so that there is nothing to compare.
     """
 
     value: Value
@@ -57,10 +59,10 @@ class ReadMessage(Generic[Value]):
 
 
 class Refused(Exception):
-    """A message is not used.
+    """A message is rejected.
 
     Attributes:
-        refusal: the reason, and the same for people, with numbers.
+        rejection: the reason, and its text with numbers for the user.
     """
 
     def __init__(self, reason: Reason, text: str) -> None:
@@ -69,16 +71,16 @@ class Refused(Exception):
 
 
 def quoted_id(name: str) -> str:
-    """A name that came in a message, for people: in quotes, and cut where it is longer than any sensible one."""
+    """Return a name from a message for a text: in quotes and cut to a reasonable length."""
     return f"'{shortened(name, _LONGEST_ID)}'"
 
 
 def stamp_ns(header: Any, receive_ns: int) -> int:
-    """The stamp of a header, ns.
+    """Return the stamp of a header, ns.
 
     Raises:
-        Refused: BAD_STAMP where it is zero, negative or has a second and more of nanoseconds, FUTURE where
-            it is more than 50 ms ahead of ``receive_ns``.
+        Refused: BAD_STAMP if it is zero, negative or has 1e9 ns or more; FUTURE if it is more than 50 ms ahead of
+            ``receive_ns``.
     """
     if header.stamp.nanosec >= _SECOND_NS:
         raise Refused(Reason.BAD_STAMP, f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second")
@@ -92,7 +94,7 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
 
 
 def frame(frame_id: str, expected: str) -> None:
-    """Refuse a message of another frame; an empty ``expected`` accepts any.
+    """Reject a message with another frame_id; an empty ``expected`` accepts any.
 
     Raises:
         Refused: FRAME.
@@ -102,7 +104,7 @@ def frame(frame_id: str, expected: str) -> None:
 
 
 def device_id(what: str, given: str, expected: str) -> None:
-    """Refuse a message of another device than its topic belongs to.
+    """Reject a message of another device than the topic's.
 
     Raises:
         Refused: UNKNOWN_SENSOR.
@@ -112,7 +114,7 @@ def device_id(what: str, given: str, expected: str) -> None:
 
 
 def finite_numbers(what: str, *values: float) -> None:
-    """Refuse NaN and infinity.
+    """Reject NaN and infinity.
 
     Raises:
         Refused: NON_FINITE.
@@ -123,10 +125,10 @@ def finite_numbers(what: str, *values: float) -> None:
 
 
 def exposure_length_s(exposure_s: float, longest_s: float) -> float:
-    """The length of an exposure, s; 0 where it is not given, which NaN and 0 mean.
+    """Return the length of an exposure, s; 0 if it is not given (NaN or 0).
 
     Raises:
-        Refused: NON_FINITE, or UNITS where it is negative or longer than ``longest_s``.
+        Refused: NON_FINITE, or UNITS if it is negative or longer than ``longest_s``.
     """
     if math.isnan(exposure_s):
         return 0.0
@@ -137,7 +139,7 @@ def exposure_length_s(exposure_s: float, longest_s: float) -> float:
 
 
 def finite_vector(vector: Any, what: str) -> FloatArray:
-    """The numbers x, y, z of a message, shape (3,).
+    """Return x, y, z of a message as an array, shape (3,).
 
     Raises:
         Refused: NON_FINITE.
@@ -147,10 +149,10 @@ def finite_vector(vector: Any, what: str) -> FloatArray:
 
 
 def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
-    """The numbers x, y, z, w of a quaternion message, shape (4,), with norm 1.
+    """Return x, y, z, w of a quaternion message, normalised to 1, shape (4,).
 
     Raises:
-        Refused: NON_FINITE, or BAD_QUATERNION where the norm is off 1 by more than 1e-2.
+        Refused: NON_FINITE, or BAD_QUATERNION if the norm differs from 1 by more than 1e-2.
     """
     numbers = quaternion.x, quaternion.y, quaternion.z, quaternion.w
     finite_numbers(what, *numbers)
@@ -158,16 +160,16 @@ def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
     if norm < LEAST_QUATERNION_NORM:
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
-        # Whose squares are infinite is told all the same.
+        # hypot avoids the overflow of squares.
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {math.hypot(*numbers):.6g}: expected 1")
     return np.array(numbers) / norm
 
 
 def sigma_given(sigma: float, largest: float) -> float | None:
-    """A standard deviation; None where it is not given, which NaN and 0 mean.
+    """Return a standard deviation; None if it is not given (NaN or 0).
 
     Raises:
-        Refused: NON_FINITE, or BAD_COVARIANCE where it is negative or above ``largest``.
+        Refused: NON_FINITE, or BAD_COVARIANCE if it is negative or above ``largest``.
     """
     if math.isnan(sigma) or sigma == 0.0:
         return None
@@ -179,13 +181,13 @@ def sigma_given(sigma: float, largest: float) -> float | None:
 
 
 def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatArray | None:
-    """A covariance given as nine numbers, symmetric, shape (3, 3); None where it is unknown.
+    """Return a covariance given as nine numbers, symmetric, shape (3, 3); None if it is unknown.
 
-    Unknown means all zero, or −1 as the first element (sensor_msgs/Imu): the configured sigma holds then.
+    Unknown means all zero, or −1 as the first element (sensor_msgs/Imu): the configured sigma is used then.
 
     Raises:
-        Refused: NON_FINITE, or BAD_COVARIANCE where a variance is negative or the matrix is, beyond
-            rounding, not symmetric or not positive semidefinite. Rounding itself is taken out.
+        Refused: NON_FINITE; or BAD_COVARIANCE if a variance is negative, or if the matrix is, beyond rounding, not
+            symmetric or not positive semidefinite. Rounding errors are removed.
     """
     try:
         return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes())
@@ -194,10 +196,10 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatAr
 
 
 def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
-    """A covariance (rad²) of angles or of a rotation vector, symmetric, shape (3, 3); None where it is unknown.
+    """Return a covariance (rad²) of angles or of a rotation vector, shape (3, 3); None if it is unknown.
 
     Raises:
-        Refused: as :func:`covariance_3x3`, and BAD_COVARIANCE where a sigma is of more than a full turn.
+        Refused: as :func:`covariance_3x3`, and BAD_COVARIANCE if a sigma exceeds one full turn.
     """
     covariance = covariance_3x3(values, what)
     if covariance is not None:
@@ -210,10 +212,10 @@ def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
 
 @lru_cache(maxsize=64)
 def _covariance_of_bytes(content: bytes) -> FloatArray | None:
-    """The same of nine doubles, refused without saying what they are.
+    """Return :func:`covariance_3x3` of nine doubles; the rejection text does not name the field.
 
-    It is remembered, because an INS says the same covariance a hundred times a second, and a star sensor all of whose
-    errors are independent says its covariance twice.
+    Results are cached: an INS repeats one covariance a hundred times a second, and a star sensor whose errors are all
+    independent gives its covariance twice per message.
     """
     numbers = struct.unpack("9d", content)
     if numbers[0] == NOT_GIVEN or not any(numbers):
@@ -223,7 +225,7 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
     variances = numbers[::4]
     if min(variances) < 0.0:
         raise Refused(Reason.BAD_COVARIANCE, f"holds a negative variance: {min(variances):.6g}")
-    # Measured in sigmas, so that a small axis is judged as strictly as a large one.
+    # Relative to the sigmas, so that small and large axes are checked equally.
     first, second, third = map(math.sqrt, variances)
     limits = first * second, first * third, second * third
     above, below = (numbers[1], numbers[2], numbers[5]), (numbers[3], numbers[6], numbers[7])
@@ -241,13 +243,13 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
 
 
 def _clearly_definite(beside: Sequence[float], limits: Sequence[float]) -> bool:
-    """Whether correlations are those of a positive definite matrix, by more than rounding.
+    """True if correlations are those of a positive definite matrix beyond rounding.
 
-    The product of three eigenvalues is the determinant, and as their sum is three that of two is at most 9/4: the least
-    one is larger than a third of the determinant.
+    The product of the three eigenvalues is the determinant. Their sum is three, so the product of two is at most 9/4,
+    and the smallest exceeds a third of the determinant.
 
     Args:
-        beside: covariances of the first and the second, the first and the third, the second and the third axis.
+        off_diagonal: covariances of axes 1 and 2, 1 and 3, 2 and 3.
         limits: products of their sigmas.
     """
     if not min(limits) > 0.0:
@@ -257,10 +259,10 @@ def _clearly_definite(beside: Sequence[float], limits: Sequence[float]) -> bool:
 
 
 def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray) -> FloatArray:
-    """A symmetric matrix, shape (3, 3), as a covariance by the eigenvalues of its correlations.
+    """Return a symmetric matrix, shape (3, 3), as a covariance without negative eigenvalues of its correlations.
 
     Raises:
-        Refused: BAD_COVARIANCE where one of these is negative by more than rounding.
+        Refused: BAD_COVARIANCE if an eigenvalue is negative beyond rounding.
     """
     limit = np.outer(sigma, sigma)
     correlation = symmetric / np.where(limit > 0.0, limit, 1.0)
@@ -269,21 +271,21 @@ def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray) -> Floa
         text = f"is not positive semidefinite: eigenvalue {eigenvalues[0]:.3g} of correlations"
         raise Refused(Reason.BAD_COVARIANCE, text)
     if eigenvalues[0] < 0.0:
-        # Rounded numbers are let in, but no filter may meet a negative variance.
+        # Rounding errors are accepted, but no filter may receive a negative variance.
         correlation = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
         symmetric = 0.5 * limit * (correlation + correlation.T)
     return symmetric
 
 
 def ship_rate(angular_velocity: Any) -> FloatArray:
-    """The numbers of an angular velocity (rad/s), in the axes of the message, shape (3,).
+    """Return an angular velocity in the axes of the message, rad/s, shape (3,).
 
     Raises:
-        Refused: NON_FINITE, or UNITS where no ship turns so fast.
+        Refused: NON_FINITE, or UNITS if it is too large for a ship.
     """
     rate_ros = finite_vector(angular_velocity, "angular_velocity")
     if np.max(np.abs(rate_ros)) > LARGEST_RATE:
-        raise Refused(Reason.UNITS, f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
+        raise Refused(Reason.UNITS, f"angular_velocity {rate_ros.tolist()}: too large for a ship in rad/s")
     return rate_ros
 
 
@@ -299,7 +301,7 @@ def imu_quaternion(message: Any, accept_unset_covariance: bool) -> FloatArray:
     """
     if message.orientation_covariance[0] == NOT_GIVEN and not accept_unset_covariance:
         text = "orientation_covariance[0] is -1: no orientation is given (sensor_msgs/Imu)"
-        raise Refused(Reason.NOT_GIVEN, f"{text}; if the driver gives one all the same, set accept_unset_covariance")
+        raise Refused(Reason.NOT_GIVEN, f"{text}; if the driver gives one nevertheless, set accept_unset_covariance")
     return unit_quaternion(message.orientation)
 
 

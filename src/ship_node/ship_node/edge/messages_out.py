@@ -1,4 +1,4 @@
-"""Messages that every node gives alike: what became of its inputs, error budgets, how the node itself does."""
+"""Messages that every node publishes: innovations, error budgets, integrity, diagnostics."""
 
 import enum
 import struct
@@ -25,7 +25,7 @@ BUDGET_TYPE = "ship_msgs/msg/ErrorBudget"
 INTEGRITY_TYPE = "ship_msgs/msg/Integrity"
 TF_TOPIC, TF_STATIC_TOPIC, TF_TYPE = "/tf", "/tf_static", "tf2_msgs/msg/TFMessage"
 ZERO_VECTOR = dict.fromkeys("xyz", 0.0)
-"""Fields of geometry_msgs/Vector3 for what is not known or not given: the place of a frame, an acceleration."""
+"""Fields of a geometry_msgs/Vector3 that is unknown or not given: position of a frame, acceleration."""
 
 _NOTHING = np.empty(0)
 _SECOND_NS = 1_000_000_000
@@ -33,7 +33,7 @@ _count = struct.Struct("<I").pack
 
 
 class Level(enum.IntEnum):
-    """The levels of diagnostic_msgs/DiagnosticStatus."""
+    """Levels of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -43,12 +43,12 @@ class Level(enum.IntEnum):
 
 @dataclass(frozen=True)
 class DiagnosticStatus:
-    """How one thing does.
+    """State of one part of a node.
 
     Attributes:
-        name: the thing, as ``"input ins/imu"``.
-        level: how bad it is.
-        message: one line for people.
+        name: the part, as ``"input ins/imu"``.
+        level: severity.
+        message: one line for the user.
         values: further figures by name.
     """
 
@@ -59,7 +59,7 @@ class DiagnosticStatus:
 
 
 class _ToldStatus(NamedTuple):
-    """A status as it stands in a diagnostic_msgs/DiagnosticArray, with the fields of the message."""
+    """Status with the fields of an entry of diagnostic_msgs/DiagnosticArray."""
 
     status: DiagnosticStatus
     name: str
@@ -81,23 +81,23 @@ class _ToldStatus(NamedTuple):
 def diagnostic_array(
     now_ns: int, node: str, statuses: Iterable[DiagnosticStatus], full_name: str = ""
 ) -> CdrMessage:
-    """A diagnostic_msgs/DiagnosticArray as its bytes.
+    """Return a diagnostic_msgs/DiagnosticArray as its bytes.
 
-    Its texts change from one to the next, so that no template would serve twice. All but the levels are texts and
-    counts, each of which stands at a multiple of four: they are put together one after another.
+    Its texts change from one array to the next, so a template would not be reused. All fields but the levels are texts
+    and counts, aligned to four bytes: they are concatenated.
 
     Args:
         now_ns: time of the report.
         node: name of the node; each status is named ``"<node>: <name>"``.
-        statuses: what there is to say.
-        full_name: the node's name with its namespace, where it runs in one; it is the hardware_id then.
+        statuses: the statuses.
+        full_name: the node's name with its namespace, used as hardware_id; empty if it has no namespace.
     """
     stamp, hardware_id = divmod(now_ns, _SECOND_NS), full_name or node
     told = [_ToldStatus(status, f"{node}: {status.name}", hardware_id) for status in statuses]
     data = bytearray(b"".join([HEADER, struct.pack("<iI", *stamp), cdr_text(""), _count(len(told))]))
     end = len(data)
     for status, name, _ in told:
-        # The level, a byte, stands right behind the last text, which is not filled up then.
+        # The level, one byte, follows the last text directly, without padding.
         data[end:] = bytes([status.level])
         data += bytes(-len(data) % 4)
         parts = [cdr_text(name), cdr_text(status.message), cdr_text(hardware_id), _count(len(status.values))]
@@ -111,20 +111,20 @@ def diagnostic_array(
 
 
 def judged_input(factory: MessageFactory, source: str, decision: Decision[Any]) -> Any:
-    """ship_msgs/Innovation of a measurement that was compared and judged, for the first time or anew.
+    """Return the ship_msgs/Innovation of a measurement that was compared, for the first time or again.
 
     Args:
         factory: makes the message.
-        source: who measured.
-        decision: about the measurement.
+        source: name of the source.
+        decision: on the measurement.
     """
     reason, text = decision.reason, decision.text
     if decision.accepted and not decision.measurement.covariance_known:
         reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
     if decision.revised:
-        verdict = "now used" if decision.accepted else f"now refused: {reason.word}"
-        reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
-    # Of layouts made once; a text with numbers would make a new one each time.
+        verdict = "now accepted" if decision.accepted else f"now rejected: {reason.word}"
+        reason, text = Reason.REVISED, f"re-evaluated after a late measurement, {verdict} {text}".rstrip()
+    # Layouts are cached; a text with numbers would need a new one each time.
     make = factory.make if text else factory.encoded
     return make(
         INNOVATION_TYPE,
@@ -151,14 +151,14 @@ def refused_input(
     sigma: FloatArray = _NOTHING,
     nis: float = float("nan"),
 ) -> Any:
-    """ship_msgs/Innovation of an input, or of a part of one (a star, a light), that was refused.
+    """Return the ship_msgs/Innovation of an input, or of a part of one (a star, a light), that was rejected.
 
     Args:
         factory: makes the message.
-        source: whose input it is.
+        source: name of the source.
         time_ns: stamp of the input.
-        refusal: why it was not used.
-        components: names of the residuals; empty where nothing was compared.
+        rejection: the reason.
+        components: names of the residuals; empty if nothing was compared.
         residual: measured minus predicted, rad, shape (m,).
         sigma: predicted standard deviation of each, rad, shape (m,).
         nis: normalised innovation squared.
@@ -188,15 +188,15 @@ def error_budget(
     parts_n: FloatArray,
     covariance_n: FloatArray,
 ) -> Any:
-    """ship_msgs/ErrorBudget of an estimate: the part of each source in its covariance.
+    """Return the ship_msgs/ErrorBudget of an estimate: its covariance by error source.
 
     Args:
         factory: makes the message.
-        quantity: what was estimated.
+        quantity: the estimated quantity.
         time_ns: stamp of the estimate.
-        frame_id: whose attitude it is.
-        sources: names of the sources of error.
-        parts_n: covariance by each of them, rotation vector in (North, Up, East), rad², shape (n_sources, 3, 3).
+        frame_id: frame whose attitude it is.
+        sources: names of the error sources.
+        covariances_n: covariance by each source, rotation vector in (North, Up, East), rad², shape (n_sources, 3, 3).
         covariance_n: their sum, rad², shape (3, 3).
     """
     return factory.encoded(
@@ -212,14 +212,14 @@ def error_budget(
 def integrity(
     factory: MessageFactory, report: IntegrityReport, quantities: Sequence[str], frame_id: str, config: IntegrityConfig
 ) -> Any:
-    """ship_msgs/Integrity of an output.
+    """Return the ship_msgs/Integrity of an output.
 
     Args:
         factory: makes the message.
-        report: what is to be said.
-        quantities: names of the components that the levels bound.
-        frame_id: whose output it is.
-        config: with the limits and the probability.
+        report: protection levels, test statistics and excluded sources.
+        quantities: names of the bounded components.
+        frame_id: frame of the output.
+        config: alert limits and probability.
     """
     return factory.encoded(
         INTEGRITY_TYPE,
@@ -239,15 +239,15 @@ def integrity(
 
 
 def integrity_status(report: IntegrityReport | None, quantities: Sequence[str]) -> DiagnosticStatus:
-    """How far the last output may be wrong although nothing says so; None where there is no output yet."""
+    """Return the status with the protection levels of the last output; ``report`` is None before the first."""
     if report is None:
-        return DiagnosticStatus("integrity", Level.OK, "nothing put out yet")
+        return DiagnosticStatus("integrity", Level.OK, "no output yet")
     levels = {f"{name} (″)": f"{level / ARCSEC:.1f}" for name, level in zip(quantities, report.level, strict=True)}
-    values = {**levels, "made by": report.dominant or "all sources right"}
+    values = {**levels, "made by": report.dominant or "no fault"}
     if report.excluded:
         seconds = [f"{name} for {(report.time_ns - since_ns) * 1e-9:.0f} s" for name, since_ns in report.excluded]
         return DiagnosticStatus("integrity", Level.WARN, f"excluded: {', '.join(seconds)}", values)
-    why = "too few sources check one another, they contradict one another, or a jump is not confirmed yet"
+    why = "too few redundant sources, contradicting sources, or an unconfirmed jump"
     words = {
         IntegrityState.MET: (Level.OK, "every protection level is within its alert limit"),
         IntegrityState.EXCEEDED: (Level.WARN, "a protection level is above its alert limit"),

@@ -1,7 +1,6 @@
-"""The numbers of outputs on their way into messages: of one output as numbers, of many as columns of numbers.
+"""Numbers of outputs for their messages: of one output as numbers, of many as columns.
 
-What stands in which field is told once for each node; these functions serve the one output that a live node has at a
-time and the many of a block alike.
+The assignment of numbers to fields is defined once per node and used for single outputs (live) and for batches.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
@@ -20,7 +19,7 @@ MessageFields = Iterator[tuple[str, str, Fields]]
 
 
 def joined(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
-    """The values of some fields of several runs of outputs, one run after another: arrays, or lists.
+    """Return the values of some fields of several runs of outputs, concatenated: arrays or lists.
 
     Example:
         >>> from types import SimpleNamespace
@@ -35,17 +34,17 @@ def joined(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
 
 
 def chosen(values: Any, places: NDArray[np.int64]) -> Any:
-    """Some of the values of an array or a list."""
+    """Select values of an array or a list."""
     return [values[place] for place in places] if isinstance(values, list) else values[places]
 
 
 def as_numbers(*arrays: Any) -> list[Any]:
-    """Of each array, whose first axis counts outputs, the numbers of the only output."""
+    """Return for each array, whose first axis counts outputs, the numbers of its only output."""
     return [values[0].tolist() for values in arrays]
 
 
 def as_columns(*arrays: Any) -> list[Any]:
-    """Of each array, whose first axis counts outputs, the numbers of all of them by columns."""
+    """Return for each array, whose first axis counts outputs, the numbers of all outputs by columns."""
     return [values.T for values in arrays]
 
 
@@ -54,12 +53,12 @@ def rows_by_kind(
     kinds: Iterable[Hashable],
     messages_of: Callable[[Any, NDArray[np.int64]], MessageFields],
 ) -> Iterator[PublishedRows]:
-    """The messages of many outputs: those of each are in the order in which ``messages_of`` gives them.
+    """Return the messages of many outputs; those of each output are in the order of ``messages_of``.
 
     Args:
         factory: makes the messages.
-        kinds: of each output; alike are those whose messages have the same texts, and nothing left out.
-        messages_of: of a kind and the places of its outputs, their messages.
+        kinds: kind of each output; outputs of one kind have messages with the same texts and lengths.
+        messages_of: messages of a kind and the indices of its outputs.
     """
     kinds = list(kinds)
     for kind in dict.fromkeys(kinds):

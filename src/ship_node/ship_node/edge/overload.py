@@ -1,4 +1,4 @@
-"""A node that cannot keep up with its inputs: what is known of that, and its words."""
+"""State of a node that cannot keep up with its inputs, and its text."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Overload:
-    """A change of how a node keeps up: messages were cut because they waited too long, or it keeps up again.
+    """Change of the overload state: messages were cut because they waited too long, or the node keeps up again.
 
     Attributes:
-        behind_s: waiting time of the oldest message, s; 0 where the node keeps up again.
-        cores: processor cores that the node may use.
-        load: mean number of processes that were running, or ready to run, in the last minute.
-        cut: topic → number of messages that were cut since the last change.
+        behind_s: time that the oldest message has waited, s; 0 if the node keeps up again.
+        cores: number of processor cores that the node may use.
+        load: mean number of runnable processes in the last minute.
+        cut: topic → number of messages cut since the last change.
     """
 
     behind_s: float
@@ -21,7 +21,7 @@ class Overload:
     cut: Mapping[str, int] = field(default_factory=dict)
 
     def text(self, node: str) -> str:
-        """Return the words for people.
+        """Return the text for the user.
 
         Example:
             >>> Overload(3.24, 2, 12.3).text("ship_attitude")

@@ -1,8 +1,8 @@
-"""The adapter of a node that recovers: in trouble a second estimator takes the same inputs and may replace the first.
+"""Adapter with recovery: in trouble a second estimator gets the same inputs and may replace the first.
 
-This adapter gives inputs and ticks to both, and once a second status and sources to
-:mod:`ship_estimation.recovery.recovery`, which decides. While the second estimator runs, messages are taken one by one,
-and nothing that was learnt is saved.
+The adapter gives inputs and ticks to both estimators. Once a second it passes status and sources to
+:mod:`ship_estimation.recovery.recovery`, which decides. While the second estimator runs, messages are processed one by
+one, and nothing that the filter has learned is saved.
 """
 
 from abc import abstractmethod
@@ -25,28 +25,28 @@ from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import Published
 
 _LOOK_NS = 1_000_000_000
-"""Time of waiting from one decision to the next, ns."""
+"""Period of the decisions by the timeout clock, ns."""
 
 _SHOWN_NS = 60_000_000_000
-"""Time of waiting for which an adoption is reported as new, ns."""
+"""Time for which an adoption is reported as new, by the timeout clock, ns."""
 
 SHOWS_SOURCE = frozenset({
     *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
     *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
 })  # fmt: skip
-"""Reasons after which a message still shows that its source is there: its form is right, a comparison rejected it."""
+"""Reasons after which a rejected message still shows that its source is present: only a comparison rejected it."""
 
 _RECOVERY = "recovery"
-"""Name of what failed where a second estimator cannot be started, judged or given an input."""
+"""Name of the failed part if a second estimator cannot be started, evaluated or given an input."""
 
-_REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; what was learnt since then may be wrong"
+_REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; the state learned since then may be wrong"
 
 
 class RecoveringAdapter(BlockAdapter):
-    """An adapter with a second estimator in trouble; see :class:`BlockAdapter`.
+    """Adapter with a second estimator in trouble; see :class:`BatchAdapter`.
 
     Attributes:
-        recovery: what decides on it.
+        recovery: decides on starting and adopting the second estimator.
     """
 
     def __init__(self, config: Any, *rest: Any) -> None:
@@ -61,14 +61,14 @@ class RecoveringAdapter(BlockAdapter):
     @property
     @abstractmethod
     def there_for_s(self) -> Mapping[str, float]:
-        """Beginning of a source's name → age of its last usable message up to which it is there, s."""
+        """Prefix of source names → maximum age of the last usable message for the source to be present, s."""
 
     def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
-        """Return the sources, named as they are excluded, that are there by a message that can be used."""
+        """Return the sources, named as in exclusions, that a usable message shows to be present."""
         return () if feed.judged else (feed.source,)
 
     def sources_of_decision(self, decision: Any) -> Iterable[str]:
-        """Return the sources that are there by a measurement that could be compared."""
+        """Return the sources that a compared measurement shows to be present."""
         return (decision.measurement.source,)
 
     @abstractmethod
@@ -77,14 +77,18 @@ class RecoveringAdapter(BlockAdapter):
 
     @abstractmethod
     def remedy(self, displaced: Mapping[str, float]) -> str:
-        """Return what people can do about sources that have moved and do not move back, by how far, rad."""
+        """Return the advice for sources whose mounting has shifted and does not return.
+
+        Args:
+            displaced: source → shift, rad.
+        """
 
     def before_adoption(self) -> list[Published]:
-        """Return what the estimator that is replaced still has to publish."""
+        """Return the pending outputs of the estimator that is replaced."""
         return []
 
     def start_from(self, saved: Any, now_ns: int) -> list[str]:
-        """Reset the estimator that is in use to a saved document; return remarks for the operator."""
+        """Reset the current estimator to a saved document; return remarks for the operator."""
         remarks: list[str] = self.core.start_from(saved, now_ns)
         return remarks
 
@@ -103,19 +107,19 @@ class RecoveringAdapter(BlockAdapter):
     def told(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
     ) -> list[Published]:
-        """See :class:`ReportingAdapter`; a message that can be used shows that its source is there."""
+        """See :class:`ReportingAdapter`; a usable message shows that its source is present."""
         refusal = None if outcome is None else outcome.refusal
         if outcome is not None and (refusal is None or refusal.reason in SHOWS_SOURCE):
             self._arrived_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
         return super().told(feed, reading, outcome, receive_ns, waiting_ns)
 
     def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
-        """See :class:`BlockAdapter`."""
+        """See :class:`BatchAdapter`."""
         self._arrived_ns[self.feeds[turn.topic].source] = int(turn.receive_ns[-1])
         return super().end_ahead(turn)
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
-        """See :class:`ReportingAdapter`; a measurement that could be compared shows that its source is there."""
+        """See :class:`ReportingAdapter`; a compared measurement shows that its source is present."""
         for decision in outcome.decisions:
             if decision.reason in SHOWS_SOURCE:
                 self._arrived_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
@@ -123,7 +127,7 @@ class RecoveringAdapter(BlockAdapter):
         return failed + super().published(outcome, now_ns, waiting_ns)
 
     def _note_decisions(self, decisions: Iterable[Any], now_ns: int) -> list[Published]:
-        """Let recovery measure what was decided; return what is to be said where that fails."""
+        """Pass decisions to the recovery; return a failure message if that raises."""
         try:
             for decision in decisions:
                 self.recovery.note_decision(self.core, decision)
@@ -132,12 +136,12 @@ class RecoveringAdapter(BlockAdapter):
         return []
 
     def takes_blocks(self, topic: str) -> bool:
-        """See :class:`BlockAdapter`."""
+        """See :class:`BatchAdapter`."""
         return super().takes_blocks(topic) and self.recovery.candidate is None
 
     @property
     def quiet_until_ns(self) -> int:
-        """See :class:`BlockAdapter`."""
+        """See :class:`BatchAdapter`."""
         return min(super().quiet_until_ns, 0 if self._looked_ns is None else self._looked_ns + _LOOK_NS)
 
     def _pass_on_contested(self, topic: str) -> None:
@@ -149,7 +153,7 @@ class RecoveringAdapter(BlockAdapter):
     # -- once a second --------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        """See :class:`ReportingAdapter`; once a second the second estimator starts, goes on or is adopted."""
+        """See :class:`ReportingAdapter`; once a second the second estimator is started, continued or adopted."""
         published = super().tick(now_ns, waiting_ns)
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         candidate = self.recovery.candidate
@@ -160,12 +164,12 @@ class RecoveringAdapter(BlockAdapter):
             try:
                 published += self._look(now_ns, waiting_ns)
             except Exception as error:
-                # The outputs of the estimator that is in use go out all the same.
+                # The outputs of the current estimator are published nevertheless.
                 published.append(self.failed(_RECOVERY, now_ns, failure(error)))
         return published
 
     def _look(self, now_ns: int, waiting_ns: int) -> list[Published]:
-        """Let recovery decide; return what an adoption, or a failure in the second estimator, leads to."""
+        """Let the recovery decide; return the messages of an adoption or of a failure of the second estimator."""
         there, before = self._there(waiting_ns), self.recovery.candidate
         is_as_expected = self._is_valid_or_above_limit() or self.behind is not None or not self.may_be_valid(there)
         published: list[Published] = []
@@ -180,14 +184,17 @@ class RecoveringAdapter(BlockAdapter):
         return published
 
     def _is_valid_or_above_limit(self) -> bool:
-        """Return True if the last output is VALID, or above the alert limit, which no other estimator would change."""
+        """Return True if the last output is VALID, or only DEGRADED by the alert limit.
+
+        Another estimator would not change a protection level above its alert limit.
+        """
         latest = self.latest
         if latest is None or latest.status is not Status.DEGRADED or not self.config.integrity.alert_limit_arcsec:
             return latest is not None and latest.status is Status.VALID
         return bool(above_limit(self.core.integrity(latest), self.quantities))
 
     def _there(self, waiting_ns: int) -> frozenset[str]:
-        """Return the sources whose last usable message came recently."""
+        """Return the sources with a recent usable message."""
         return frozenset(
             source
             for source, arrived_ns in self._arrived_ns.items()
@@ -196,7 +203,7 @@ class RecoveringAdapter(BlockAdapter):
         )
 
     def _adopt(self, waiting_ns: int) -> list[Published]:
-        """Replace the estimator by the second one; outputs go on in order."""
+        """Replace the estimator by the second one; outputs continue in order."""
         candidate = self.recovery.candidate
         assert candidate is not None
         published = self.before_adoption()
@@ -204,7 +211,7 @@ class RecoveringAdapter(BlockAdapter):
         self.core = candidate.core
         self.recovery.note_adoption(waiting_ns)
         self._adopted_ns = waiting_ns
-        # What was published of the estimator before does not hold for the next output.
+        # The published levels, conflicts and diagnoses belong to the replaced estimator.
         self.told_levels = ToldLevels()
         self.conflicts.clear()
         self.verdicts.clear()
@@ -251,12 +258,12 @@ class RecoveringAdapter(BlockAdapter):
 
     @property
     def recovery_counts(self) -> dict[str, str]:
-        """Numbers of second estimators that started and that were adopted, for diagnostics."""
+        """Numbers of second estimators started and adopted, for diagnostics."""
         recovery = self.recovery
         return {"second estimators started": str(recovery.started), "second estimators adopted": str(recovery.adopted)}
 
     def recovery_status(self, waiting_ns: int) -> DiagnosticStatus:
-        """Return the status of the second estimator."""
+        """Return the diagnostic status of the recovery."""
         recovery, values = self.recovery, self.recovery_counts
         if self._adopted_ns is not None and waiting_ns - self._adopted_ns <= _SHOWN_NS:
             values["recovered after [s]"] = f"{recovery.took_s:.0f}"
@@ -275,7 +282,7 @@ class RecoveringAdapter(BlockAdapter):
         displaced, excluded = self.recovery.displaced, sorted(self.core.excluded)
         if displaced:
             moved = ", ".join(f"{name} by {moved_rad / ARCSEC:.0f}″" for name, moved_rad in sorted(displaced.items()))
-            return f"moved and not moved back: {moved}; {self.remedy(displaced)}"
+            return f"shifted and not returned: {moved}; {self.remedy(displaced)}"
         if excluded:
             return f"excluded: {', '.join(excluded)}"
         return "the status is worse than the inputs allow"
@@ -284,7 +291,7 @@ class RecoveringAdapter(BlockAdapter):
 def _by_both(
     first: Callable[..., Any], second: Callable[..., Any], candidate: SecondEstimator
 ) -> Callable[[Any, int], Any]:
-    """Return what gives a value to both estimators: the outcome of the first one is published."""
+    """Return a function that passes a value to both estimators and returns the first one's outcome."""
 
     def take(value: Any, waiting_ns: int) -> Any:
         outcome = first(value, waiting_ns)

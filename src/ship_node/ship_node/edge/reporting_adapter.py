@@ -1,8 +1,8 @@
-"""The adapter of every node: what it hears is read, given to the core, counted and told; all else goes by the clock.
+"""Common adapter of all nodes: read inputs, pass them to the core, count and report the results, run periodic tasks.
 
-A message goes this way: the row of its topic in the adapter's table (:class:`Feed`) reads it and gives the value to the
-core; health counts what became of it; refusals, decisions, failures and estimates become messages. The adapters of the
-nodes add the table, what an estimate becomes, and diagnostics of their own.
+A topic's entry in the adapter's table (:class:`Feed`) reads a message and passes its value to the core. The health
+statistics record the result. Rejections, decisions, failures and estimates become messages. The adapters of the nodes
+add the table, the messages of an estimate and their own diagnostics.
 """
 
 from abc import ABC, abstractmethod
@@ -39,42 +39,43 @@ OWN_OUTPUTS = (
     OutputTopic(INPUT_HEALTH_TOPIC, "ship_msgs/msg/InputHealth"),
     OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE),
 )
-"""What every node gives of itself."""
+"""Output topics that every node has for its own state."""
 
-_TAKEN_OUT = Refusal(Reason.OFF, "taken out by sources_off")
+_TAKEN_OUT = Refusal(Reason.OFF, "switched off by sources_off")
 _SLOW_TOPICS = "slow topics"
 _OF_ATTITUDE = (3, 3)
 """Shape of the covariance of an attitude's innovation."""
 _STARS = "star."
-_LEAP_SECOND = "a leap second is inserted: UTC gives two seconds the same number, and this may be the wrong one"
+_LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
 _LONGEST_QUESTION_NS = 60_000_000_000
-"""Age up to which the state of before a step is gone back to, ns."""
+"""Maximum age of the state before a possible time step to which the core may be reset, ns."""
 _STEP_SHOWN_NS = 60_000_000_000
 """Time for which a step of the time base is a warning, ns."""
 _SECOND_NS = 1_000_000_000
 
 
 def _seconds(step_ns: int) -> str:
-    """A step for people."""
+    """Return the text of a time step."""
     return f"{step_ns / _SECOND_NS:+.3f} s"
 
 
 @dataclass(frozen=True)
 class Feed:
-    """A row of an adapter's table: how the messages of one topic reach the core.
+    """Entry of an adapter's table: how the messages of one topic reach the core.
 
     Attributes:
         input: the topic.
-        source: what the innovation messages call the device behind it.
-        read: the reader: of a message and ``receive_ns=``, its arrival by the node's clock in ns; it raises
-            :class:`ship_node.edge.messages_in.Refused` where the message cannot be used.
-        take: the core's method: of what was read and the time of waiting in ns; it returns the outcome.
-        judged: whether a decision says later if the message was used; otherwise it is used unless refused at once.
-        measured_by: what measurements call the device; empty where that is ``source``.
-        block: the way of many messages at once (:mod:`ship_node.edge.block_adapter`); None where each is taken alone.
-        read_rows: the reader of many messages, and of when each came: None for each that ``read`` is to read by itself.
-        continuous: by which two publishers are told in a recording: of a decision where ``judged``, otherwise of what
-            is read; None where nothing tells.
+        source: name of the device in innovation messages.
+        read: reader of a message, with its receive time ``receive_ns=`` by the node's clock, ns; it raises
+            :class:`ship_node.edge.messages_in.MessageRejected` if the message cannot be used.
+        take: method of the core, called with the value read and the timeout-clock time, ns; it returns the outcome.
+        has_decision: True if a later decision accepts or rejects the message; otherwise it is used unless rejected at
+            once.
+        measurement_source: name of the device in measurements; empty if it equals ``source``.
+        batch: processing of many messages at once (:mod:`ship_node.edge.block_adapter`); None if there is none.
+        read_rows: reader of many messages and their receive times; its result is None for each that ``read`` must read.
+        stream_quantity: quantity that reveals two publishers in a recording: of a decision if ``has_decision``,
+            otherwise of the value read; None if there is none.
     """
 
     input: InputTopic
@@ -89,32 +90,32 @@ class Feed:
 
 
 def untimed(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
-    """A method of a core that does not ask when a message came, as :attr:`Feed.take`."""
+    """Return a method of a core that needs no receive time as :attr:`Feed.take`."""
     return lambda value, _waiting_ns: take(value)
 
 
 class ReportingAdapter(ABC):
-    """What the adapters of all nodes do alike; see :class:`ship_node.edge.adapter.Adapter` for its methods.
+    """Common part of all adapters; see :class:`ship_node.edge.adapter.Adapter` for the methods.
 
     Args:
         config: the node's parameters.
         core: the estimator.
         factory: makes the messages.
-        estimate_messages: what an estimate of the core becomes.
-        saved: the saved document that the core starts from; None where the node has none.
+        estimate_messages: messages of an estimate.
+        saved: saved document from which the core starts; None if the node has none.
 
     Raises:
-        ParameterError: ``sources_off`` names a source that there is not, or that cannot be taken out.
+        ParameterError: ``sources_off`` names a source that is unknown or cannot be switched off.
 
     Attributes:
-        config: the parameters now.
+        config: the current parameters.
         core: the estimator.
-        latest: the last estimate put out; None before.
-        budget_due: the same until its error budget was told, as long as it claims something.
-        conflicts: source → the text of its disagreement, for sources that keep disagreeing.
-        verdicts: what the innovations say of the sources.
-        clock_jumps: how often the clock went back.
-        behind: how far the node is behind its inputs; None where it keeps up.
+        latest: the last estimate published; None before.
+        pending_budget: the last estimate while its error budget is pending; None after an INVALID output.
+        conflicts: source → text, for sources in persistent conflict.
+        innovation_report: innovation diagnoses of the sources.
+        clock_jumps: number of times the clock went back.
+        behind: overload state; None if the node keeps up.
         time_base: the clocks of the inputs.
     """
 
@@ -124,20 +125,20 @@ class ReportingAdapter(ABC):
     outputs: tuple[OutputTopic, ...]
 
     main_topic: ClassVar[str]
-    """Where the estimates go: the name of what failed where one cannot be computed."""
+    """Topic of the estimates; also the name of the failed part if one cannot be computed."""
     innovation_topic: ClassVar[str]
     integrity_topic: ClassVar[str] = ""
-    """Where the protection levels go; empty where the node has none."""
+    """Topic of the protection levels; empty if the node has none."""
     quantities: ClassVar[tuple[str, ...]] = ()
-    """What the levels bound."""
+    """Quantities that the protection levels bound."""
     checked_by: ClassVar["attrgetter[tuple[Any, ...]]"]
-    """Of an output: what decides, beside the state that it rests on, whether its sources check one another."""
+    """Attributes of an output on which, besides its state, the redundancy of its sources depends."""
     directions: ClassVar["attrgetter[np.ndarray]"]
-    """Of an output: what turns the errors of that state into those of its angles."""
+    """Attribute of an output: matrix from the errors of its state to those of its angles."""
     integrity_frame: str = ""
     always_in: ClassVar[tuple[str, ...]] = ()
-    """Sources without which there is no output: they cannot be taken out."""
-    reset_text: ClassVar[str] = "the filter starts anew"
+    """Sources without which there is no output: they cannot be switched off."""
+    reset_text: ClassVar[str] = "the filter was reset"
     start_warnings: tuple[str, ...] = ()
 
     def __init__(
@@ -161,7 +162,7 @@ class ReportingAdapter(ABC):
             self.start_warnings = (*self.start_warnings, f"{saved.unreadable}; the filter starts as configured")
         self.clock_jumps = 0
         self.time_base = TimeBase()
-        # The core's state when some input's clock was first seen to have moved, and when that was.
+        # State of the core when an input's clock was first found to have moved, and the timeout-clock time of that.
         self._unstepped: tuple[Any, int] | None = None
         self._stepped_at_ns = 0
         self.latest: Any = None
@@ -177,38 +178,38 @@ class ReportingAdapter(ABC):
 
     @abstractmethod
     def table(self, config: Any, core: Any) -> Iterable[Feed]:
-        """Return the inputs and the methods of a core that take them."""
+        """Return the inputs and the methods of a core that process them."""
 
     @abstractmethod
     def own_slow_topics(self, now_ns: int) -> list[Published]:
-        """What the node tells once a period beside health and diagnostics."""
+        """Return the node's periodic messages other than health and diagnostics."""
 
     @abstractmethod
     def own_statuses(self, waiting_ns: int) -> Iterable[DiagnosticStatus]:
-        """What the diagnostics say beside the inputs."""
+        """Return the node's diagnostic statuses other than those of the inputs."""
 
     def no_output(self, now_ns: int, text: str) -> Any | None:
-        """Return the INVALID output of a node that is behind; None where its outputs have no such status.
+        """Return the INVALID output of a node that is behind; None if its outputs have no such status.
 
         Args:
             now_ns: the node's time.
-            text: why there is none.
+            text: the reason.
         """
         return None
 
     def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
-        """ship_msgs/Innovation of a part of a measurement, a star or a light, that was not used."""
+        """Return the ship_msgs/Innovation of a rejected part (a star, a light) of a measurement."""
         told = Refusal(refusal.reason, f"{name}: {refusal.text}")
         return messages_out.refused_input(self.factory, source, time_ns, told)
 
-    # -- what the shell and the replay call -----------------------------------------------------------------
+    # -- called by the node runtime and the replay ----------------------------------------------------------
 
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        """Take one message of an input topic."""
+        """See :class:`ship_node.edge.adapter.Adapter`."""
         waiting_ns = receive_ns if waiting_ns is None else waiting_ns
         feed = self.feeds[topic]
         is_off = self.is_off(topic)
-        # As without its topic, a source that is off begins nothing.
+        # A source that is off does not start the core, as if it had no topic.
         if self.saved is not None and self.saved.is_due and not is_off:
             self.saved.start(receive_ns)
         reading: ReadMessage[Any] | None = None
@@ -225,12 +226,12 @@ class ReportingAdapter(ABC):
             reason = refused.refusal.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
             if reading is None and reason is Reason.FUTURE and not is_off:
-                # One that is ahead of the node's clock may show a step of all clocks.
+                # A stamp ahead of the node's clock may reveal a step of all clocks.
                 self.check_clock(feed, time_ns, receive_ns, waiting_ns)
             self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.refusal)
             return [self.refused(feed.source, time_ns, refused.refusal)]
         except Exception:
-            # The message came all the same; what was raised is told by the shell.
+            # The message has arrived nevertheless; the node runtime reports the exception.
             self.health.arrived(topic, waiting_ns)
             raise
         return self.told(feed, reading, outcome, receive_ns, waiting_ns)
@@ -238,7 +239,15 @@ class ReportingAdapter(ABC):
     def told(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
     ) -> list[Published]:
-        """What is said of a message that was read, and of what the core made of it: None where it asked no core."""
+        """Record a message that was read and return the messages about it.
+
+        Args:
+            feed: entry of its topic.
+            reading: the message as read.
+            outcome: result of the core; None if the core was not called.
+            receive_ns: receive time by the node's clock.
+            waiting_ns: receive time by the timeout clock.
+        """
         time_ns = reading.value.time_ns
         refusal = None if outcome is None else outcome.refusal
         used = not feed.judged or outcome is None
@@ -251,7 +260,7 @@ class ReportingAdapter(ABC):
         return published if outcome is None else published + self.published(outcome, receive_ns, waiting_ns)
 
     def see(self, feed: Feed, reading: ReadMessage[Any]) -> None:
-        """Look whether what was read is of one stream, before the core takes it."""
+        """Check, before the core gets a value, that it belongs to one stream."""
         if feed.continuous is None or feed.judged or reading.empty:
             return
         topic = feed.input.topic
@@ -264,13 +273,13 @@ class ReportingAdapter(ABC):
         self._pass_on_contested(topic)
 
     def _pass_on_contested(self, topic: str) -> None:
-        """Pass on to health and core that an input has two publishers; of one that is taken out, to health alone."""
+        """Pass the duplicate publishers of an input to health and core; if the source is off, to health only."""
         feed, text = self.feeds[topic], self._contested.text(topic)
         self.health.contested(topic, text)
         self.core.contest(feed.measured_by or feed.source, "" if self.is_off(topic) else text)
 
     def check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Refusal | None:
-        """Return why a message with this stamp is not used, after a step of the time base that it shows is taken."""
+        """Return why a message with this stamp is rejected, after processing a time step that it reveals."""
         topic, clocks = feed.input.topic, self.time_base
         step_ns = clocks.add_arrival(topic, time_ns, receive_ns, waiting_ns)
         if step_ns is not None:
@@ -289,16 +298,16 @@ class ReportingAdapter(ABC):
         return None
 
     def is_off(self, topic: str) -> bool:
-        """Whether people have taken out the source behind a topic."""
+        """Return True if the source of a topic is switched off by ``sources_off``."""
         return topic in self._topics_off
 
     def set_aside(self, feed: Feed, reading: ReadMessage[Any], receive_ns: int, waiting_ns: int) -> list[Published]:
-        """What is said of a message that was read, of a source that is taken out."""
+        """Record a message of a source that is switched off and return the messages about it."""
         self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, _TAKEN_OUT, used=False)
         return [self.refused(feed.source, reading.value.time_ns, _TAKEN_OUT)]
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        """Do what depends on waiting; once a period, the slow topics."""
+        """See :class:`ship_node.edge.adapter.Adapter`; the slow topics are published once a period."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         if self.saved is not None and self.saved.is_due:
             self.saved.start(now_ns)
@@ -312,12 +321,12 @@ class ReportingAdapter(ABC):
             try:
                 published += self._slow_topics(now_ns, waiting_ns)
             except Exception as error:
-                # An INVALID of this very tick must go out nevertheless.
+                # An INVALID output of this tick must be published nevertheless.
                 published.append(self.failed(_SLOW_TOPICS, now_ns, failure(error)))
         return published
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        """See :meth:`ship_node.edge.adapter.Adapter.overload`; what was cut is counted and published as refused."""
+        """See :meth:`ship_node.edge.adapter.Adapter.overload`; cut messages are counted and reported as rejected."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         why = (change if change.behind_s else self.behind or change).text(self.node_name)
         published = []
@@ -326,24 +335,24 @@ class ReportingAdapter(ABC):
             self.health.cut_behind(topic, count, text, waiting_ns)
             published.append(self.refused(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
-        self.told_levels = ToldLevels()  # the levels published before do not hold for the next output
+        self.told_levels = ToldLevels()  # those published before do not apply to the next output
         self._invalid_due_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
-        """Start anew at the earlier time."""
+        """Restart at the earlier time."""
         self.clock_jumps += 1
         self._restart(clock_jumped=True)
         return []
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
-        """Take note that the computer's clock was set; whether the time base has stepped, the inputs show."""
+        """Record a step of the computer's clock; whether the time base has stepped, the inputs decide."""
         self.time_base.note_computer_step(step_ns, waiting_ns)
         self.notices.append(f"the computer's clock stepped by {_seconds(step_ns)}")
         return []
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
-        """Reset; save or load what the core starts from."""
+        """Reset the core, or save or load its start document."""
         try:
             if name == "reset":
                 self._restart(clock_jumped=False)
@@ -361,10 +370,10 @@ class ReportingAdapter(ABC):
         return ServiceResult(True, told)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Take live parameters, dotted name → value.
+        """Apply live parameters, dotted name → value.
 
         Raises:
-            ParameterError: nothing was changed; the text says why.
+            ParameterError: nothing was changed; the text gives the reason.
         """
         config = changed(self.config, changes)
         self._topics_off = self._without(config)
@@ -377,7 +386,7 @@ class ReportingAdapter(ABC):
     # -- results of the core --------------------------------------------------------------------------------
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
-        """What an outcome of the core becomes: decisions counted and told, failures, estimates."""
+        """Record an outcome of the core and return its messages: decisions, failures, estimates."""
         judged = []
         for decision in outcome.decisions:
             feed = self._measured_by[decision.measurement.source]
@@ -409,11 +418,11 @@ class ReportingAdapter(ABC):
         return published
 
     def refused(self, source: str, time_ns: int, refusal: Refusal) -> Published:
-        """The message that an input was not used."""
+        """Return the message about a rejected input."""
         return self.innovation_topic, messages_out.refused_input(self.factory, source, time_ns, refusal)
 
     def failed(self, what: str, time_ns: int, refusal: Refusal) -> Published:
-        """The message that an output could not be made; nothing else is touched by it."""
+        """Record that an output could not be computed and return the message about it."""
         self.health.failed(f"{what}: {refusal.text}")
         return self.refused(what, time_ns, refusal)
 
@@ -423,22 +432,22 @@ class ReportingAdapter(ABC):
     # -- the node itself ------------------------------------------------------------------------------------
 
     def _bind(self) -> None:
-        """The table with the parameters of now: what does not change with each message is bound here."""
+        """Build the table with the current parameters."""
         self.feeds = {feed.input.topic: feed for feed in self.table(self.config, self.core)}
         self._measured_by = {feed.measured_by or feed.source: feed for feed in self.feeds.values()}
 
     def _without(self, config: Any) -> frozenset[str]:
-        """The topics whose sources a configuration takes out.
+        """Return the topics whose sources a configuration switches off.
 
         Raises:
-            ParameterError: there is no such source, or it cannot be taken out.
+            ParameterError: a source is unknown or cannot be switched off.
         """
         topics = {feed.source: topic for topic, feed in self.feeds.items()}
         for source in config.sources_off:
             if source in self.always_in:
                 reason = (
-                    f"'{source}' cannot be taken out: without it there is no output. To try that, stop what publishes "
-                    f"{topics[source]}; to use another device, remap {topics[source]} at the start"
+                    f"'{source}' cannot be switched off: without it there is no output. To test that, stop the "
+                    f"publisher of {topics[source]}; to use another device, remap {topics[source]} at the start"
                 )
             elif source not in topics:
                 names = ", ".join(name for name in topics if name not in self.always_in)
@@ -449,13 +458,13 @@ class ReportingAdapter(ABC):
         return frozenset(topics[source] for source in config.sources_off)
 
     def _off_statuses(self) -> list[DiagnosticStatus]:
-        """One status with the sources that people have taken out; none where all take part."""
+        """Return a status with the sources that are switched off; none if all are on."""
         names = [feed.source for topic, feed in self.feeds.items() if topic in self._topics_off]
-        text = f"taken out by sources_off: {', '.join(names)}"
+        text = f"switched off by sources_off: {', '.join(names)}"
         return [DiagnosticStatus("sources off", messages_out.Level.WARN, text)] if names else []
 
     def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[Published]:
-        """Return, once a second, the output of a node that is behind, and why there is no other."""
+        """Return, once a second, the INVALID output of a node that is behind and the reason."""
         if self.behind is None or waiting_ns < self._invalid_due_ns:
             return []
         self._invalid_due_ns = waiting_ns + _SECOND_NS
@@ -468,7 +477,7 @@ class ReportingAdapter(ABC):
         return published
 
     def _overload_status(self) -> DiagnosticStatus:
-        """Return the status that shows whether the node keeps up with its inputs."""
+        """Return the status of the overload: whether the node keeps up with its inputs."""
         if self.behind is None:
             return DiagnosticStatus("overload", messages_out.Level.OK, "keeps up with its inputs")
         values = {
@@ -479,17 +488,17 @@ class ReportingAdapter(ABC):
         return DiagnosticStatus("overload", messages_out.Level.ERROR, self.behind.text(self.node_name), values)
 
     def _save_by_itself(self, waiting_ns: int) -> None:
-        """Save what the core has learned, once a period, while it is sure of it."""
+        """Save what the core has learned, once a period, while the output is VALID and undisputed."""
         if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
             return
-        # A source in conflict, or excluded, may have led the state astray before it was refused.
+        # A source in conflict or excluded may have biased the state before its rejection.
         in_doubt = self.conflicts or (self.told_levels.report is not None and self.told_levels.report.excluded)
         if self.latest is not None and self.latest.status is Status.VALID and not in_doubt:
             self.saved.save_by_itself()
 
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         published = self.own_slow_topics(now_ns)
-        self.budget_due = None  # no estimate has its budget told twice
+        self.budget_due = None  # each budget is published once
         messages, statuses = self.health.told(self.factory, now_ns, waiting_ns)
         published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
         statuses += [*self.own_statuses(waiting_ns), *self._off_statuses()]
@@ -498,9 +507,9 @@ class ReportingAdapter(ABC):
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 
     def levels_before(self, estimate: Any) -> list[Published]:
-        """The protection levels of an output, where those told last do not cover it."""
+        """Return the protection levels of an output if the published ones do not cover it."""
         told, checked_by, directions = self.told_levels, self.checked_by(estimate), self.directions(estimate)
-        # Asked for each output, and so no more than this.
+        # Runs for every output: the fast check comes first.
         if told.state is estimate.state and told.checked_by == checked_by:
             one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
             if told.covered(*one):
@@ -514,18 +523,18 @@ class ReportingAdapter(ABC):
         return [(self.integrity_topic, message)]
 
     def saved_remarks(self) -> list[str]:
-        """What people must know of the saved document: of the start from it, and of what hinders a new one."""
+        """Return remarks on the saved document: on the start from it, and on obstacles to saving."""
         if self.saved is None:
             return []
         return [*self.saved.messages, *filter(None, dict.fromkeys([self.saved.unreadable, self.saved.trouble]))]
 
     def integrity_statuses(self) -> list[DiagnosticStatus]:
-        """One status with the protection levels told last and the sources excluded."""
+        """Return one status with the published protection levels and the excluded sources."""
         known = self.latest is not None and self.latest.status is not Status.INVALID
         return [messages_out.integrity_status(self.told_levels.report if known else None, self.quantities)]
 
     def conflict_statuses(self) -> list[DiagnosticStatus]:
-        """One status for each source that keeps disagreeing with the rest."""
+        """Return one status per source in persistent conflict."""
         return [
             DiagnosticStatus(f"conflict {source}", messages_out.Level.ERROR, text)
             for source, text in sorted(self.conflicts.items())
@@ -542,17 +551,17 @@ class ReportingAdapter(ABC):
         self._forget_outputs()
 
     def _restart_streams(self) -> None:
-        """Look for two streams on one topic from now on: the stamps do not continue those before."""
+        """Restart the search for duplicate publishers: the stamps do not continue the earlier ones."""
         contested = list(filter(self._contested.text, self.feeds))
         self._contested.restart()
         for topic in contested:
             self._pass_on_contested(topic)
 
     def _step_time_base(self, step_ns: int, waiting_ns: int) -> None:
-        """Reset by a step of the time base: what is known of mountings, clocks and calibration is kept."""
+        """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
         state = getattr(self.core, "state", None)
         if self._unstepped is not None and waiting_ns - self._unstepped[1] <= _LONGEST_QUESTION_NS:
-            # Some messages of after the step may have been taken for late ones of before it.
+            # Messages after the step may have been used as late ones from before it.
             state = self._unstepped[0]
         self._unstepped = None
         self.core.step_time_base(step_ns, state)
@@ -563,7 +572,7 @@ class ReportingAdapter(ABC):
         self.notices.append(f"time base stepped by {_seconds(step_ns)}: reset, mountings and calibration kept")
 
     def _time_base_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """One status with the last step of the time base; none where there was none."""
+        """Return one status with the last step of the time base; none if there was none."""
         if not self.time_base.steps:
             return []
         level = messages_out.Level.WARN if waiting_ns - self._stepped_at_ns <= _STEP_SHOWN_NS else messages_out.Level.OK

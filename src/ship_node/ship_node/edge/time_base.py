@@ -1,16 +1,18 @@
-"""Steps of the time base: all clocks aboard, or all that the inputs are stamped by, jump by the same time at once.
+"""Detection of steps of the time base: all clocks aboard, or all that stamp the inputs, jump by the same time at once.
 
-The clock of an input is known by its stamps minus the time of waiting, which no one sets. A late message looks like a
-clock that is behind. A clock has moved only if no delay explains it:
+The clock of an input is observed as its stamps minus the timeout-clock time, which is never set. A late message looks
+like a clock that is behind. A clock has moved only if no delay explains the difference:
 
 - back: its stamp is no newer than the newest one of its own input;
 - forward: its stamp is ahead of the node's clock, or by more than :data:`_LONGEST_DELAY_NS`;
 - either way: it follows a step of the computer's clock within a second.
 
-The time base has stepped if every input that is there has moved by the same time and nothing has contradicted it for
-0.3 s. Two clocks must agree, of which the computer's is one. One device alone is never a step of the time base. A step
-back of the computer's clock is confirmed by the first input that follows it: an input that does not follow is ahead of
-the node's clock, and could not be used either way.
+The time base has stepped if every present input has moved by the same time and no message has contradicted it for 0.3
+s. At least two clocks must agree; the computer's clock counts as one. One device alone is never a step of the time
+base.
+
+A step back of the computer's clock is confirmed by the first input that follows it: an input that does not follow is
+ahead of the node's clock, and could not be used in any case.
 """
 
 import bisect
@@ -31,50 +33,52 @@ _FOLLOWS_WITHIN_NS = SECOND_NS
 """Longest time between the steps of the computer's clock and of an input that follows it, ns."""
 
 _UNCONTRADICTED_NS = 3 * SECOND_NS // 10
-"""Time for which nothing may contradict a step before it counts, ns."""
+"""Time without contradiction after which a step counts, ns."""
 
 _LONGEST_PERIOD_NS = SECOND_NS
 """Longest mean period of an input that a decision waits for, ns."""
 
 _THERE_PERIODS = 3.0
-"""Number of mean periods after which an input without a message is no longer there."""
+"""Number of mean periods without a message after which an input counts as absent."""
 
 _GONE_AFTER_NS = 2 * SECOND_NS
-"""Time, of at least :data:`_THERE_PERIODS`, after which a silent input that has moved keeps nothing in question, ns."""
+"""Minimum timeout after which a moved input no longer keeps a step pending, ns; see :data:`_PRESENCE_PERIODS`."""
 
 _OWN_CLOCK_AFTER_NS = 60 * SECOND_NS
-"""Time after which an input that alone has moved is compared with its own new clock, ns."""
+"""Time after which an input that moved alone is compared with its own new clock, ns."""
 
 _TOLERANCE, _LARGEST_TOLERANCE_NS = 0.1, 2 * SECOND_NS
-"""Largest difference between two equal steps, as a share of them and at most, ns."""
+"""Largest difference between two equal steps, as a ratio of them and as a maximum, ns."""
 
 _SMALL_STEP_NS, _LEAST_MESSAGES = 3 * SECOND_NS, 8
-"""Size below which a step may be disorder, as messages come up to two seconds late, ns; so many messages must agree."""
+"""Size below which a step may be disorder, ns, and number of messages that must confirm such a step.
+
+Messages may arrive up to two seconds late."""
 
 _STEADY_AFTER_NS = 10 * SECOND_NS
-"""Time for which a small movement does not count after another one was undone, ns."""
+"""Time for which a small step is ignored after another one was reversed, ns."""
 
 _LEAP_NS = -SECOND_NS
 _LEAP_TOLERANCE_NS = SECOND_NS // 4
 _LEAP_KNOWN_NS = 3 * SECOND_NS
-"""Time for which a leap second that was inserted is remembered, ns."""
+"""Time for which an inserted leap second is remembered, ns."""
 
 
 @dataclass(slots=True)
 class _InputClock:
-    """The clock of one input.
+    """Clock of one input.
 
     Attributes:
-        level_ns: stamp minus time of waiting, as of the last message that had not moved.
-        alone_ns: by how much it has been off alone for long; what is below is counted from there.
+        level_ns: stamp minus timeout-clock time, at the last message that had not moved.
         newest_ns: newest stamp.
-        arrival_ns: time of waiting of the last message.
+        arrival_ns: timeout-clock time of the last message.
         period_ns: mean time between messages.
-        moved_ns: how far it has moved from the level; 0 for not at all.
-        moved_since_ns: time of waiting since when it has.
-        late_ns: how far it was behind its level when a delay last explained that.
-        late_at_ns: time of waiting of then.
-        came_back_ns: time of waiting when it was last as before after it had moved a little; None for never.
+        own_offset_ns: offset that this input alone has had for long; the following values are relative to it.
+        moved_ns: offset from the level; 0 if it has not moved.
+        moved_since_ns: timeout-clock time at which it moved.
+        last_delay_ns: offset at the last message that a delay explained.
+        last_delay_at_ns: timeout-clock time of that message.
+        last_return_ns: timeout-clock time at which a small step was last reversed; None if never.
     """
 
     level_ns: int
@@ -91,12 +95,12 @@ class _InputClock:
 
 @dataclass(slots=True)
 class _Candidate:
-    """A step that some input has made.
+    """Possible step of the time base.
 
     Attributes:
         step_ns: the step.
-        since_ns: time of waiting since when nothing has contradicted it.
-        agree: the inputs that have moved by it since then.
+        since_ns: timeout-clock time since which no message has contradicted it.
+        agree: inputs that have moved by it since then.
         messages: number of messages of inputs that have moved by it.
     """
 
@@ -107,11 +111,11 @@ class _Candidate:
 
 
 class TimeBase:
-    """The clocks of all inputs of a node.
+    """Clocks of all inputs of a node.
 
     Attributes:
         steps: number of steps of the time base.
-        last_step_ns: the last of them; 0 for none.
+        last_step_ns: the last step; 0 if there was none.
     """
 
     def __init__(self) -> None:
@@ -120,7 +124,7 @@ class TimeBase:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all clocks; the count stays."""
+        """Reset all clocks; keep the count of steps."""
         self._clocks: dict[str, _InputClock] = {}
         self._candidate: _Candidate | None = None
         self._computer: tuple[int, int] | None = None
@@ -128,26 +132,26 @@ class TimeBase:
 
     @property
     def is_in_question(self) -> bool:
-        """True if some input has moved and it is not decided yet whether all have."""
+        """True if an input has moved and it is undecided whether all have."""
         return self._candidate is not None
 
     def note_computer_step(self, step_ns: int, waiting_ns: int) -> None:
-        """Take a step of the computer's clock, which inputs may follow.
+        """Record a step of the computer's clock, which inputs may follow.
 
         Args:
-            step_ns: its step.
-            waiting_ns: the time of waiting.
+            step_ns: the step.
+            waiting_ns: time by the timeout clock.
         """
         self._computer = step_ns, waiting_ns + _FOLLOWS_WITHIN_NS
 
     def add_arrival(self, topic: str, stamp_ns: int, receive_ns: int, waiting_ns: int) -> int | None:
-        """Return the step of the time base if this message decides that there was one.
+        """Add a message; return the step of the time base if the message confirms one.
 
         Args:
-            topic: of the message.
+            topic: its topic.
             stamp_ns: its stamp.
-            receive_ns: its arrival by the node's clock.
-            waiting_ns: the same in the time of waiting.
+            receive_ns: receive time by the node's clock.
+            waiting_ns: receive time by the timeout clock.
         """
         clock, offset_ns = self._clocks.get(topic), stamp_ns - waiting_ns
         if clock is None:
@@ -157,7 +161,7 @@ class TimeBase:
         clock.period_ns += (interval_ns - clock.period_ns) / (8.0 if clock.period_ns else 1.0)
         nothing_moves = self._candidate is None and self._computer is None and not (clock.moved_ns or clock.alone_ns)
         if nothing_moves and abs(offset_ns - clock.level_ns) < _LEAST_MOVE_NS:
-            # Nearly all messages go this way.
+            # This is the case for nearly all messages.
             clock.level_ns = offset_ns
             if stamp_ns > clock.newest_ns:
                 clock.newest_ns = stamp_ns
@@ -167,7 +171,7 @@ class TimeBase:
     def _look_at_move(
         self, topic: str, clock: _InputClock, stamp_ns: int, receive_ns: int, waiting_ns: int
     ) -> int | None:
-        """Return as :meth:`add_arrival` what a message shows where some clock has moved, or may have."""
+        """Process a message while some clock has moved, or may have; return as :meth:`add_arrival`."""
         if self._computer is not None and waiting_ns > self._computer[1]:
             self._computer = None
         offset_ns = stamp_ns - waiting_ns
@@ -190,12 +194,12 @@ class TimeBase:
         return self._decide(topic, clock, waiting_ns)
 
     def count_unmoved(self, topic: str, stamps_ns: list[int], arrivals_ns: list[int]) -> int:
-        """Number of messages, from the first one on, that show no movement of their input's clock.
+        """Return the number of leading messages whose clock has not moved.
 
         Args:
-            topic: of the messages.
+            topic: their topic.
             stamps_ns: their stamps, in ascending order.
-            arrivals_ns: when each came, by the node's clock, which is the time of waiting too.
+            arrivals_ns: receive times, equal by both clocks.
         """
         clock = self._clocks.get(topic)
         if clock is None or clock.moved_ns or clock.alone_ns or self._computer is not None:
@@ -209,15 +213,15 @@ class TimeBase:
         return len(stamps_ns)
 
     def add_block(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
-        """Take messages that show no movement (:meth:`count_unmoved`): stamp and arrival of the last, and number."""
+        """Add messages without a step (:meth:`count_without_step`): stamp and arrival of the last, and their number."""
         clock = self._clocks[topic]
         clock.period_ns = (arrival_ns - clock.arrival_ns) / count
         clock.level_ns, clock.newest_ns, clock.arrival_ns = stamp_ns - arrival_ns, stamp_ns, arrival_ns
 
     def ahead_ns(self, topic: str) -> int:
-        """Time by which a clock is ahead of what it was, if no delay explains it and other inputs are there; else 0.
+        """Return the time by which a clock is ahead, if no delay explains it and other inputs are present; else 0.
 
-        It is not used before it is decided whether the others have moved too, or as long as they have not.
+        Its messages are not used until it is decided whether the other clocks have moved too.
         """
         clock = self._clocks[topic]
         if clock.moved_ns <= (_LONGEST_DELAY_NS if self._computer is None else 0):
@@ -226,10 +230,10 @@ class TimeBase:
         return clock.moved_ns if any(_is_awaited(other, clock.arrival_ns) for other in others) else 0
 
     def is_misdated(self, stamp_ns: int, waiting_ns: int) -> bool:
-        """True if UTC as stamped is wrong by a second because a leap second is being inserted.
+        """True if a UTC stamp is ambiguous by one second because a leap second is being inserted.
 
-        Clocks that count seconds since 1970 give two seconds the same numbers, either the last of the old day or the
-        first of the new one. The stamps alone do not show which; the step back by a second does.
+        Clocks that count seconds since 1970 give two seconds the same number: the last of the old day or the first of
+        the new one. The stamps alone do not show which; the step back by one second does.
         """
         number = bisect.bisect_right(self._leaps_ns, stamp_ns + SECOND_NS) - 1
         since_ns = stamp_ns - self._leaps_ns[number] if number >= 0 else SECOND_NS
@@ -241,20 +245,20 @@ class TimeBase:
     # -- decisions ------------------------------------------------------------------------------------------
 
     def _has_moved(self, clock: _InputClock, moved_ns: int, stamp_ns: int, receive_ns: int, waiting_ns: int) -> bool:
-        """True if no delay explains where the clock of an input is."""
+        """True if no delay explains the offset of an input's clock."""
         computer_ns = 0 if self._computer is None else self._computer[0]
         if computer_ns and _are_equal(moved_ns, computer_ns):
             return True
         if abs(moved_ns) < _LEAST_MOVE_NS:
             return False
         if abs(moved_ns) < _SMALL_STEP_NS and clock.came_back_ns is not None:
-            # Messages that are repeated later, or in disorder, look like a clock that steps to and fro.
+            # Repeated or unordered messages look like a clock that steps back and forth.
             if waiting_ns - clock.came_back_ns <= _STEADY_AFTER_NS:
                 return False
             clock.came_back_ns = None
         is_future = stamp_ns > receive_ns + _AHEAD_NS
         if clock.moved_ns and _are_equal(moved_ns, clock.moved_ns):
-            # One that is ahead of others is not used as long as they are there; the node's clock may refuse it anyway.
+            # A clock ahead of the others is not used while they are present; the node's clock may reject it anyway.
             keeps = moved_ns > _LONGEST_DELAY_NS and not is_future and self._has_unmoved_other(clock, waiting_ns)
             if not keeps and waiting_ns - clock.moved_since_ns > _OWN_CLOCK_AFTER_NS:
                 clock.alone_ns += moved_ns
@@ -265,7 +269,7 @@ class TimeBase:
         return stamp_ns <= clock.newest_ns if moved_ns < 0 else is_future or moved_ns > _LONGEST_DELAY_NS
 
     def _mark_late_inputs(self, first: _InputClock, waiting_ns: int) -> set[str]:
-        """Mark and return the inputs that moved with the first one, and seemed to be late before it came."""
+        """Mark and return the inputs that moved with the first one but seemed late before."""
         found = set()
         for name, clock in self._clocks.items():
             is_recent = clock.late_ns and waiting_ns - clock.late_at_ns <= _FOLLOWS_WITHIN_NS
@@ -276,12 +280,12 @@ class TimeBase:
         return found
 
     def _has_unmoved_other(self, clock: _InputClock, waiting_ns: int) -> bool:
-        """True if another input is there that has not moved."""
+        """True if another input is present that has not moved."""
         others = (other for other in self._clocks.values() if other is not clock and not other.moved_ns)
         return any(_is_awaited(other, waiting_ns) for other in others)
 
     def _decide(self, topic: str, clock: _InputClock, waiting_ns: int) -> int | None:
-        """Return the step if the last message of an input decides that there was one."""
+        """Return the step if the last message of an input confirms it."""
         for other in self._clocks.values():
             if other.moved_ns and waiting_ns - other.arrival_ns > max(
                 _GONE_AFTER_NS, _THERE_PERIODS * other.period_ns
@@ -313,7 +317,7 @@ class TimeBase:
         return self._accept_step(computer_ns if with_computer else self._clocks[fastest].moved_ns, waiting_ns)
 
     def _accept_step(self, step_ns: int, waiting_ns: int) -> int:
-        """Count a step of the time base, from which all clocks are measured; return it."""
+        """Count a step of the time base and shift all clocks by it; return the step."""
         for clock in self._clocks.values():
             clock.level_ns += step_ns
             clock.newest_ns += step_ns
@@ -326,12 +330,12 @@ class TimeBase:
 
 
 def _are_equal(step_ns: int, other_ns: int) -> bool:
-    """True if two steps are equal, as far as delays let them be compared."""
+    """True if two steps are equal within the accuracy that delays allow."""
     return abs(step_ns - other_ns) <= min(_TOLERANCE * abs(other_ns), _LARGEST_TOLERANCE_NS)
 
 
 def _is_awaited(clock: _InputClock, waiting_ns: int) -> bool:
-    """True if an input is there and comes so often that a decision waits for its next message."""
+    """True if an input is present and so frequent that a decision waits for its next message."""
     if not 0.0 < clock.period_ns <= _LONGEST_PERIOD_NS:
         return False
     return waiting_ns - clock.arrival_ns <= _THERE_PERIODS * clock.period_ns

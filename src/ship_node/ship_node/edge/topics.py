@@ -1,24 +1,25 @@
-"""What a node listens to and what it publishes, by relative topic names."""
+"""Input and output topics of a node, by relative names."""
 
 from dataclasses import dataclass
 from typing import Any
 
 Published = tuple[str, Any]
-"""A message on its way out: (topic, message)."""
+"""Message to publish: (topic, message)."""
 
 
 @dataclass(frozen=True)
 class InputTopic:
-    """A topic that a node listens to.
+    """Topic that a node subscribes to.
 
     Attributes:
         topic: relative name, as ``"ins/imu"``.
         type_name: as ``"sensor_msgs/msg/Imu"``.
-        required: whether the node is of no use without it.
-        depth: messages that may wait for the node: a second of data.
-        named: whether the configuration names the device behind it, so that its silence from the start is a fault.
-        at_times: whether it comes only when there is something to tell, so that its silence tells nothing.
-        lasting: True where a message holds until the next one, as a position does: it is used however long it waited.
+        required: True if the node cannot work without it.
+        depth: queue depth, messages: one second of data.
+        is_configured: True if the configuration names the device, so that missing messages from the start are a fault.
+        is_occasional: True if messages come only occasionally, so that there is no timeout.
+        is_valid_until_next: True if a message is valid until the next one, as a position: it is used however long it
+            waited.
     """
 
     topic: str
@@ -32,7 +33,7 @@ class InputTopic:
 
 @dataclass(frozen=True)
 class OutputTopic:
-    """A topic that a node publishes; who comes later to a ``latched`` one still gets its last message."""
+    """Topic that a node publishes; late subscribers of a ``latched`` topic get its last message."""
 
     topic: str
     type_name: str

@@ -1,7 +1,7 @@
-"""What the innovations say of the sources of a node, for its diagnostics.
+"""Innovation diagnosis of a node's sources, for its diagnostics.
 
-Decisions are kept as they come and judged when the diagnostics are due, once a period: a measurement on its way to the
-estimate waits for no statistics.
+Decisions are collected as they come and evaluated once per diagnostics period, so that no measurement waits for
+statistics.
 """
 
 from collections import deque
@@ -15,16 +15,16 @@ from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 _MOST_PENDING = 5000
-"""Of a flood the newest decisions are judged."""
+"""Maximum number of pending decisions; of more the newest are evaluated."""
 
 _GOOD = (VerdictKind.AS_STATED, VerdictKind.UNKNOWN)
 
 
 class VerdictReport:
-    """The verdicts about the sources of a node as diagnostics.
+    """Innovation diagnoses of a node's sources as diagnostics.
 
     Attributes:
-        pending: decisions not judged yet, each with the name of its source.
+        pending: decisions not evaluated yet, each with the name of its source.
     """
 
     def __init__(self) -> None:
@@ -32,25 +32,31 @@ class VerdictReport:
         self._book = VerdictBook()
 
     def clear(self) -> None:
-        """Forget all, as after a reset of the estimator."""
+        """Discard all decisions, as after a reset of the estimator."""
         self.pending.clear()
         self._book.clear()
 
     def verdicts(self) -> dict[str, SourceVerdict]:
-        """Verdict on each source whose measurements were compared with a prediction."""
+        """Return the diagnosis of each source whose measurements were compared with a prediction."""
         while self.pending:
             self._book.add(*self.pending.popleft())
         return self._book.verdicts()
 
     def statuses(self) -> list[DiagnosticStatus]:
-        """One status for each of these verdicts."""
+        """Return one diagnostic status per diagnosis."""
         return [_status(source, verdict) for source, verdict in self.verdicts().items()]
 
 
 def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> DiagnosticStatus:
-    """Whether the clock offsets that a filter estimates are within what is configured; arguments as clock_verdicts."""
+    """Return the status of the clock offsets that a filter estimates: WARN if one is outside the configured limits.
+
+    Args:
+        model: state model of the filter.
+        mean: its state.
+        groups: see :func:`ship_estimation.verdicts.clock_diagnoses`.
+    """
     told = clock_verdicts(model, mean, groups)
-    return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within what is configured")
+    return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within configured limits")
 
 
 def _status(source: str, verdict: SourceVerdict) -> DiagnosticStatus:

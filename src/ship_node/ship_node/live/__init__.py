@@ -1,4 +1,4 @@
-"""A node that runs: rclpy, callbacks, clocks, parameters, services, the log.
+"""Live node: rclpy, callbacks, clocks, parameters, services, log.
 
-The room may import all others of the package; none of them imports it. Offline nothing of it is used.
+The room may import all others of the package; none of them imports it. Offline it is not used.
 """

@@ -1,4 +1,4 @@
-"""Every use of an adapter by a live node: what it gives is published, and a black box notes the use and the results."""
+"""Calls of an adapter by a live node: results are published; a black box records the calls and the results."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 
 
 class AdapterCalls:
-    """Calls an adapter. What the adapter raises is raised here too, after the call was noted.
+    """Calls an adapter; exceptions of the adapter are raised here after the call was recorded.
 
-    A message and a tick come with the node's time and the time of waiting (:class:`ship_node.edge.adapter.Adapter`).
+    A message and a tick have the node time and the timeout-clock time (:class:`ship_node.edge.adapter.Adapter`).
 
     Args:
         adapter: the adapter.
         publishers: topic → publisher, of all its outputs.
-        files: what the adapter reads and writes.
-        box: notes everything; None where there is none.
-        status_log: is shown the adapter's diagnostics; None where there is none.
+        files: files that the adapter reads and writes.
+        black_box: records everything; None if there is no black box.
+        status_log: logs the adapter's diagnostics; None for no log.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class AdapterCalls:
         self._note_files(0)
 
     def handle(self, topic: str, data: bytes, message: Any, now_ns: int, waiting_ns: int | None = None) -> None:
-        """Give the adapter a message, of which ``data`` are the bytes."""
+        """Give the adapter a message; ``data`` are its bytes."""
         published: list[Published] = []
         try:
             published = self._adapter.handle(topic, message, now_ns, waiting_ns)
@@ -82,7 +82,7 @@ class AdapterCalls:
                     self._status_log.see(_told_in_the_log(message))
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> None:
-        """Pass on to the adapter that the node is behind, or keeps up again."""
+        """Report to the adapter that the node is behind, or keeps up again."""
         published: list[Published] = []
         try:
             published = self._adapter.overload(change, now_ns, waiting_ns)
@@ -91,14 +91,14 @@ class AdapterCalls:
         self.publish(published, now_ns)
 
     def contest(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
-        """Pass on to the adapter that two publishers send on a topic; an empty text: no longer."""
+        """Report to the adapter that two publishers send on a topic; an empty text: no longer."""
         try:
             self._adapter.contest(topic, text)
         finally:
             self._note(Contested(topic, text), now_ns, waiting_ns)
 
     def clock_jumped_back(self, now_ns: int) -> None:
-        """Tell the adapter that the clock went back."""
+        """Report to the adapter that the clock went back."""
         published: list[Published] = []
         try:
             published = self._adapter.clock_jumped_back(now_ns)
@@ -107,7 +107,7 @@ class AdapterCalls:
         self.publish(published, now_ns)
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> None:
-        """Pass on to the adapter that the computer's clock was set."""
+        """Report to the adapter that the computer's clock was set."""
         published: list[Published] = []
         try:
             published = self._adapter.clock_stepped(step_ns, now_ns, waiting_ns)
@@ -125,7 +125,7 @@ class AdapterCalls:
         return result
 
     def set_parameters(self, changes: Mapping[str, Any], now_ns: int) -> None:
-        """Give the adapter live parameters."""
+        """Pass live parameters to the adapter."""
         refused: str | None = "it raised"
         try:
             self._adapter.set_parameters(changes)
@@ -137,11 +137,11 @@ class AdapterCalls:
             self._note(ParametersChanged(dict(changes), refused), now_ns)
 
     def note_refusal(self, changes: Mapping[str, Any], reason: str, now_ns: int) -> None:
-        """Note live parameters that are refused without asking the adapter."""
+        """Record live parameters that are refused without calling the adapter."""
         self._note(ChangeRefused(dict(changes), reason), now_ns)
 
     def publish(self, published: list[Published], now_ns: int) -> None:
-        """Publish messages; those that are not bytes yet are serialised once, for the subscribers and for the box."""
+        """Publish messages; each is serialised once, for the subscribers and for the black box."""
         outputs = [(topic, message_bytes(message)) for topic, message in published]
         if self._box is not None:
             for topic, data in outputs:
@@ -155,7 +155,7 @@ class AdapterCalls:
             self._box.put_event(event, now_ns, waiting_ns)
 
     def _note_files(self, now_ns: int) -> None:
-        """Note the files that the last call, or the construction of the adapter, has used."""
+        """Record the files that the last call, or the construction of the adapter, has used."""
         for use in self._files.uses:
             if self._box is not None:
                 self._box.put_file(use, now_ns)
@@ -163,12 +163,12 @@ class AdapterCalls:
 
 
 def message_bytes(message: Any) -> bytes:
-    """The bytes to be sent of a message of an adapter."""
+    """Return the bytes of an adapter's message."""
     return message.__cdr__ if isinstance(message, CdrMessage) else serialize_message(message)
 
 
 def _told_in_the_log(message: Any) -> Iterator[DiagnosticStatus]:
-    """The statuses of a DiagnosticArray but those of inputs, which change often: what is grave shows in the others."""
+    """Yield the statuses of a DiagnosticArray to be logged: all but those of inputs, which change often."""
     for status in message.status:
         name = status.name.partition(": ")[2]
         if not name.startswith("input "):

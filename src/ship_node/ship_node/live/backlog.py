@@ -1,8 +1,9 @@
-"""When a node is behind its inputs, and when it keeps up again.
+"""Overload detection: when a node is behind its inputs, and when it keeps up again.
 
-The waiting time of a message runs from its arrival to its use, in steady time; where /clock rules, in its time, so that
-a bag that is played too fast is found as well. A node that stood still for a moment has messages that waited long, and
-takes them in one go: it is not behind. It is behind where messages wait long although it works.
+The waiting time of a message runs from its arrival to its use. It is measured in steady time, or in the time of /clock
+with ``use_sim_time``, so that a bag played too fast is detected as well. After a standstill of the node messages have
+waited long but are processed at once: the node is not behind. It is behind if messages wait long although the node is
+working.
 """
 
 import enum
@@ -13,38 +14,39 @@ from ship_node.edge.overload import Overload
 from ship_node.live.node_clock import WaitingClock
 
 LONG_WAIT_NS = 1_000_000_000
-"""Waiting time from which on a node is nearly behind, ns. With :data:`WORKED_NS` it stays within the default ``lag_s``:
-what the node publishes is not late at the next one."""
+"""Waiting time that is long, ns.
+
+With :data:`BEHIND_AFTER_NS` it stays within the default ``lag_s``, so that outputs are not late at the next node."""
 
 WORKED_NS = 1_000_000_000
-"""Time of work, without standstills, in which the waiting time of a node that is not behind falls below
-:data:`LONG_WAIT_NS`, ns."""
+"""Working time, without standstills, for which waiting times may stay long before the node is behind, ns."""
 
 LONGEST_WAIT_NS = 3_000_000_000
-"""Waiting time from which on a node is behind at once, ns."""
+"""Waiting time above which a node is behind at once, ns."""
 
 SHORT_WAIT_NS = 200_000_000
-"""Longest waiting time of a node that keeps up, ns: twice the longest wait for an event.
-Where /clock is faster than real time, this is real time."""
+"""Maximum waiting time of a node that keeps up, ns: twice the longest wait for an event.
+
+If /clock is faster than real time, this is real time."""
 
 KEPT_UP_NS = 1_000_000_000
 """Steady time with short waiting times after which a node keeps up again, ns."""
 
 
 class Change(enum.Enum):
-    """Result of judging the waiting time of the oldest message."""
+    """Change of the overload state."""
 
     NONE = enum.auto()
     BEHIND = enum.auto()
-    """All that waits is to be cut."""
+    """The node is behind: cut all waiting messages."""
     KEEPS_UP = enum.auto()
 
 
 class Backlog:
-    """Judges the waiting time of a node's oldest message.
+    """Overload detector, by the waiting time of a node's oldest message.
 
     Args:
-        steady_ns: a clock that never jumps.
+        steady_ns: a steady clock, ns.
 
     Attributes:
         is_behind: True from a cut until the node keeps up.
@@ -57,17 +59,17 @@ class Backlog:
         self.restart()
 
     def restart(self) -> None:
-        """Forget how long the node has worked: the clock of waiting times went back."""
+        """Reset the working time: the clock of waiting times went back."""
         self._running_ns = 0
         self._worked = WaitingClock(lambda: self._running_ns)
         self._last_short_ns: int | None = None
 
     def judge(self, waited_ns: int, running_ns: int) -> Change:
-        """Return what has changed.
+        """Return the change of the overload state.
 
         Args:
-            waited_ns: waiting time of the oldest message; 0 where none waits.
-            running_ns: time now, by the clock of waiting times.
+            waited_ns: waiting time of the oldest message; 0 if none waits.
+            running_ns: current time, by the clock of waiting times.
         """
         self._running_ns = running_ns
         worked_ns = self._worked.now_ns(0)
@@ -82,7 +84,7 @@ class Backlog:
             return Change.NONE
         steady_ns = self._steady_ns()
         since_long_ns = steady_ns - self._last_long_ns
-        # By the rate of /clock since the last long wait; a clock that is slow or stands makes no wait shorter.
+        # Scaled by the rate of /clock since the last long wait; a slow or stopped clock shortens no waiting time.
         if waited_ns * since_long_ns > SHORT_WAIT_NS * max(since_long_ns, running_ns - self._last_long_running_ns):
             self._last_long_ns, self._last_long_running_ns, since_long_ns = steady_ns, running_ns, 0
         if since_long_ns < KEPT_UP_NS:
@@ -92,5 +94,5 @@ class Backlog:
 
 
 def overload(behind_ns: int, cut: Mapping[str, int]) -> Overload:
-    """Return how far a node is behind, with the load of the computer now."""
+    """Return the overload state of a node, with the current load of the computer."""
     return Overload(behind_ns * 1e-9, len(os.sched_getaffinity(0)), os.getloadavg()[0], dict(cut))

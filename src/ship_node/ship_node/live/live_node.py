@@ -1,8 +1,8 @@
-"""An adapter in a live rclpy node: its inputs, ticks, services and parameters.
+"""Live rclpy node around an adapter: inputs, ticks, services and parameters.
 
-Nothing that an adapter raises ends the node (:mod:`ship_node.live.node_report`). Ticks fall on a grid of the time of
-waiting: of /clock as in replay, or of a clock that nobody sets (:mod:`ship_node.live.node_clock`). Callbacks only put
-messages into an inbox, which is bounded; the events that wait for a callback are not
+An exception of the adapter does not end the node (:mod:`ship_node.live.node_report`). Ticks lie on a grid of the
+timeout clock: of /clock as in replay, or of a clock that is never set (:mod:`ship_node.live.node_clock`). Callbacks
+only put messages into an inbox, which is bounded; the events waiting for a callback are not
 (:mod:`ship_node.live.node_events`). The adapter gets one message whenever no event is left.
 """
 
@@ -47,27 +47,27 @@ if TYPE_CHECKING:
 SPIN_TIMEOUT_S = 0.1
 WATCH_PERIOD_S = 1.0
 JUMP_BACK = Duration(nanoseconds=-100_000_000)
-"""Only a jump that is longer starts anew: /clock from two hosts may waver."""
+"""Smallest jump back of the clock that restarts the node: /clock from two computers may fluctuate."""
 
 LONGEST_CATCH_UP_NS = 10_000_000_000
-"""After a longer jump forward the ticks start anew instead of being made up for, ns."""
+"""Longest jump forward for which missed ticks are made up, ns; after a longer one the tick grid restarts."""
 
 
 class LiveNode:
-    """A live node around an adapter.
+    """Live node around an adapter.
 
     Attributes:
         node: the rclpy node.
         adapter: the adapter.
 
     Args:
-        adapter_class: what to run.
+        adapter_class: adapter to run.
         context: an initialised rclpy context.
-        parameter_files: files given on the command line, to say where a bad parameter stands.
+        parameter_files: files of the command line, for the location of a bad parameter.
 
     Raises:
         BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or a file has a section for a
-            node of (nearly) this name, and none that fits this node.
+            node of (nearly) this name, but none that matches this node.
     """
 
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
@@ -103,11 +103,11 @@ class LiveNode:
         lasting = {i.topic for i in self.adapter.inputs if i.lasting}
         self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()}, lasting)
         self._backlog = Backlog(time.monotonic_ns)
-        # All that comes now has come after this, by the clock of waiting times.
+        # Messages received from now on have arrived after this time, by the clock of waiting times.
         self._all_received_ns = 0
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
-        # The box has said its path itself, which is another one where a box was there.
+        # The path of the black box is logged already; it differs from the parameter if a black box existed.
         clock = self.node.resolve_topic_name("/clock") if self._clock.is_simulated() else ""
         box = self._parameters.black_box
         self._log.info(start_line(self.adapter, self._parameters.config, clock, box))
@@ -118,7 +118,7 @@ class LiveNode:
         self._events.start(self.node)
 
     def spin(self, stop: Callable[[], bool]) -> None:
-        """Work until ``stop()`` or until the context ends."""
+        """Run until ``stop()`` returns True or the context ends."""
         self._all_received_ns = self._clock.running_ns()
         while not stop() and self._context.ok():
             if self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S):
@@ -129,7 +129,7 @@ class LiveNode:
                 self._guard.call("watch", self._watch)
 
     def close(self) -> None:
-        """Finish the black box and give everything back to the middleware."""
+        """Finish the black box and release all resources of the middleware."""
         if self._box is not None:
             self._box.close()
         self._jump_handle.unregister()
@@ -156,11 +156,11 @@ class LiveNode:
                 qos,
                 event_callbacks=events,
                 qos_overriding_options=overridable(),
-                # The bytes as they came are what the black box keeps.
+                # The black box records the received bytes.
                 raw=True,
             )
-        # rclpy would find this out by the callback's signature, but its events executor then calls with one argument:
-        # the message and its information as a tuple.
+        # rclpy would derive this from the callback's signature, but its events executor calls with one argument: the
+        # message and its information as a tuple.
         subscription._callback_type = Subscription.CallbackType.WithMessageInfo
         return subscription
 
@@ -168,7 +168,7 @@ class LiveNode:
         path, config = self._parameters.black_box, self._parameters.config
         if not path:
             return None
-        # Read only where a box is kept: the writer of bags takes a tenth of a node's start.
+        # Imported only for a black box: the bag writer takes a tenth of a node's start.
         from ship_node.black_box.black_box import BlackBox
 
         outputs, part_bytes = _outputs(self.adapter), self._parameters.black_box_part_bytes
@@ -178,7 +178,7 @@ class LiveNode:
         return box
 
     def _create_clocks(self) -> None:
-        """The tick on the node's clock, the watch on a clock that never stops, and the reset when time goes back."""
+        """Create the tick on the node's clock, the watchdog on a steady clock, and the reset for time going back."""
         clock = self.node.get_clock()
         self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._events.came)
         self.node.create_timer(
@@ -207,7 +207,7 @@ class LiveNode:
             self._look_at_publishers(topic)
 
     def _judge_backlog(self) -> None:
-        """Cut what waits where the node is behind; pass on to the adapter when it is and when it keeps up again."""
+        """Cut the waiting messages if the node is behind; report each change to the adapter."""
         running_ns, since_ns = self._clock.running_ns(), self._inbox.since_ns
         waited_ns = running_ns - since_ns if since_ns else 0
         change = self._backlog.judge(waited_ns, running_ns)
@@ -222,7 +222,7 @@ class LiveNode:
         self._calls.overload(overload(waited_ns, self._inbox.take_behind()), now_ns, waiting_ns)
 
     def _look_at_publishers(self, topic: str) -> None:
-        """Pass on to the adapter whether two publishers send on a topic, by their messages and the graph."""
+        """Report to the adapter whether two publishers send on a topic, by their messages and the graph."""
         name = self._subscriptions[topic].topic_name
         count, senders, names = self.node.count_publishers(name), self._senders[topic], []
         if count > 1:
@@ -243,7 +243,7 @@ class LiveNode:
         self._calls.contest(topic, text, now_ns, waiting_ns)
 
     def _work(self) -> None:
-        """Give the adapter the next message at the time at which it came, or where none waits the time now."""
+        """Give the adapter the next message at its receive time, or the current time if none waits."""
         if not self._inbox:
             times_ns = self._clock.times()
             self._see_clock_step(self._clock.stepped_ns, *times_ns)
@@ -257,7 +257,7 @@ class LiveNode:
         self._tell_notices()
 
     def _see_clock_step(self, stepped_ns: int, now_ns: int, waiting_ns: int) -> None:
-        """Pass on to the adapter that the system's clock was set, in its place among the messages."""
+        """Report a step of the system's clock to the adapter, in order with the messages."""
         step_ns, self._stepped_ns = stepped_ns - self._stepped_ns, stepped_ns
         if step_ns:
             self._guard.call("clock step", self._calls.clock_stepped, step_ns, now_ns, waiting_ns)
@@ -268,7 +268,7 @@ class LiveNode:
         self.adapter.notices.clear()
 
     def _handle_all(self) -> None:
-        """Give the adapter all that waits: what is asked of it next comes after that."""
+        """Give the adapter all waiting messages, so that the next call comes after them."""
         while self._inbox and self._clock.now_ns():
             self._work()
 
@@ -279,13 +279,13 @@ class LiveNode:
         self._calls.handle(topic, data, message, now_ns, waiting_ns)
 
     def _advance(self, now_ns: int, waiting_ns: int) -> None:
-        """Tick up to now; zeros while the node waits for its first /clock."""
+        """Tick up to the current time; both times are 0 while the node waits for its first /clock."""
         if now_ns == 0:
             return
         if self._last_ns and waiting_ns - self._last_ns > LONGEST_CATCH_UP_NS:
             self._grid.restart(waiting_ns)
         for tick_ns in self._grid.due(waiting_ns):
-            # Where the node's time stands, or was set back, no tick is given one before it.
+            # The node time of a tick never decreases, also if the clock is frozen or was set back.
             node_ns = max(now_ns - (waiting_ns - tick_ns), min(now_ns, self._last_node_ns))
             self._guard.call("tick", self._calls.tick, node_ns, tick_ns)
         self._last_node_ns, self._last_ns = now_ns, waiting_ns
@@ -301,7 +301,7 @@ class LiveNode:
         self._inbox.keeps_up()
         self._all_received_ns = self._clock.running_ns()
         now_ns, waiting_ns = self._clock.times()
-        self._log.warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
+        self._log.warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: restarting")
         self._grid.restart(waiting_ns)
         self._last_node_ns, self._last_ns = now_ns, waiting_ns
         self._calls.clock_jumped_back(now_ns)
@@ -309,7 +309,7 @@ class LiveNode:
     def _serve(self, name: str, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._handle_all()
         now_ns = self._clock.now_ns()
-        result: ServiceResult | None = ServiceResult(False, "the clock has not started: no /clock came yet")
+        result: ServiceResult | None = ServiceResult(False, "the clock has not started: no /clock received yet")
         if now_ns:
             result = self._guard.call(f"~/{name}", self._calls.service, name, now_ns)
         response.success, response.message = result or (False, "failed with an exception: see the node's log")
@@ -318,7 +318,7 @@ class LiveNode:
 
     def _on_incompatible_qos(self, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        text = f"a publisher of {topic} offers another {policy} than asked for; no message of it will come"
+        text = f"a publisher of {topic} offers another {policy} than requested; none of its messages will arrive"
         self.adapter.health.incompatible_qos(topic, text)
         self._log.error(f"incompatible QoS: {text}")
 
@@ -327,7 +327,7 @@ class LiveNode:
         self.adapter.health.lost(topic, event.total_count_change)
 
     def _watch(self) -> None:
-        """What time does not bring: publishers of the inputs, a clock that never starts, exceptions."""
+        """Run the periodic checks that need no message: publishers of the inputs, clock, exceptions."""
         self._events.came()
         for topic in self._subscriptions:
             self._look_at_publishers(topic)
@@ -343,7 +343,7 @@ class LiveNode:
 
 
 def _outputs(adapter: Adapter) -> tuple[OutputTopic, ...]:
-    """The adapter's outputs and the diagnostics, which every node has."""
+    """Return the adapter's outputs and the diagnostics, which every node has."""
     diagnostics = OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE)
     others = tuple(output for output in adapter.outputs if output.topic != DIAGNOSTICS_TOPIC)
     return (*others, diagnostics)

@@ -1,6 +1,6 @@
-"""The time of a live node: by its clock, of waiting, its ticks, and whether /clock still comes where it rules.
+"""Clocks of a live node: node time, timeout clock, ticks, and the state of /clock.
 
-The ticks are multiples of a period in the time of waiting. Nothing of ROS is read before a node follows /clock.
+The ticks are multiples of a period of the timeout clock. No part of ROS is imported before a node uses /clock.
 """
 
 import time
@@ -14,34 +14,34 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 DEAD_AFTER_NS = 2_000_000_000
-"""After so long a silence /clock is dead, ns: a player sends it many times a second, paused too."""
+"""Timeout of /clock, ns: a player publishes it many times a second, also while paused."""
 
 _START_NS = 5_000_000_000
-"""The first /clock may take so long, ns: its publisher is still to be found."""
+"""Timeout of the first /clock, ns: its publisher must still be discovered."""
 
 LEAST_STEP_NS = 100_000_000
-"""Smallest step of the system's clock, from one look to the next, that counts, ns: no daemon slews so fast."""
+"""Smallest step of the system's clock between two readings that counts, ns: no daemon slews so fast."""
 
 _LONGEST_LOOK_NS = 10_000_000
-"""Where reading both clocks took longer, they do not belong together, ns."""
+"""Maximum time for reading both clocks for which the readings belong together, ns."""
 
 CLOCK_DEPTH = 1000
-"""Messages of /clock that may wait for the node: ten seconds of a bag's time at the usual 100 Hz."""
+"""Queue depth of /clock: ten seconds of bag time at the usual 100 Hz."""
 
 
 class NodeClock:
-    """Both times that an adapter is given (:class:`ship_node.edge.adapter.Adapter`).
+    """Node time and timeout clock for an adapter (:class:`ship_node.edge.adapter.Adapter`).
 
-    Where /clock rules, the two are one as long as it comes. When it is dead, the node's time stands, and the time of
-    waiting goes on by a steady clock, whole ticks at a time, so that this silence is judged as any other.
+    With ``use_sim_time`` both are equal as long as /clock arrives. After its timeout the node time is frozen, and the
+    timeout clock goes on by a steady clock in whole ticks, so that timeouts work as for any other input.
 
     Args:
-        node: has its subscriptions still to come, so that /clock can be queued beside them.
-        steady_ns: a clock that never jumps.
+        node: has no subscriptions yet, so that /clock can be queued with them.
+        steady_ns: a steady clock, ns.
         on_event: called after each message of /clock.
 
     Attributes:
-        stepped_ns: sum of the steps of the system's clock since the start, against the steady clock; /clock aside.
+        stepped_ns: sum of the steps of the system's clock against the steady clock since the start; not of /clock.
     """
 
     def __init__(self, node: "Node", steady_ns: Callable[[], int], on_event: Callable[[], None]) -> None:
@@ -56,12 +56,12 @@ class NodeClock:
         queue_clock(node, self._hear)
 
     def now_ns(self) -> int:
-        """Time of the node; 0 while it waits for its first /clock."""
-        # Without /clock the node's clock is the system's, which rclpy asks in many steps.
+        """Return the node time, ns; 0 while the node waits for its first /clock."""
+        # Without /clock the node uses the system clock, whose reading by rclpy is slow.
         return int(self._clock.now().nanoseconds) if self.is_simulated() else time.time_ns()
 
     def times(self) -> tuple[int, int]:
-        """The node's time and the time of waiting, ns; zeros while the node waits for its first /clock."""
+        """Return node time and timeout-clock time, ns; zeros while the node waits for its first /clock."""
         if not self.is_simulated():
             now_ns = self._system_ns()
             return now_ns, self._waiting.now_ns(now_ns)
@@ -70,11 +70,11 @@ class NodeClock:
         return (now_ns, now_ns + stood_still_ns) if now_ns else (0, 0)
 
     def running_ns(self) -> int:
-        """Return the time by which messages wait for the node: steady time, or that of /clock where it rules."""
+        """Return the time by which messages wait for the node: steady time, or /clock with ``use_sim_time``."""
         return self.now_ns() if self.is_simulated() else self._steady_ns()
 
     def _system_ns(self) -> int:
-        """The system's time; a step of it since the last look is added to :attr:`stepped_ns`."""
+        """Return the system's time; add a step since the last reading to :attr:`stepped_ns`."""
         before_ns, now_ns, after_ns = self._steady_ns(), time.time_ns(), self._steady_ns()
         if after_ns - before_ns <= _LONGEST_LOOK_NS:
             last_ns, self._ahead_ns = self._ahead_ns, now_ns - before_ns
@@ -83,37 +83,37 @@ class NodeClock:
         return now_ns
 
     def start_anew(self) -> None:
-        """The clock went back: the two times are one again."""
+        """Make both times equal again, because the clock went back."""
         self._stood_still_before_ns = 0
 
     def is_simulated(self) -> bool:
-        """Whether the node follows /clock."""
+        """Return True if the node uses /clock."""
         return bool(self._clock.ros_time_is_active)
 
     def is_dead(self) -> bool:
-        """Whether /clock rules, came, and comes no more."""
+        """Return True if /clock is used, has arrived and has timed out."""
         return self._was_heard and self._silence_ns() >= DEAD_AFTER_NS
 
     def status(self) -> DiagnosticStatus:
-        """State of the clock."""
+        """Return the status of the clock."""
         if not self.is_simulated():
             return DiagnosticStatus("clock", Level.OK, "running")
         silence_ns = self._silence_ns()
         for_s = f"{silence_ns * 1e-9:.0f} s"
         if self.now_ns() == 0:
             level = Level.ERROR if silence_ns >= _START_NS else Level.OK
-            return DiagnosticStatus("clock", level, f"use_sim_time is set, but no /clock came for {for_s}")
+            return DiagnosticStatus("clock", level, f"use_sim_time is set, but no /clock for {for_s}")
         if silence_ns >= DEAD_AFTER_NS:
-            text = f"use_sim_time is set, and no /clock came for {for_s}: time stands"
+            text = f"no /clock for {for_s}: node time is frozen"
             return DiagnosticStatus("clock", Level.ERROR, text)
-        return DiagnosticStatus("clock", Level.OK, "running by /clock")
+        return DiagnosticStatus("clock", Level.OK, "running with /clock")
 
     def _silence_ns(self) -> int:
-        """For how long the node has listened since the last /clock, ns."""
+        """Return the listening time since the last /clock, ns."""
         return self._listening.now_ns(0) - self._heard_ns
 
     def _stood_still_ns(self) -> int:
-        """For how long the time of waiting went on while the node's time stood, whole ticks, ns."""
+        """Return the time that the timeout clock ran while the node time was frozen, in whole ticks, ns."""
         silence_ns = self._silence_ns()
         ticks = silence_ns // TICK_PERIOD_NS if silence_ns >= DEAD_AFTER_NS else 0
         return self._stood_still_before_ns + ticks * TICK_PERIOD_NS
@@ -127,17 +127,17 @@ class NodeClock:
 
 
 class WaitingClock:
-    """The time in which a node was listening, by which silence is judged where no /clock rules.
+    """Timeout clock without ``use_sim_time``: the time in which the node was listening.
 
-    It runs with a steady clock, whatever happens to the system's time. It begins at the node's time, so that both are
-    near one another in a black box.
+    It runs by a steady clock, independent of the system's time. It starts at the node time, so that both are similar in
+    a black box.
 
     Args:
-        steady_ns: a clock that never jumps.
+        steady_ns: a steady clock, ns.
     """
 
     LONGEST_STEP_NS = 2 * TICK_PERIOD_NS
-    """A standstill of the node counts as this at most, ns: messages that came meanwhile wait, which is no silence."""
+    """Maximum time counted for a standstill of the node, ns: messages that arrived meanwhile only wait."""
 
     def __init__(self, steady_ns: Callable[[], int]) -> None:
         self._steady_ns = steady_ns
@@ -145,7 +145,7 @@ class WaitingClock:
         self._waiting_ns: int | None = None
 
     def now_ns(self, node_ns: int) -> int:
-        """The time of waiting; ``node_ns`` is the node's time. A node at work asks at every tick."""
+        """Return the timeout-clock time, ns; ``node_ns`` is the node time. A working node calls it at every tick."""
         last_ns, self._last_ns = self._last_ns, self._steady_ns()
         if self._waiting_ns is None:
             self._waiting_ns = node_ns
@@ -155,14 +155,14 @@ class WaitingClock:
 
 
 class TickGrid:
-    """Which ticks are due: every multiple of the period that time has reached, each once."""
+    """Grid of ticks: every multiple of the period that the time has reached, each once."""
 
     def __init__(self, period_ns: int = TICK_PERIOD_NS) -> None:
         self._period_ns = period_ns
         self._newest: int | None = None
 
     def due(self, now_ns: int) -> Iterator[int]:
-        """The ticks up to and including ``now_ns`` since the last call, ns; the first call only starts the grid."""
+        """Yield the ticks up to and including ``now_ns`` since the last call, ns; the first call starts the grid."""
         reached = now_ns // self._period_ns
         for number in range((reached if self._newest is None else self._newest) + 1, reached + 1):
             self._newest = number
@@ -171,22 +171,22 @@ class TickGrid:
             self.restart(now_ns)
 
     def restart(self, now_ns: int) -> None:
-        """The clock jumped to ``now_ns``: the grid starts there anew, and the ticks between are left out."""
+        """Restart the grid at ``now_ns`` after a jump of the clock; the ticks between are left out."""
         self._newest = now_ns // self._period_ns
 
 
 def queue_clock(node: "Node", heard: Callable[[], None] = lambda: None) -> None:
-    """Keep every message of /clock until the node takes it; without ``use_sim_time`` there is nothing to do.
+    """Queue every message of /clock until the node processes it; without ``use_sim_time`` do nothing.
 
-    rclpy keeps the newest only. In a node that is behind for a moment — a fast bag, a busy machine — time then runs
-    ahead of the inputs that still wait: they look late, and their silence is reported while they lie in the queue.
-    With an executor that handles messages in order of arrival, queued time is right for each of them.
+    rclpy keeps the newest only. In a node that is behind for a moment (a fast bag, a busy computer), time then runs
+    ahead of the inputs that still wait: they seem late, and their timeout is reported although they are in the queue.
+    With an executor that processes messages in order of arrival, queued time is right for each of them.
 
     Args:
-        node: whose /clock.
-        heard: called after each message of it.
+        node: node whose /clock is queued.
+        on_clock: called after each message of it.
     """
-    # There is no public way to this subscription, and rclpy allows no QoS overrides for it.
+    # rclpy has no public access to this subscription, and no QoS overrides for it.
     time_source = node._time_source
     if time_source._clock_sub is None:
         return

@@ -1,7 +1,7 @@
-"""What the middleware tells a live node, taken promptly and without letting it pile up.
+"""Events of a live node: taken from the middleware promptly and with bounded queues.
 
-:class:`NodeEvents` calls back for what happened; the callbacks only put messages into the :class:`Inbox`, where they
-wait for the adapter in order of arrival, so many of each topic and no more.
+:class:`NodeEvents` runs the callbacks; these only put messages into the :class:`Inbox`, where a bounded number of each
+topic waits for the adapter in order of arrival.
 """
 
 from collections import Counter, OrderedDict, deque
@@ -22,41 +22,41 @@ from ship_node.live.node_clock import WaitingClock
 from ship_node.live.node_report import Guard
 
 MOST_EVENTS = 1000
-"""Events taken in one go: a flood must not stop the node's own work."""
+"""Maximum number of events processed at once, so that a flood does not stop the node's own work."""
 
 LONGEST_BEHIND_NS = 1_000_000_000
-"""Where an event waits for longer than that, all of them are dropped, ns."""
+"""Time in the queue of events above which all of them are dropped, ns."""
 
 LARGEST_MESSAGE_BYTES = 65_536
-"""An exposure of a thousand stars is smaller. To decode a larger message alone would hold up the node."""
+"""Maximum size of a message: an exposure of a thousand stars is smaller, and decoding a larger one takes too long."""
 
 _PULSE_S = 0.2
 
 _AT_ONCE_S = -1e-3
-"""Wait for no event: until a moment that is past. Linux lets a thread that waits until now sleep for 50 us and more."""
+"""Timeout for no waiting: a time in the past. With a timeout of zero Linux lets the thread sleep for 50 us and more."""
 
 _WAITED_NS = 200_000
-"""An event that is there is taken, and its callback is called, in less than that, ns."""
+"""Time that suffices to take an existing event and run its callback, ns."""
 
 _SHOWN_NS = 10_000_000_000
 
 
 class NodeEvents:
-    """The events executor of one node.
+    """Events executor of one node.
 
-    The events executor of rclpy takes half the processor time of the single-threaded one, and learns of messages of all
-    topics in the order in which they came. But it queues an event for each message, without bound, even where the
-    message has been displaced meanwhile. So callbacks must be quick, and where more comes than even they can take, the
-    queue is thrown away. How far the node is behind is told by a timer, whose event waits in the queue like all others.
+    The events executor of rclpy needs half the processor time of the single-threaded one, and reports messages of all
+    topics in the order of arrival. But it queues an event for each message without a bound, even if the message has
+    been overwritten meanwhile. Therefore callbacks must be quick, and if more events arrive than even they can process,
+    the queue is dropped. The delay of the node is measured by a timer, whose event waits in the same queue.
 
-    The middleware tells of each message once. What it told in a queue that is thrown away would stay there, and every
-    later message would be taken that many messages late, for ever. So it is taken without an event: the newest message
-    of each topic is used, and each request is answered.
+    The middleware reports each message once. A message whose event was dropped would stay in its queue and delay every
+    later message. Therefore all waiting messages are then taken without an event: the newest message of each topic is
+    used, and each service request is answered.
 
     Args:
         context: of the node.
-        guard: catches what callbacks raise.
-        steady_ns: a clock that never jumps.
+        guard: catches exceptions of callbacks.
+        steady_ns: a steady clock, ns.
     """
 
     def __init__(self, context: Context, guard: Guard, steady_ns: Callable[[], int]) -> None:
@@ -67,12 +67,12 @@ class NodeEvents:
         self._event_came = False
         self._dropped_count = 0
         self._dropped_ns = 0
-        # A standstill of the node is no sign of too many events.
+        # A standstill of the node must not count as time in the queue.
         self._listening = WaitingClock(steady_ns)
         self._pulse_ns = self._listening.now_ns(0)
 
     def start(self, node: Node) -> None:
-        """From now on call the node's callbacks."""
+        """Start calling the node's callbacks."""
         self._node = node
         node.create_timer(_PULSE_S, self._pulse, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._listen()
@@ -83,19 +83,22 @@ class NodeEvents:
         self._executor.add_node(self._node)
 
     def close(self) -> None:
-        """Call no more."""
+        """Stop calling callbacks."""
         self._executor.remove_node(self._node)
         self._executor.shutdown()
 
     def came(self) -> None:
-        """Every callback calls this: another event may wait."""
+        """Record that a callback ran, so that another event may wait; every callback calls this."""
         self._event_came = True
 
     def take(self, timeout_s: float) -> bool:
-        """Call back for what happened, until nothing is left; wait at most so long for the first.
+        """Process the waiting events; wait for the first one no longer than ``timeout_s``.
 
-        Where the first one had to be waited for, no other was there, and none is looked for: that takes 20 us and more.
-        The answer is False where something may be left.
+        If the first event had to be waited for, no other one existed, and none is looked for: that would take 20 us and
+        more.
+
+        Returns:
+            False if events may be left.
         """
         begin_ns = self._steady_ns()
         self._heartbeat.beat(begin_ns)
@@ -110,17 +113,17 @@ class NodeEvents:
         return not may_be_more
 
     def _take_one(self, timeout_s: float) -> bool:
-        """Call back for one event, and wait at most so long for it; returns whether there was one."""
+        """Process one event, waiting no longer than ``timeout_s``; return True if there was one."""
         self._event_came = False
         self._guard.call("executor", self._executor.spin_once, timeout_s)
         return self._event_came
 
     def status(self) -> DiagnosticStatus:
-        """Whether the node can take what comes."""
+        """Return the status of the event queue."""
         if self._dropped_count == 0:
-            return DiagnosticStatus("events", Level.OK, "taken as they come")
+            return DiagnosticStatus("events", Level.OK, "processed as they arrive")
         recent = self._steady_ns() - self._dropped_ns <= _SHOWN_NS
-        text = f"overflow: more came than this node can take; what waited was dropped {self._dropped_count} times"
+        text = f"overflow: too many events for this node; the queue was dropped {self._dropped_count} times"
         return DiagnosticStatus("events", Level.ERROR if recent else Level.WARN, text)
 
     def _drop(self) -> None:
@@ -139,9 +142,9 @@ class NodeEvents:
 
 
 def _use_newest(subscription: Subscription) -> None:
-    """Take what waits on a topic, without an event, and call back for the newest message."""
+    """Take the waiting messages of a topic without an event, and process the newest one."""
     newest = None
-    # What comes meanwhile is told of by an event.
+    # Messages that arrive meanwhile have their own events.
     for _ in range(subscription.qos_profile.depth):
         taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
         if taken is None:
@@ -153,7 +156,7 @@ def _use_newest(subscription: Subscription) -> None:
 
 
 def _answer_all(service: Service) -> None:
-    """Answer the requests that wait at a service, without an event."""
+    """Answer the waiting requests of a service without an event."""
     while True:
         request, header = service.handle.service_take_request(service.srv_type.Request)
         if header is None:
@@ -162,15 +165,15 @@ def _answer_all(service: Service) -> None:
 
 
 class Arrival(NamedTuple):
-    """A message as it came.
+    """Received message.
 
     Attributes:
-        topic: of the message.
+        topic: its topic.
         data: its CDR bytes.
-        now_ns: the node's time then; 0 before the first /clock.
-        waiting_ns: the time of waiting then; 0 before the first /clock.
-        since_ns: from when on it waits, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: from now on.
-        stepped_ns: :attr:`ship_node.live.node_clock.NodeClock.stepped_ns` then.
+        now_ns: receive time by the node's clock; 0 before the first /clock.
+        waiting_ns: receive time by the timeout clock; 0 before the first /clock.
+        queued_ns: start of its waiting time, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: from now on.
+        stepped_ns: :attr:`ship_node.live.node_clock.NodeClock.stepped_ns` at reception.
     """
 
     topic: str
@@ -182,18 +185,18 @@ class Arrival(NamedTuple):
 
 
 class Inbox:
-    """A queue per topic, taken from in the order of arrival over all topics.
+    """Bounded queue per topic, processed in order of arrival over all topics.
 
-    Where a queue is full, its oldest message makes room for the newest: the data of a node that does not keep up are
-    at most so old, and a flood on one topic displaces nothing of another.
+    If a queue is full, its oldest message is dropped for the newest. This bounds the age of the data of a node that is
+    behind, and a flood on one topic displaces no message of another.
 
-    Where a node is behind (:mod:`ship_node.live.backlog`), all topics are cut to one time: the newest stamp on the
-    topic of which most is cut, of those that are not ahead of the node's clock. What comes after that with an earlier
-    stamp would be compared with nothing.
+    If a node is behind (:mod:`ship_node.live.backlog`), all topics are cut at one time. It is the newest stamp, not
+    ahead of the node's clock, on the topic of which most messages are cut. Later messages with an earlier stamp would
+    have no counterpart to be compared with.
 
     Args:
-        depths: topic → messages that may wait.
-        lasting: topics whose messages hold until the next one: they are not cut where the node is behind.
+        depths: topic → maximum number of waiting messages.
+        valid_until_next: topics whose messages are valid until the next one: they are not cut if the node is behind.
     """
 
     def __init__(self, depths: Mapping[str, int], lasting: Collection[str] = ()) -> None:
@@ -209,7 +212,7 @@ class Inbox:
         return len(self._waiting)
 
     def put(self, arrival: Arrival) -> None:
-        """Take in what just came, unless it is too large."""
+        """Add a received message, unless it is too large."""
         topic, size = arrival.topic, len(arrival.data)
         if size > LARGEST_MESSAGE_BYTES:
             self._cuts[topic, f"larger than {LARGEST_MESSAGE_BYTES} bytes"] += 1
@@ -228,22 +231,22 @@ class Inbox:
         self._next_number += 1
 
     def take(self) -> Arrival:
-        """The message that waits longest, which then waits no more."""
+        """Remove and return the oldest message."""
         _, arrival = self._waiting.popitem(last=False)
         self._numbers[arrival.topic].popleft()
         return arrival
 
     @property
     def since_ns(self) -> int:
-        """Time from which on the oldest message waits; 0 where none waits."""
+        """Start of the waiting time of the oldest message; 0 if none waits."""
         return next(iter(self._waiting.values())).since_ns if self._waiting else 0
 
     def cut(self, now_ns: int, waiting_ns: int, since_ns: int) -> None:
-        """Cut all that waits, up to one time, because the node is behind.
+        """Cut all waiting messages at one time, because the node is behind.
 
         Args:
-            now_ns: the node's time now, which the messages that are kept get as that of their arrival.
-            waiting_ns: the same in the time of waiting.
+            now_ns: the node's time now, which the remaining messages get as their receive time.
+            waiting_ns: the same by the timeout clock.
             since_ns: the same by the clock of waiting times.
         """
         cut = [arrival for arrival in self._waiting.values() if arrival.topic not in self._lasting]
@@ -253,7 +256,7 @@ class Inbox:
             most = counts.most_common(1)[0][0]
             all_ns = [stamp_of_bytes(arrival.data) for arrival in cut if arrival.topic == most]
             stamps_ns = [stamp_ns for stamp_ns in all_ns if stamp_ns is not None]
-            # By a stamp ahead of that, good messages would be dropped until its time comes.
+            # A stamp in the future would drop good messages until its time.
             past_ns = [stamp_ns for stamp_ns in stamps_ns if stamp_ns <= now_ns]
             self._cut_until_ns = max(past_ns, default=now_ns if stamps_ns else None)
         self._behind += counts
@@ -264,16 +267,16 @@ class Inbox:
             self.put(arrival._replace(now_ns=now_ns, waiting_ns=waiting_ns, since_ns=since_ns))
 
     def take_behind(self) -> Counter[str]:
-        """Topic → messages that were cut since the last call because the node is behind."""
+        """Return topic → number of messages cut since the last call because the node is behind."""
         cut, self._behind = self._behind, Counter()
         return cut
 
     def keeps_up(self) -> None:
-        """Take messages with stamps before the last cut again: the node keeps up, or its clock went back."""
+        """Accept stamps before the last cut again: the node keeps up, or its clock went back."""
         self._cut_until_ns = None
 
     def take_cuts(self) -> Counter[tuple[str, str]]:
-        """(topic, why) → messages that were not kept since the last call."""
+        """Return (topic, reason) → number of messages dropped since the last call."""
         if not self._cuts:
             return self._cuts
         cuts, self._cuts = self._cuts, Counter()

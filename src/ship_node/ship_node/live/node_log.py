@@ -1,7 +1,7 @@
-"""The log of a live node, in which each line has the place in the code that wrote it.
+"""Log of a live node with the code location of each line.
 
-The logger of rclpy looks for that place in the files of all modules: 40 ms for the first line of a node, and 0.3 ms for
-each later one, in which no message is handled.
+The logger of rclpy searches for the location in the files of all modules: 40 ms for the first line of a node, and 0.3
+ms for each later one. No message is processed meanwhile.
 """
 
 import sys
@@ -12,17 +12,17 @@ from rclpy.node import Node
 
 
 class NodeLog:
-    """Writes lines into the log of a node, by the way of rclpy: to the console, to a file and to /rosout.
+    """Writes lines into the log of a node as rclpy does: to the console, to a file and to /rosout.
 
     Args:
-        node: whose log.
+        node: its node.
     """
 
     def __init__(self, node: Node) -> None:
         self._logger = node.get_logger()
 
     def info(self, message: str) -> None:
-        """Log what is well."""
+        """Log information."""
         self._write(LoggingSeverity.INFO, message)
 
     def warning(self, message: str) -> None:

@@ -1,9 +1,8 @@
-"""What a live node says of itself, in its log and its diagnostics.
+"""Log and diagnostics of a live node's own state.
 
-One line at the start tells how it is set up. A :class:`Guard` keeps the node alive: what a callback raises is caught,
-counted, logged and reported, never let out. A :class:`StatusLog` brings what the diagnostics say into the log where it
-changes: who has only a terminal must learn of it as well. Further statuses tell whether the node's name is its own and
-the data are of its time.
+One line at the start gives the set-up. A :class:`ExceptionGuard` catches, counts, logs and reports exceptions of
+callbacks, so that they do not end the node. A :class:`StatusLog` logs changes of the diagnostics for users with a
+terminal only. Further statuses report a duplicate node name and data of another time.
 """
 
 import dataclasses
@@ -23,22 +22,22 @@ Result = TypeVar("Result")
 
 LOG_PERIOD_NS = 1_000_000_000
 SHOWN_NS = 10_000_000_000
-"""A failure is an error in the diagnostics for this long, then a warning, ns."""
+"""Time for which an exception is an error in the diagnostics before it becomes a warning, ns."""
 
 _FILE = "_file"
 _FIGURES = re.compile(r"'[^']*'|\d+(\.\d+)?")
-"""What changes in a text from report to report without another meaning: figures, and examples in quotes."""
+"""Parts of a text that change between reports without changing its meaning: figures, and examples in quotes."""
 _MOST_REASONS = 5
 
 
 def start_line(adapter: Adapter, config: Any, clock: str, black_box: str) -> str:
-    """The line of a node about its set-up: devices by kind, files, clock, black box.
+    """Return the log line about a node's set-up: devices by kind, files, clock, black box.
 
     Args:
         adapter: of the node, as configured.
-        config: its configuration: a group of devices is a mapping, a file a text whose name ends with ``_file``.
-        clock: full name of the topic that sets the node's time; empty where that is the system's.
-        black_box: path of its box, empty for none.
+        config: its configuration: a group of devices is a mapping; the name of a file parameter ends with ``_file``.
+        clock: full name of the topic that sets the node's time; empty for the system's time.
+        black_box: path of its black box; empty for none.
     """
     parts = []
     for field in dataclasses.fields(config):
@@ -57,10 +56,10 @@ def start_line(adapter: Adapter, config: Any, clock: str, black_box: str) -> str
 
 
 class Logger(Protocol):
-    """What is used of a logger."""
+    """Interface of a logger."""
 
     def info(self, message: str) -> Any:
-        """Log what is well."""
+        """Log information."""
         ...
 
     def warning(self, message: str) -> Any:
@@ -73,11 +72,11 @@ class Logger(Protocol):
 
 
 class Guard:
-    """Calls functions that may fail.
+    """Calls functions and catches their exceptions.
 
     Args:
         logger: gets a line at most once a second.
-        monotonic_ns: a clock that never jumps.
+        monotonic_ns: a steady clock, ns.
     """
 
     def __init__(self, logger: Logger, monotonic_ns: Callable[[], int]) -> None:
@@ -88,12 +87,12 @@ class Guard:
         self._last_ns = self._logged_ns = -LOG_PERIOD_NS
 
     def call(self, what: str, function: Callable[..., Result], *arguments: Any) -> Result | None:
-        """The result of the function, or None where it raised.
+        """Return the result of a function, or None if it raised.
 
         Args:
-            what: names the call for people, as ``"ins/imu"``.
-            function: what to call.
-            arguments: with which arguments.
+            what: name of the call in texts, as ``"ins/imu"``.
+            function: the function.
+            arguments: its arguments.
         """
         try:
             return function(*arguments)
@@ -102,7 +101,7 @@ class Guard:
             return None
 
     def status(self) -> DiagnosticStatus:
-        """State of the node's own code."""
+        """Return the status of the node's own code."""
         if self._count == 0:
             return DiagnosticStatus("callbacks", Level.OK, "no exception")
         recent = self._monotonic_ns() - self._last_ns <= SHOWN_NS
@@ -111,7 +110,7 @@ class Guard:
         return DiagnosticStatus("callbacks", level, text, {"exceptions": str(self._count)})
 
     def note(self, text: str) -> None:
-        """Count, log and report an exception that was caught where it was raised."""
+        """Count, log and report an exception that was caught elsewhere."""
         self._count += 1
         self._last_ns = self._monotonic_ns()
         self._last_text = text
@@ -125,19 +124,19 @@ class Guard:
 
 @dataclasses.dataclass
 class _Told:
-    """What the log knows of a status: its level, and the texts of that level without their figures and examples."""
+    """Logged state of a status: its level, and the texts logged at that level without figures and examples."""
 
     level: Level
     reasons: set[str]
 
 
 class StatusLog:
-    """Logs each status when its level changes or a fault has a new reason, not as often as it is reported.
+    """Logs a status when its level changes or when a fault has a new reason, not at every report.
 
-    At the start only an error is said. Of a fault that lasts each reason is said once, and only the first few.
+    At the start only errors are logged. For a lasting fault each reason is logged once, and only the first few.
 
     Args:
-        logger: takes the lines.
+        logger: gets the lines.
     """
 
     def __init__(self, logger: Logger) -> None:
@@ -145,15 +144,15 @@ class StatusLog:
         self._told: dict[str, _Told] | None = None
 
     def tells_of(self, name: str) -> bool:
-        """Whether an error of that status was logged and is not over yet."""
+        """Return True if an error of that status was logged and still persists."""
         return name in (told := self._told or {}) and told[name].level is Level.ERROR
 
     def see(self, statuses: Iterable[DiagnosticStatus]) -> None:
-        """Take all statuses of a report."""
+        """Process all statuses of a report."""
         before, now = self._told, {}
         for status in statuses:
             reason = _FIGURES.sub("", status.message)
-            # A status that is new, as of a conflict, counts as well before.
+            # A new status, as of a conflict, counts as OK before.
             was = (before or {}).get(status.name, _Told(Level.OK, set()))
             is_change = status.level is not was.level
             now[status.name] = told = _Told(status.level, set()) if is_change else was
@@ -168,7 +167,7 @@ class StatusLog:
         self._told = now
 
     def _say(self, level: Level, text: str) -> None:
-        # Three calls, because a logger of rclpy lets a line of code keep the severity with which it first logged.
+        # Three calls, because a logger of rclpy ties each line of code to the severity of its first use.
         if level is Level.OK:
             self._logger.info(text)
         elif level is Level.WARN:
@@ -178,18 +177,21 @@ class StatusLog:
 
 
 def name_status(node: "Node") -> DiagnosticStatus:
-    """Whether a second node has this one's name: services and parameters then reach either, outputs are of both."""
+    """Return the status of the node's name: ERROR if another node has the same name.
+
+    Services and parameters then reach either node, and outputs come from both.
+    """
     own = node.get_fully_qualified_name()
     names = [f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces()]
     if (count := names.count(own)) <= 1:
         return DiagnosticStatus("name", Level.OK, own)
-    text = f"{count} nodes are called '{own}': end all but one, or name them apart with -r __node:=NAME"
+    text = f"{count} nodes are called '{own}': stop all but one, or rename them with -r __node:=NAME"
     return DiagnosticStatus("name", Level.ERROR, text)
 
 
 def stamps_status(health: InputHealthBook) -> DiagnosticStatus:
-    """Whether any input's data are of another time; the diagnostics of that input say it too."""
+    """Return the status of the stamps: ERROR if the data of an input are of another time."""
     text = health.of_another_time()
     if not text:
-        return DiagnosticStatus("stamps", Level.OK, "of the node's time")
+        return DiagnosticStatus("stamps", Level.OK, "consistent with the node's time")
     return DiagnosticStatus("stamps", Level.ERROR, text)

@@ -1,4 +1,4 @@
-"""What the executable of a node calls: arguments, start, spin, clean end, exit codes."""
+"""Entry points of a node's executable: arguments, start, spin, clean end, exit codes."""
 
 import signal
 import sys
@@ -27,19 +27,20 @@ from ship_node.parameters.usage import usage_text
 EXIT_DONE, EXIT_BAD_INPUT = 0, 2
 
 _BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
-"""What bad parameters, arguments or a missing message package raise before the node runs; the bad input of every
-package is a ValueError."""
+"""Exceptions of bad parameters, arguments or a missing message package before the node runs.
+
+The bad input of every package is a ValueError."""
 
 
 class SpunNode(Protocol):
-    """A node as it is run."""
+    """Interface of a node that :func:`run_node` runs."""
 
     def spin(self, stop: Callable[[], bool]) -> None:
-        """Work until ``stop()`` or until the context ends."""
+        """Run until ``stop()`` returns True or the context ends."""
         ...
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release all resources."""
         ...
 
 
@@ -47,12 +48,12 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
     """Run the node of an adapter until SIGINT or SIGTERM.
 
     Args:
-        adapter_class: what the node does.
+        adapter_class: adapter of the node.
         args: command line without the program's name; by default that of the process.
 
     Returns:
-        Exit code: 0 ended by a signal, 2 bad arguments or parameters (one line on stderr says which), 141 for a help
-        whose reader is gone.
+        Exit code: 0 ended by a signal, 2 bad arguments or parameters (with one line on stderr), 141 if the reader of
+            the help text is gone.
     """
     arguments = list(sys.argv[1:] if args is None else args)
     if "-h" in arguments or "--help" in arguments:
@@ -64,8 +65,8 @@ def run_node(name: str, make: Callable[[Context, tuple[Path, ...]], SpunNode], a
     """Run a node until SIGINT or SIGTERM.
 
     Args:
-        name: of the node, without namespace.
-        make: the node, of an initialised context and the parameter files given on the command line.
+        name: name of the node, without namespace.
+        make: returns the node, from an initialised context and the parameter files of the command line.
         arguments: for ROS.
 
     Returns:
@@ -98,12 +99,12 @@ def _start(
 ) -> SpunNode:
     files = tuple(Path(path) for flag, path in pairwise(arguments) if flag == "--params-file")
     for path in files:
-        # rcl reads them too, but cannot say what is wrong in which line.
+        # rcl reads them too, but its errors have no line.
         read_whatever_fits(path, name)
     prepare_dds()
-    # The signals are ours: spin ends between two callbacks, and the node goes in order.
+    # Signals are handled here, so that spin ends between two callbacks and the node closes cleanly.
     rclpy.init(args=[name, *arguments], context=context, signal_handler_options=SignalHandlerOptions.NO)
     unknown = remove_ros_args([name, *arguments])[1:]
     if unknown:
-        raise BadInput(f"unknown argument '{unknown[0]}': parameters go behind --ros-args, see --help")
+        raise BadInput(f"unknown argument '{unknown[0]}': parameters follow --ros-args, see --help")
     return make(context, files)

@@ -1,4 +1,4 @@
-"""Quality of service of inputs and outputs, and what of it a parameter file may override."""
+"""Quality of service of inputs and outputs, and the policies that a parameter file may override."""
 
 import contextlib
 import warnings
@@ -14,10 +14,10 @@ from ship_bags.errors import BadInput
 from ship_node.edge.topics import InputTopic, OutputTopic
 
 OUTPUT_DEPTH = 2000
-"""Messages kept for readers that acknowledge late: two seconds of data at 1 kHz, or a cut of 20 s at 100 Hz."""
+"""Messages kept for late acknowledgements: two seconds of data at 1 kHz, or an outage of 20 s at 100 Hz."""
 
 RELIABLE_DEPTH = 2000
-"""Messages of a reliable input that may come in one go when the link is there again after a cut."""
+"""Messages of a reliable input that may arrive at once after an outage of the link."""
 
 _OVERRIDABLE = QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY, QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH
 _EXPECTED = (
@@ -27,11 +27,11 @@ _EXPECTED = (
 
 
 def input_qos(input_topic: InputTopic, is_reliable: bool) -> QoSProfile:
-    """Best effort, so that a lost message never holds up the newer ones; deep enough for a second of data.
+    """Return the QoS of an input: best effort by default, so that a lost message never delays newer ones.
 
     Args:
-        input_topic: the topic.
-        is_reliable: whether what was lost on the way is sent again instead, also after a cut of the link.
+        input_topic: the topic, with a depth of one second of data.
+        is_reliable: True to send lost messages again, also after an outage of the link.
     """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
@@ -42,7 +42,7 @@ def input_qos(input_topic: InputTopic, is_reliable: bool) -> QoSProfile:
 
 
 def output_qos(output_topic: OutputTopic) -> QoSProfile:
-    """Reliable; a latched topic keeps its last message for those who come later."""
+    """Return the QoS of an output: reliable; a latched topic keeps its last message for late subscribers."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=1 if output_topic.latched else OUTPUT_DEPTH,
@@ -52,20 +52,20 @@ def output_qos(output_topic: OutputTopic) -> QoSProfile:
 
 
 def overridable() -> QoSOverridingOptions:
-    """``qos_overrides./TOPIC.subscription.reliability`` (or ``publisher``) and the like are parameters."""
+    """Return the options that make ``qos_overrides./TOPIC.subscription.reliability`` and the like parameters."""
     return QoSOverridingOptions(_OVERRIDABLE, callback=_check_depth)
 
 
 @contextlib.contextmanager
 def overrides_checked(node: Node, topic: str) -> Iterator[None]:
-    """Creating the publisher or subscription of a topic inside this reports overrides that cannot be used.
+    """Report unusable overrides while the publisher or subscription of a topic is created in this context.
 
     Raises:
         BadInput: names the topic and what was expected.
     """
     try:
         with warnings.catch_warnings():
-            # rclpy warns of a depth of 0, which is refused here.
+            # rclpy only warns of a depth of 0, which is refused here.
             warnings.simplefilter("ignore")
             yield
     except (RuntimeError, InvalidQosOverridesError, ParameterException) as error:

@@ -1,4 +1,4 @@
-"""A configuration dataclass as parameters of an rclpy node: declared with unit and range, changed live."""
+"""Configuration dataclass as parameters of an rclpy node: declared with unit and range, changed live."""
 
 import re
 import sys
@@ -35,49 +35,49 @@ from ship_node.live.node_log import NodeLog
 
 USE_SIM_TIME = "use_sim_time"
 
-_BLACK_BOX_DOC = "file (.mcap) or folder that takes everything the node uses and gives; empty for none"
-_BLACK_BOX_PART_DOC = "size from which on the black box goes on in a new file [MB]; 0 for never"
+_BLACK_BOX_DOC = "file (.mcap) or folder for all inputs and outputs of the node; empty for none"
+_BLACK_BOX_PART_DOC = "size at which the black box continues in a new file [MB]; 0 for never"
 BLACK_BOX_PART_MB = 1000
 _BYTES_PER_MB = 1_000_000
-_RELIABLE_INPUTS_DOC = "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it"
+_RELIABLE_INPUTS_DOC = "inputs are reliable: lost messages are sent again, and newer ones wait for them"
 
 _LISTS = {(str,): Parameter.Type.STRING_ARRAY, (float,): Parameter.Type.DOUBLE_ARRAY}
-"""The type of a list by that of its elements."""
+"""Parameter type of a list by the type of its elements."""
 
 _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
 
 
 class ParameterNode(Node):
-    """A node that passes every live change of parameters through one function.
+    """Node that passes every live change of parameters through one function.
 
     rclpy calls no callback for a change that it refuses itself (by range, type, read-only, unknown name).
 
     Attributes:
-        change: what takes a request, given rclpy's own way to do so; None for that way alone.
+        change: function that processes a request, called with rclpy's own method; None for rclpy's method only.
     """
 
     change: Callable[[list[Parameter], Callable[..., SetParametersResult]], SetParametersResult] | None = None
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Take or refuse all of them; rclpy's services call this."""
+        """Apply or refuse all parameters of a request; rclpy's services call this."""
         take = super().set_parameters_atomically
         return take(parameter_list) if self.change is None else self.change(parameter_list, take)
 
 
 class NodeParameters:
-    """The parameters of one node.
+    """Parameters of one node.
 
     Attributes:
-        config: the configuration as it is now.
-        black_box: path of the node's black box, empty for none.
-        black_box_part_bytes: size from which on the box goes on in a new file; 0 for never.
-        has_reliable_inputs: whether what is lost on the way to its inputs is sent again.
-        topics: the suite's name of an input → the ship's, of those that the ship names otherwise.
+        config: the current configuration.
+        black_box: path of the node's black box; empty for none.
+        black_box_part_bytes: size at which a black box continues in a new file; 0 for never.
+        has_reliable_inputs: True if messages lost on the way to its inputs are sent again.
+        topics: the suite's name of an input → the ship's, for topics that the ship names differently.
 
     Args:
         node: has no parameters of its own yet.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
-        has_black_box: whether the node keeps one; where not, a parameter of that name is left alone.
+        has_black_box: True if the node writes a black box; otherwise a parameter of that name is ignored.
 
     Raises:
         ParameterError: an override is unknown, of the wrong type, out of its range or missing.
@@ -97,18 +97,18 @@ class NodeParameters:
             _declared(node, f"{TOPICS_PARAMETER}.{name}", "", f"the ship's name of the topic {name}")
         self._descriptions = _descriptions(flatten(self.config), config_type)
         for name, value in flatten(self.config).items():
-            # The override is in the value already, as a float where the file had an integer.
+            # The value contains the override already, as a float where the file had an integer.
             _declare(node, name, value, self._descriptions[name])
 
     def give_changes_to(
         self, calls: AdapterCalls, now_ns: Callable[[], int], before_change: Callable[[], None]
     ) -> None:
-        """From now on give live changes to the adapter; what it raises refuses them with that reason.
+        """Pass live changes to the adapter from now on; an exception of the adapter refuses them with its text.
 
         Args:
-            calls: of the adapter.
-            now_ns: the node's time.
-            before_change: what is done first: a change takes its turn behind the messages that came before it.
+            calls: calls of the adapter.
+            now_ns: returns the node's time.
+            before_change: called first: a change is processed after the messages received before it.
         """
         self._calls = calls
         self._now_ns = now_ns
@@ -117,7 +117,7 @@ class NodeParameters:
         self._node.change = self._change
 
     def status(self) -> DiagnosticStatus:
-        """What of the parameters was changed since the start, and what was refused last."""
+        """Return the status with the parameters changed since the start and the last refusal."""
         now = flatten(self.config)
         changed = {name: f"{now[name]}, {was} at the start" for name, was in self._at_start.items() if now[name] != was}
         lines = [f"{name} = {change}" for name, change in changed.items()]
@@ -127,19 +127,19 @@ class NodeParameters:
     def _change(
         self, parameters: list[Parameter], take: Callable[[list[Parameter]], SetParametersResult]
     ) -> SetParametersResult:
-        """Take a request, or refuse it with a reason that log, diagnostics and black box keep."""
+        """Apply a request, or refuse it with a reason for log, diagnostics and black box."""
         self._before_change()
         parameters = [self._retyped(parameter) for parameter in parameters]
         asked = {p.name: _plain(p.value) for p in parameters}
         self._adapter_was_asked = False
         try:
             if isinstance(asked.get(USE_SIM_TIME), bool):
-                # Times from before would be years from those after.
+                # Earlier and later times would be years apart.
                 raise ParameterError(
                     f"parameter '{USE_SIM_TIME}' cannot be changed while the node runs: set it at the start",
                     USE_SIM_TIME,
                 )
-            # First our own check: it names the unit.
+            # The suite's own check comes first: its text contains the unit.
             changed(self.config, {name: value for name, value in asked.items() if not self._is_of_the_shell(name)})
             result = take(parameters)
         except (ParameterError, ParameterNotDeclaredException) as error:
@@ -153,7 +153,7 @@ class NodeParameters:
         return result
 
     def _retyped(self, parameter: Parameter) -> Parameter:
-        """An empty list as one of the parameter's own elements: what sends it cannot know of what it is a list."""
+        """Return an empty list with the parameter's element type, which a request does not contain."""
         description = self._descriptions.get(parameter.name)
         if description is None or _plain(parameter.value) != []:
             return parameter
@@ -184,16 +184,16 @@ class NodeParameters:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Values of files and command line, by dotted name; rclpy has no public way to ask before declaring.
+    """Return the values of files and command line by dotted name; rclpy has no public method for that before declaring.
 
-    Of an empty list, as ``ros2 param dump`` writes it, rcl keeps the name and no value.
+    For an empty list, as ``ros2 param dump`` writes it, rcl keeps the name and no value.
     """
     given = {name: p for name, p in node._parameter_overrides.items() if not is_shell_parameter(name)}
     return {name: [] if p.value is None else _plain(p.value) for name, p in given.items()}
 
 
 def _declared(node: Node, name: str, default: Any, description: str) -> Any:
-    """Declare a parameter that every node has; returns its value."""
+    """Declare a parameter that every node has; return its value."""
     descriptor = ParameterDescriptor(description=description, read_only=True)
     try:
         return node.declare_parameter(name, default, descriptor).value
@@ -217,7 +217,7 @@ def _declare(node: Node, name: str, value: Any, description: ParameterDescriptio
     if kind is None:
         node.declare_parameter(name, value, descriptor, ignore_override=True)
         return
-    # An empty list alone would be one of bytes to rclpy, and could never be anything else.
+    # rclpy would take an empty list for a list of bytes, for ever.
     node.declare_parameter(name, kind, ignore_override=True)
     node.set_parameters([Parameter(name, kind, value)])
     descriptor.type = kind.value
@@ -225,12 +225,12 @@ def _declare(node: Node, name: str, value: Any, description: ParameterDescriptio
 
 
 def _plain(value: Any) -> Any:
-    """Arrays as lists."""
+    """Return arrays as lists."""
     return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)
 
 
 def _descriptions(names: Iterable[str], config_type: type) -> dict[str, ParameterDescription]:
-    """Of each dotted name the description that it follows; ``<id>`` in that stands for any one part."""
+    """Return the description of each dotted name; ``<id>`` in a description stands for any one part of a name."""
     described = {description.name: description for description in describe(config_type)}
     patterns = {
         re.compile(re.escape(name).replace("<id>", r"[^.]+")): description

@@ -1,4 +1,4 @@
-"""How the executable of a node begins: it can be ended in order before it has read its libraries."""
+"""Start of a node's executable: it can be ended cleanly before its libraries are imported."""
 
 import gc
 import importlib
@@ -12,25 +12,25 @@ from typing import NoReturn
 from ship_bags.live.heartbeat import HEARTBEAT_PERIOD_NS, heartbeat
 
 WAITS = "SHIP_NODE_WAITS"
-"""Where the environment has this, a node reads its libraries and then waits for a line on stdin before it runs."""
+"""Variable of the environment: if set, a node imports its libraries and waits for a line on stdin before it runs."""
 
 
 def start_node(module: str, adapter: str) -> NoReturn:
-    """Read a node's adapter and run it until it is told to stop.
+    """Import a node's adapter and run it until a signal ends it.
 
-    Reading the libraries takes up to a second, on a busy machine longer. A signal that ends the node meanwhile gives
-    the same exit code as later. A process that is kept in reserve (:data:`WAITS`) has done this when it is needed; it
-    is nobody in DDS yet, and has read no parameters.
+    The import takes up to a second, on a busy computer longer. A signal that ends the node meanwhile gives the same
+    exit code as later. A standby process (:data:`WAIT_VARIABLE`) has imported everything in advance; it does not take
+    part in DDS yet and has read no parameters.
 
     Args:
-        module: that holds the adapter.
+        module: module of the adapter.
         adapter: name of its class.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
-        # Nothing runs yet that had to be closed; an exception could get lost in a library that is being read.
+        # Nothing has to be closed yet; an exception could get lost in a library that is being imported.
         signal.signal(number, lambda *_: os._exit(0))
-    # Nothing that is read here is ever given back: to look for it meanwhile would take a tenth of the time, and to look
-    # through it later would hold up an output now and then.
+    # Objects of the imports are never freed: collecting garbage meanwhile takes a tenth of the time, and scanning them
+    # later would occasionally delay an output.
     gc.disable()
     adapter_class = getattr(importlib.import_module(module), adapter)
     from ship_node.live.node_shell import run
@@ -43,7 +43,7 @@ def start_node(module: str, adapter: str) -> NoReturn:
 
 
 def _wait_for_begin() -> None:
-    """Wait for a line on stdin; a process that was stopped meanwhile is known by its missing signs of life."""
+    """Wait for a line on stdin and send heartbeats, so that a standby process that was stopped is detected."""
     stdin = select.poll()
     stdin.register(sys.stdin.fileno(), select.POLLIN)
     while not stdin.poll(HEARTBEAT_PERIOD_NS // 1_000_000):

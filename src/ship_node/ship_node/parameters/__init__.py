@@ -1,5 +1,5 @@
-"""Parameters of a node: the sections of a parameter file that are for it, checked, and listed for ``--help``.
+"""Parameters of a node: its sections of a parameter file, checked, and listed for ``--help``.
 
-How such files are read and written is known by :mod:`ship_bags.parameter_yaml`. Of the package the room imports only
-the edge; ROS is unknown here.
+Such files are read and written by :mod:`ship_bags.parameter_yaml`. Of the package the room imports only
+:mod:`~ship_node.edge`, and no ROS.
 """

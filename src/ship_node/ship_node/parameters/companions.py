@@ -1,7 +1,7 @@
-"""Nodes of a suite that are no estimators: a suite file may have sections for them, and no replay runs them.
+"""Nodes of a suite that are not estimators: a suite file may have sections for them; no replay runs them.
 
-They stand above the packages that read suite files. So they are known here by name, and their parameters are read from
-their package only where a file speaks of them.
+They depend on the packages that read suite files. Therefore they are listed here by name, and their parameters are
+imported from their package only if a file has a section for them.
 """
 
 import importlib
@@ -16,13 +16,13 @@ from ship_node.parameters.parameter_file import has_section
 
 @dataclass(frozen=True)
 class Companion:
-    """A node that stands beside the estimators.
+    """Node of a suite that is not an estimator.
 
     Attributes:
-        node_name: of the node and of its executable.
-        package: that has it.
+        node_name: name of the node and of its executable.
+        package: its package.
         config: its parameters, as ``"module:class"``.
-        feeds: whether it gives the suite what a played bag gives in its place.
+        feeds: True if it publishes topics that a played bag contains.
     """
 
     node_name: str
@@ -32,7 +32,7 @@ class Companion:
 
     @property
     def config_type(self) -> type[Any]:
-        """The dataclass of its parameters.
+        """Dataclass of its parameters.
 
         Raises:
             ImportError: its package is not installed.
@@ -48,10 +48,12 @@ COMPANIONS = (
 
 
 def named_companions(source: Path | str, namespace: str = "") -> Iterator[Companion]:
-    """Those that a suite file has sections for by their names; a section for all nodes (``/**``) starts none.
+    """Yield the companions that a suite file has sections for by name.
+
+    A section for all nodes (``/**``) does not count.
 
     Raises:
-        BadInput: the file cannot be read or is no parameter file.
+        BadInput: the file cannot be read or is not a parameter file.
     """
     for companion in COMPANIONS:
         if has_section(source, full_name(companion.node_name, namespace), wildcards=False):

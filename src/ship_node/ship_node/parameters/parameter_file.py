@@ -1,8 +1,8 @@
-"""The parameters of one node out of a ROS 2 parameter file, and a configuration as such a file; without ROS.
+"""Parameters of one node from a ROS 2 parameter file, and a configuration as such a file; without ROS.
 
-A file holds sections ``node: {ros__parameters: {...}}``. Node names may be written with namespace, nested in
-namespaces or with wildcards (``/**``, ``/**/name``, ``/*/name``). A section without any fits the node without namespace
-alone, as in rcl; of several that fit, later ones override earlier ones.
+A file has sections ``node: {ros__parameters: {...}}``. Node names may be written with namespace, nested in namespaces
+or with wildcards (``/**``, ``/**/name``, ``/*/name``). A section without any matches only the node without namespace,
+as in rcl; of several matching sections, later ones override earlier ones.
 """
 
 import re
@@ -18,12 +18,12 @@ from ship_geometry.input_error import InputError
 Config = TypeVar("Config")
 
 _NEARLY = 0.8
-"""Likeness of two names from which on one may be the other misspelt: 'ship_attitude' and 'ship_attitude_node' have
-0.86, 'ship_attitude' and 'star_attitude' 0.75."""
+"""Similarity of two names from which one may be a misspelling of the other: 'ship_attitude' and 'ship_attitude_node'
+have 0.86, 'ship_attitude' and 'star_attitude' 0.75."""
 
 
 def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
-    """The checked configuration of a node; see :func:`read`.
+    """Return the checked configuration of a node; see :func:`read_node_parameters`.
 
     Raises:
         BadInput: names the file, the line, the parameter and what was expected.
@@ -36,7 +36,7 @@ def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
 
 
 def parameter_text(node_name: str, config: Any) -> str:
-    """The text of a parameter file that gives a node this very configuration, in whatever namespace.
+    """Return the text of a parameter file that gives a node this configuration, in any namespace.
 
     All defaults are written out.
 
@@ -48,15 +48,15 @@ def parameter_text(node_name: str, config: Any) -> str:
 
 
 def read(source: Path | str, node: str) -> ParameterFile:
-    """The parameters of a node with their lines.
+    """Return the parameters of a node with their lines.
 
     Args:
-        source: a path; a ``str`` is the text itself, whatever it holds.
-        node: full name (:func:`full_name`), a name alone for one without namespace, or :func:`anywhere`.
+        source: a path; a ``str`` is the text itself.
+        node: full name (:func:`full_name`), a name alone for a node without namespace, or :func:`in_any_namespace`.
 
     Raises:
-        BadInput: the file cannot be read, is no parameter file, has no section that fits the node, or has sections
-            for it in several namespaces.
+        BadInput: the file cannot be read, is not a parameter file, has no section that matches the node, or has
+            sections for it in several namespaces.
     """
     name, sections = read_sections(source)
     fitting = _fitting(sections, node)
@@ -72,27 +72,27 @@ def read(source: Path | str, node: str) -> ParameterFile:
 
 
 def read_whatever_fits(source: Path | str, node: str) -> ParameterFile:
-    """As :func:`read` for a file that may be about other nodes.
+    """Return :func:`read_node_parameters` without requiring a section: the file may be for other nodes.
 
     Raises:
-        BadInput: the file cannot be read or is no parameter file.
+        BadInput: the file cannot be read or is not a parameter file.
     """
     name, sections = read_sections(source)
     return merged(name, _fitting(sections, node))
 
 
 def misfit(source: Path | str, node: str) -> str:
-    """What a node must say about a file that it was started with; empty where a section fits it.
+    """Return a warning about a file that a node was started with; empty if a section matches the node.
 
     Raises:
-        BadInput: the file cannot be read or is no parameter file; or no section fits the node, but one has (nearly) the
-            same name and was hardly meant for another.
+        BadInput: the file cannot be read or is not a parameter file; or no section matches the node, but one has
+            (nearly) the same name and was probably meant for it.
     """
     name, sections = read_sections(source)
     fitting = _fitting(sections, node)
     if not fitting:
         _refuse_misfits(name, sections, node)
-        return f"{name}: nothing in it is for node '{node}', its sections are {_names(sections)}"
+        return f"{name}: no section is for node '{node}', its sections are {_names(sections)}"
     misfits = _misfits(sections, node)
     if misfits and not any(_last(section.node) == _last(node) for section in fitting):
         return str(_misfit(name, misfits, node))
@@ -100,16 +100,16 @@ def misfit(source: Path | str, node: str) -> str:
 
 
 def misfit_warnings(sources: Iterable[Path], node: str) -> list[str]:
-    """What a node must say about the files that it was started with; see :func:`misfit`.
+    """Return the warnings about the files that a node was started with; see :func:`section_warning`.
 
     Raises:
-        BadInput: see :func:`misfit`: rcl leaves out silently what does not fit.
+        BadInput: see :func:`section_warning`: rcl silently ignores sections that do not match.
     """
     return [warning for source in sources if (warning := misfit(source, node))]
 
 
 def placed(error: InputError, sources: Sequence[Path], node: str) -> BadInput:
-    """An error about a parameter with the file that gives it, the last one of several, and its line.
+    """Return an error about a parameter with the file that gives it (the last of several) and the line.
 
     Args:
         error: about a parameter of the node, or about something else.
@@ -128,27 +128,30 @@ def placed(error: InputError, sources: Sequence[Path], node: str) -> BadInput:
 
 
 def has_section(source: Path | str, node: str, wildcards: bool = True) -> bool:
-    """Whether a section fits a node: one of its name, or, with ``wildcards``, one for all nodes.
+    """Return True if a section matches a node: one of its name or, with ``wildcards``, one for all nodes.
 
     Raises:
-        BadInput: the file cannot be read or is no parameter file.
+        BadInput: the file cannot be read or is not a parameter file.
     """
     _, sections = read_sections(source)
     return any(wildcards or _last(section.node) == _last(node) for section in _fitting(sections, node))
 
 
 def unknown_sections(source: Path | str, nodes: Collection[str]) -> list[str]:
-    """Names of a file's sections that fit none of some nodes, in order.
+    """Return the names of a file's sections that match none of some nodes, in order.
 
     Raises:
-        BadInput: the file cannot be read or is no parameter file.
+        BadInput: the file cannot be read or is not a parameter file.
     """
     _, sections = read_sections(source)
     return [section.node for section in sections if not any(_fits(section.node, node) for node in nodes)]
 
 
 def _fits(pattern: str, node: str) -> bool:
-    """Whether rcl gives a section of that name to a node: ``/*`` is one part of a name, ``/**`` any number of them."""
+    """Return True if rcl applies a section of that name to a node.
+
+    ``/*`` stands for one part of a name, ``/**`` for any number of parts.
+    """
     if node.startswith(ANYWHERE):
         return _last(pattern) in (_last(node), "*", "**")
     expression = pattern.replace("/*", r"(/\w+)")
@@ -160,15 +163,15 @@ def _fitting(sections: list[Section], node: str) -> list[Section]:
 
 
 def _misfits(sections: list[Section], node: str) -> list[Section]:
-    """Sections that do not fit a node, but have its name, or else nearly its name."""
+    """Return the sections that do not match a node but have its name, or else nearly its name."""
     others = [section for section in sections if not _fits(section.node, node)]
     same = [section for section in others if _last(section.node) == _last(node)]
     return same or [section for section in others if _likeness(_last(section.node), _last(node)) >= _NEARLY]
 
 
 def _likeness(one: str, other: str) -> float:
-    """Likeness of two names: 1 where only capitals and underscores differ, 0 where they share nothing."""
-    import difflib  # only an error needs it
+    """Return the similarity of two names: 1 if only capitals and underscores differ, 0 if nothing is common."""
+    import difflib  # needed for errors only
 
     bare_one, bare_other = (name.replace("_", "").lower() for name in (one, other))
     return difflib.SequenceMatcher(None, bare_one, bare_other).ratio()
@@ -181,7 +184,7 @@ def _refuse_misfits(name: str, sections: list[Section], node: str) -> None:
 
 
 def _misfit(name: str, misfits: list[Section], node: str) -> BadInput:
-    """A section that was hardly meant for another node: both names, and what to do."""
+    """Return the error about a section that was probably meant for a node: both names, and the remedy."""
     first, last = misfits[0], _last(node)
     namespace = first.node.rpartition("/")[0]
     advice = f"name it '/**/{last}' to fit in every namespace"

@@ -1,4 +1,4 @@
-"""What a node holds of its machine while it runs: ports, serial devices and files, and that no two hold the same."""
+"""Resources of the computer that a node uses exclusively: ports, serial devices, files; detection of conflicts."""
 
 import ipaddress
 import os.path
@@ -13,7 +13,7 @@ ANY_ADDRESS = "0.0.0.0"
 
 
 class PlaceKind(Enum):
-    """What is held, and the word for it."""
+    """Kind of a resource, with its name in texts."""
 
     UDP = "UDP port"
     TCP = "TCP port"
@@ -22,13 +22,13 @@ class PlaceKind(Enum):
 
 @dataclass(frozen=True)
 class HeldPlace:
-    """A port that is listened at, a serial device or a file; made by :func:`held_port` and :func:`held_path`.
+    """Listening port, serial device or file; made by :func:`port_resource` and :func:`path_resource`.
 
     Attributes:
-        parameter: dotted name of the parameter that names it.
-        kind: what it is.
+        parameter: dotted name of the parameter that gives it.
+        kind: kind of resource.
         name: the port's number, or the path.
-        address: of a port the own address or the multicast group; empty for all addresses.
+        address: of a port, the own address or the multicast group; empty for all addresses.
     """
 
     parameter: str
@@ -37,7 +37,7 @@ class HeldPlace:
     address: str = ""
 
     def __str__(self) -> str:
-        """As people say it.
+        """Return the resource as text.
 
         Example:
             >>> str(held_port("sinks.bridge.port", PlaceKind.TCP, 10110, "127.0.0.1"))
@@ -47,14 +47,14 @@ class HeldPlace:
 
     @property
     def is_group(self) -> bool:
-        """Whether it is a port of a multicast group: every listener of a group gets what is sent to it."""
+        """True for a port of a multicast group: every listener of a group gets its datagrams."""
         try:
             return ipaddress.ip_address(self.address).is_multicast
         except ValueError:
             return False
 
     def excludes(self, other: "HeldPlace") -> bool:
-        """Whether only one of two can be had."""
+        """Return True if only one of the two resources can be used."""
         if (self.kind, self.name) != (other.kind, other.name):
             return False
         if self.address == other.address:
@@ -71,14 +71,14 @@ def is_ipv4(text: str) -> bool:
 
 
 def held_port(parameter: str, kind: PlaceKind, port: int, address: str = "") -> HeldPlace:
-    """A port of an own address or of a group, as it is written; without one, or with 0.0.0.0, of all addresses."""
+    """Return a port of an own address or of a group; without an address, or with 0.0.0.0, of all addresses."""
     return HeldPlace(parameter, kind, port, "" if address == ANY_ADDRESS else address)
 
 
 def held_path(parameter: str, path: str) -> HeldPlace:
-    """A device or a file by its path as it is written, but for needless slashes and dots.
+    """Return a device or a file by its path as written, without redundant slashes and dots.
 
-    That two links lead to one device is not seen before the start: what is plugged in then may be another device.
+    Links to one device are not resolved: at the start another device may be plugged in.
 
     Example:
         >>> held_path("sinks.log.path", "/var/log//ship/./a.nmea").name
@@ -88,12 +88,12 @@ def held_path(parameter: str, path: str) -> HeldPlace:
 
 
 def clashes(places: Iterable[HeldPlace]) -> Iterator[tuple[HeldPlace, HeldPlace]]:
-    """Pairs of places of which only one can be had, each in the order in which they come."""
+    """Yield pairs of resources of which only one can be used, in their order."""
     return ((one, other) for one, other in combinations(places, 2) if one.excludes(other))
 
 
 def refuse_clashes(places: Iterable[HeldPlace]) -> None:
-    """Refuse places of one node of which only one can be had.
+    """Refuse conflicting resources of one node.
 
     Raises:
         ParameterError: names both parameters.

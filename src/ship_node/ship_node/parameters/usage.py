@@ -1,4 +1,4 @@
-"""The text that ``--help`` prints: what a node does, its parameters with units and ranges, its topics."""
+"""Text of ``--help``: purpose of a node, parameters with units and ranges, topics."""
 
 import inspect
 from typing import Any
@@ -17,39 +17,39 @@ _SHELL_ROWS = (
         "-",
         "''",
         "",
-        "file (.mcap) or folder that takes everything the node uses and gives, for replay --verify; empty for none",
+        "black box: file (.mcap) or folder for all inputs and outputs of the node, for replay --verify; empty for none",
     ),
     (
         BLACK_BOX_PART_PARAMETER,
         "MB",
         "1000",
         "0 or more",
-        "size from which on the box goes on in a new file beside the first (NAME.part2.mcap); 0 for never",
+        "size at which the black box continues in a new file next to the first (NAME.part2.mcap); 0 for never",
     ),
     (
         RELIABLE_INPUTS_PARAMETER,
         "-",
         "False",
         "",
-        "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it",
+        "inputs are reliable: lost messages are sent again, and newer ones wait for them",
     ),
     (
         f"{TOPICS_PARAMETER}.<input>",
         "-",
         "",
         "",
-        "the ship's name of an input, where it is another: topics: {ins/imu: /imu/data}",
+        "the ship's name of an input, if it is different: topics: {ins/imu: /imu/data}",
     ),
 )
 _PLACEHOLDERS: dict[type, Any] = {float: 0.0, int: 0, bool: False, str: ""}
 
 
 def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFactory) -> str:
-    """The help of a node.
+    """Return the help of a node.
 
     Args:
-        adapter_class: what the node runs.
-        package: where its executable is found.
+        adapter_class: adapter of the node.
+        package: package of its executable.
         factory: makes the adapter's messages.
     """
     name = adapter_class.node_name
@@ -70,7 +70,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             "parameters (* may be changed while the node runs):",
             *in_lines([*map(parameter_row, describe(adapter_class.config_type)), *_SHELL_ROWS]),
             "",
-            "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)",
+            "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (with one line of reason)",
             "",
             "example:",
             f"  ./ros2run {package} {name} --ros-args --params-file suite.yaml -p black_box:=/var/log/ship/",
@@ -81,7 +81,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
 def topic_rows(
     adapter_class: type[Adapter], factory: MessageFactory
 ) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
-    """Topics in and topics out of a node with one device of each kind: name, type, and what is to be said of it."""
+    """Return input and output topics of a node with one device of each kind: name, type, remark."""
     descriptions = list(describe(adapter_class.config_type))
     values = _example_values(descriptions)
     adapter = adapter_class(build(adapter_class.config_type, nest(values), placeholder="<id>"), factory)
@@ -97,7 +97,7 @@ def _input_rows(
     values: dict[str, Any],
     factory: MessageFactory,
 ) -> list[tuple[str, ...]]:
-    """The inputs that some configuration asks for: those of the example, and those that other choices bring."""
+    """Return the inputs of the example configuration, and those that other choices of its parameters add."""
     rows: dict[str, tuple[str, ...]] = {}
     example = [("", {}), *(
         (f"with {d.name}: {choice}", {d.name: choice})
@@ -119,12 +119,12 @@ def _input_rows(
 def _inputs_with(
     adapter_class: type[Adapter], values: dict[str, Any], given: dict[str, Any], factory: MessageFactory
 ) -> tuple[InputTopic, ...]:
-    """The inputs of a configuration; none of one that cannot be.
+    """Return the inputs of a configuration; empty if the configuration is invalid.
 
     Args:
-        adapter_class: what the node runs.
+        adapter_class: adapter of the node.
         values: of the parameters.
-        given: a camera and the like of the device in question: zero until it is given, to be given where it is used.
+        given: values of the device's parameters that are zero by default but required for use, as of a camera.
         factory: makes the adapter's messages.
     """
     for attempt in (values, values | given):
@@ -137,7 +137,7 @@ def _inputs_with(
 
 
 def _example_values(descriptions: list[ParameterDescription]) -> dict[str, Any]:
-    """Dotted name → value of the least configuration that has one entry ``<id>`` in each group of devices.
+    """Return dotted name → value of a minimal configuration with one entry ``<id>`` in each group of devices.
 
     A group within a device, such as the masks of a sensor, stays empty.
     """
