@@ -140,7 +140,7 @@ def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, 
     sailing(lambda alerts: "attitude.silent" in alerts, is_silent=True)
     silent = ship.alerts()["attitude.silent"]
     assert (silent.priority, silent.state, silent.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
-    assert silent.text == "Heading and tilt lost: ship/attitude silent"
+    assert silent.text == "Heading and tilt lost: no data on ship/attitude"
     assert abs(silent.raised.sec - time.time()) < 20.0
 
     wrong = ship.acknowledge("attitude.silent", 2)
@@ -170,9 +170,9 @@ def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, 
     again.terminate()
     assert again.wait(10) == 0
     log = node.log_path.read_text()
-    assert "ALARM attitude.silent 1: Heading and tilt lost: ship/attitude silent: raised" in log
-    assert "attitude.silent 1: Heading and tilt lost: ship/attitude silent: acknowledged" in log
-    assert "not acknowledged: 'attitude.silent' is instance 1 now, not 2" in log
+    assert "ALARM attitude.silent 1: Heading and tilt lost: no data on ship/attitude: raised" in log
+    assert "attitude.silent 1: Heading and tilt lost: no data on ship/attitude: acknowledged" in log
+    assert "not acknowledged: 'attitude.silent' is now instance 1, not 2" in log
 
 
 @pytest.mark.smoke

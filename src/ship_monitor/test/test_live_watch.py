@@ -92,7 +92,7 @@ def test_who_looks_after_a_busy_second_sees_no_silence(watch, ship, until):
         time.sleep(0.02)
     watch.tick()
     watch.look()
-    assert not [event for event in watch.look().events if "silent" in event.text]
+    assert not [event for event in watch.look().events if "no data" in event.text]
 
 
 def test_a_played_bag_with_the_truth_is_no_live_ship(watch, ship, until):

@@ -57,7 +57,7 @@ def test_states_belong_to_the_source_that_they_are_named_after(name, source, bel
 @pytest.mark.parametrize(
     ("subject", "text", "source", "belongs"),
     [
-        ("star.bow", "star.bow OUT, silent", "star.bow", True),
+        ("star.bow", "star.bow OUT, no data", "star.bow", True),
         ("heading", "heading SAFE → CAUTION, star.bow out", "star.bow", True),
         ("heading", "heading SAFE → CAUTION, star.bow.left out", "star.bow", False),
         ("heading", "WARNING star.bow.", "star.bow", True),

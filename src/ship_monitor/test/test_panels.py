@@ -140,11 +140,11 @@ def test_a_band_that_says_nothing_does_not_hide_what_is_measured(panels) -> None
         (GOOD, 15.0, ("✓ star.fore  IN · σ as stated (1.01)", False)),
         (GOOD, 30.0, ("✓ star.fore  IN · axis ±30″ · σ as stated (1.01)", False)),
         (replace(GOOD, verdict=None), 15.0, ("✓ star.fore  IN", False)),
-        (replace(GOOD, presence=Presence.OUT, reason="silent"), 15.0, ("✕ star.fore  OUT · silent", True)),
+        (replace(GOOD, presence=Presence.OUT, reason="no data"), 15.0, ("✕ star.fore  OUT · no data", True)),
         (
             replace(GUILTY, name="star.fore"),
             60.0,
-            ("✕ star.fore  OUT · axis ±60″ · 81 refused in a row · right +49″ · residual 8.1 σ", True),
+            ("✕ star.fore  OUT · axis ±60″ · 81 rejected in a row · right +49″ · residual 8.1 σ", True),
         ),
         (None, 15.0, ("star.fore", False)),
     ],
@@ -291,7 +291,7 @@ def test_the_guilty_input_stands_out_although_its_node_refused_nothing() -> None
     row = input_row(shown, {shown.topic: GUILTY})
     assert "class='guilty'" in row
     assert "<td class='n'>81" in row
-    assert "OUT: 81 refused in a row" in row
+    assert "OUT: 81 rejected in a row" in row
     assert "guilty" not in input_row(shown, {})
     assert "guilty" not in input_row(shown, {shown.topic: replace(GUILTY, because_of="ins")})
 

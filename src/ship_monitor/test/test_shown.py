@@ -108,7 +108,7 @@ def test_the_alert_line(alerts, text, icon, state, unack):
 
 def test_of_several_alerts_the_first_is_said_and_all_are_listed():
     line = shown(pictures.faulty(), History(), "LIVE", "")["alert"]
-    assert line["text"] == "WARNING · pointing lost, encoder silent"
+    assert line["text"] == "WARNING · pointing lost, encoder no data"
     assert line["sub"] == "11:59:57 · not acknowledged"
     assert (line["unack"], len(line["all"])) == (2, 2)
     assert line["all"][1]["advice"] == "Clean the sensor and check its mounting; calibrate it again if it was moved"
@@ -125,8 +125,8 @@ def test_sources_that_are_out_are_named_and_why():
     assert sources["out"] == [("star.starboard", "star.starboard OUT"), ("encoder", "encoder OUT")]
     assert sources["head"] == "6 of 8 in"
     assert [row["sub"] for row in sources["rows"][:2]] == [
-        "right +49″ · 81 refused in a row since 11:59:28",
-        "silent since 11:59:55",
+        "right +49″ · 81 rejected in a row since 11:59:28",
+        "no data since 11:59:55",
     ]
     assert sources["why"] == [], "the list says it"
 
@@ -144,7 +144,7 @@ def needing(*names, cause="encoder", reason="needs encoder"):
 
 
 def test_what_is_out_because_of_a_source_stands_below_it_and_has_no_banner():
-    encoder = pictures.out("encoder", "silent", out_since_ns=pictures.NOW_NS - pictures.NS)
+    encoder = pictures.out("encoder", "no data", out_since_ns=pictures.NOW_NS - pictures.NS)
     listed = (pictures.KNOCKED, encoder, *needing("lights"), pictures.source("ins"))
     sources = shown(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
     assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
@@ -160,7 +160,7 @@ def test_a_node_that_is_behind_is_the_banner_of_all_that_is_out_because_of_it():
 
 
 def test_many_that_are_out_leave_the_list_its_room():
-    out = [pictures.out(name, "silent", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
+    out = [pictures.out(name, "no data", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
     banners = shown(pictures.picture(*out), History(), "LIVE", "")["sources"]["out"]
     assert [text for _, text in banners[:2]] == ["ins OUT", "star.fore OUT"]
     assert banners[2][1] == "3 more OUT"
@@ -169,7 +169,7 @@ def test_many_that_are_out_leave_the_list_its_room():
 def test_one_word_stands_for_all_angles():
     assert shown(WELL, History(), "LIVE", "")["overall"] == {"safety": "SAFE", "text": ""}
     overall = shown(pictures.faulty(), History(), "LIVE", "")["overall"]
-    assert overall == {"safety": "UNSAFE", "text": "encoder silent since 11:59:55 (azimuth, elevation)"}
+    assert overall == {"safety": "UNSAFE", "text": "encoder no data since 11:59:55 (azimuth, elevation)"}
 
 
 def test_where_all_outputs_are_old_nothing_is_known_of_the_sources():

@@ -49,7 +49,7 @@ def test_the_screen_of_the_design():
         "─" * 80,
         " ages   stars 0.5 s   lights 0.6 s   ins 0.1 s       horizon geodetic",
         "── sources ── 7 of 8 in " + "─" * 56,
-        " x star.starboard   OUT    0.6 s     2.0 Hz   81 refused in a row, right +49″",
+        " x star.starboard   OUT    0.6 s     2.0 Hz   81 rejected in a row, right +49″",
         " + ins              IN     0.1 s     2.0 Hz",
         " + star.fore        IN     0.6 s     2.0 Hz   σ as stated (1.01)",
         " + lights           IN     0.6 s     2.0 Hz   σ as stated (1.01)",
@@ -59,7 +59,7 @@ def test_the_screen_of_the_design():
         " + weather          IN     1.1 s     2.0 Hz",
         "── events " + "─" * 70,
         " 11:59:31  state: roll SAFE → CAUTION, over the limit",
-        " 11:59:29  WARNING star.starboard out: 5 refused in a row, residual 8.1 σ",
+        " 11:59:29  WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ",
         " a acknowledge   Enter details   t theme   p pause   ? help   q quit",
     ]
 
@@ -72,7 +72,7 @@ def test_each_word_stands_as_a_word_with_its_look(word, look):
 
 
 def test_an_old_value_is_struck_through_and_has_its_age():
-    old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="ship/attitude silent")
+    old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="no data on ship/attitude")
     lines = drawn(knocked(angles=(old,)))
     heading = lines[4]
     assert [span.text.strip() for span in heading if span.look is Look.OLD] == ["034.39° true"]
@@ -110,7 +110,7 @@ def test_nothing_looks_well_where_no_output_comes():
 
 def test_what_a_source_takes_with_it_is_indented_below_it():
     """Lights need the ship's attitude, which is late: cause first, consequence below, the cause named once."""
-    late = out("ship_attitude", "81 refused in a row: late")
+    late = out("ship_attitude", "81 rejected in a row: late")
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
     rows = texts(knocked(sources=(late, lights, source("ins"))))[12:15]
     assert [row[:20] for row in rows] == [" x ship_attitude    ", " x   lights         ", " + ins              "]

@@ -28,7 +28,7 @@ from ship_watch.picture import Picture, Presence, Priority, Safety
 
 S = 1_000_000_000
 PAGE = Path(__file__).parents[3] / "docs/explanation/alerts.md"
-UNCHECKED = {"safety": Safety.CAUTION, "reason": "nothing checks it"}
+UNCHECKED = {"safety": Safety.CAUTION, "reason": "no independent check"}
 LIMITS = replace(Limits(), inputs={"gnss": InputLimits(rate_hz=1.5)})
 
 
@@ -50,19 +50,19 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("pointing.degraded", "alarm"): (picture(lost("elevation")), None),
     ("pointing.degraded", "warning"): (picture(over("azimuth")), None),
     ("pointing.degraded", "caution"): (picture(angle("azimuth", **UNCHECKED)), None),
-    ("stars.out", "warning"): (picture(out("star.fore", "silent"), out("star.starboard", "silent")), None),
-    ("ins.out", "warning"): (picture(out("ins", "81 refused in a row")), None),
+    ("stars.out", "warning"): (picture(out("star.fore", "no data"), out("star.starboard", "no data")), None),
+    ("ins.out", "warning"): (picture(out("ins", "81 rejected in a row")), None),
     ("star.ID.out", "warning"): (picture(out("star.fore", "excluded")), None),
     ("star.ID.out", "caution"): (picture(out("star.fore", "no stars")), None),
-    ("reference.ID.out", "warning"): (picture(out("reference.mast", "silent")), None),
+    ("reference.ID.out", "warning"): (picture(out("reference.mast", "no data")), None),
     ("star.ID.remounted", "caution"): (picture(source("star.fore", mounting_shift=51.0 * ARCSEC)), None),
     ("reference.ID.remounted", "caution"): (picture(source("reference.mast", mounting_shift=51.0 * ARCSEC)), None),
-    ("encoder.out", "warning"): (picture(out("encoder", "silent")), None),
-    ("lights.out", "caution"): (picture(out("lights", "7 refused in a row")), None),
-    ("baselines.out", "caution"): (picture(out("baselines", "silent")), None),
+    ("encoder.out", "warning"): (picture(out("encoder", "no data")), None),
+    ("lights.out", "caution"): (picture(out("lights", "7 rejected in a row")), None),
+    ("baselines.out", "caution"): (picture(out("baselines", "no data")), None),
     ("ship_attitude.out", "caution"): (picture(out("ship_attitude", "invalid")), None),
-    ("gnss.out", "caution"): (picture(out("gnss", "silent")), None),
-    ("weather.out", "caution"): (picture(out("weather", "silent")), None),
+    ("gnss.out", "caution"): (picture(out("gnss", "no data")), None),
+    ("weather.out", "caution"): (picture(out("weather", "no data")), None),
     ("SOURCE.unreported", "warning"): (picture(out("star.fore", "not reported", because_of="its node")), None),
     ("SOURCE.mended", "caution"): (picture(source("lights", disagreement="names exchanged")), None),
     ("SOURCE.rate", "caution"): (picture(source("gnss", rate_hz=1.0)), None),
@@ -137,7 +137,7 @@ def test_function_that_is_over_its_limit_for_a_moment_is_no_alert_and_a_lost_one
     moment = {"over_s": 4.9}
     assert conditions(picture(replace(over("roll"), **moment)), LIMITS) == []
     assert list(told(picture(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
-    by_ins = conditions(picture(out("ins", "silent"), replace(over("roll", "ins"), **moment)), LIMITS)
+    by_ins = conditions(picture(out("ins", "no data"), replace(over("roll", "ins"), **moment)), LIMITS)
     assert [each.lost for each in by_ins] == [{"tilt"}]
 
 
@@ -150,11 +150,11 @@ def test_all_well_is_no_alert() -> None:
 def test_what_a_source_takes_away_is_told_with_it() -> None:
     """The INS is silent, heading and tilt and the pointing are lost: one alarm that names the INS and what is lost."""
     angles = [lost(name, "ins") for name in (*ATTITUDE, "azimuth", "elevation")]
-    found = told(picture(out("ins", "silent", age_s=4.0), *angles))
+    found = told(picture(out("ins", "no data", age_s=4.0), *angles))
     assert list(found) == ["ins.out"]
     alert = found["ins.out"]
     assert (alert.priority, alert.source) == (Priority.ALARM, "ins")
-    assert alert.text == "Heading, tilt and pointing lost: ins silent"
+    assert alert.text == "Heading, tilt and pointing lost: ins no data"
     assert (alert.value, alert.unit) == (4.0, "s")
     assert alert.lost == {"heading", "tilt", "pointing"}
 
@@ -162,7 +162,7 @@ def test_what_a_source_takes_away_is_told_with_it() -> None:
 def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -> None:
     """The drones are on deck and the INS stops: the pointing is lost because of the INS, not of the lights."""
     angles = [lost(name, "ins") for name in ATTITUDE] + [lost(name, "lights") for name in ANGLES_OF_POINTING]
-    shown = picture(out("lights", "no lights"), out("ins", "silent"), *angles)
+    shown = picture(out("lights", "no lights"), out("ins", "no data"), *angles)
     found = told(shown)
     assert {id_: one.priority for id_, one in found.items()} == {
         "ins.out": Priority.ALARM,
@@ -175,14 +175,14 @@ def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -
 def test_all_stars_out_for_one_reason_are_one_situation() -> None:
     """For two reasons they are two; what they need of others is told with the others."""
     taken = over("heading", "star.fore")
-    both = told(picture(out("star.fore", "silent"), out("star.starboard", "silent"), taken))
+    both = told(picture(out("star.fore", "no data"), out("star.starboard", "no data"), taken))
     assert list(both) == ["stars.out"]
-    assert both["stars.out"].text == "Heading over its limit: all star sensors silent"
+    assert both["stars.out"].text == "Heading over its limit: all star sensors no data"
     assert both["stars.out"].becomes_alarm
-    two = told(picture(out("star.fore", "silent"), out("star.starboard", "81 refused in a row"), taken))
+    two = told(picture(out("star.fore", "no data"), out("star.starboard", "81 rejected in a row"), taken))
     assert sorted(two) == ["star.fore.out", "star.starboard.out"]
     needs = [out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("fore", "starboard")]
-    assert list(told(picture(out("ins", "silent"), *needs))) == ["ins.out"]
+    assert list(told(picture(out("ins", "no data"), *needs))) == ["ins.out"]
 
 
 def test_node_that_is_gone_is_one_situation() -> None:
@@ -204,11 +204,11 @@ def test_texts_hold_no_figure_that_runs() -> None:
     texts = set()
     for count in (5, 81):
         shown = picture(
-            out("star.fore", f"{count} refused in a row", disagreement=f"right +{count}″", age_s=count),
+            out("star.fore", f"{count} rejected in a row", disagreement=f"right +{count}″", age_s=count),
             angle("heading", **{**UNCHECKED, "reason": f"no stars for {count} s"}),
         )
         texts |= {each.text for each in conditions(shown, LIMITS)}
-    assert texts == {"star.fore out: refused in a row", "Heading unchecked: no stars"}
+    assert texts == {"star.fore out: rejected in a row", "Heading unchecked: no stars"}
 
 
 def test_box_may_lose_what_the_limits_allow() -> None:
@@ -222,7 +222,7 @@ def test_box_may_lose_what_the_limits_allow() -> None:
 
 def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
     """The pointing is lost because the ship's attitude comes too late: cause and consequence in one alert."""
-    late = out("ship_attitude", "81 refused in a row: late", topics=("ship/attitude",))
+    late = out("ship_attitude", "81 rejected in a row: late", topics=("ship/attitude",))
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
     angles = [lost(name, "ship_attitude") for name in ANGLES_OF_POINTING]
     (found,) = told(picture(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
@@ -233,17 +233,17 @@ def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
 
 def test_what_is_lost_stands_before_what_is_over_its_limit() -> None:
     """The worst comes first, whatever the order of the functions."""
-    (found,) = told(picture(out("ins", "silent"), over("heading", "ins"), lost("roll", "ins"))).values()
-    assert found.text == "Tilt lost, heading over its limit: ins silent"
+    (found,) = told(picture(out("ins", "no data"), over("heading", "ins"), lost("roll", "ins"))).values()
+    assert found.text == "Tilt lost, heading over its limit: ins no data"
 
 
 def test_tree_names_the_input_that_takes_a_function_away() -> None:
     """Each function with its limit, under it its sources; the guilty one is an error where the function is lost."""
     angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
-    shown = picture(out("ins", "81 refused in a row", disagreement="up +100″"), *angles)
+    shown = picture(out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in tree(shown, PICTURED)}
     assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy of 5″ (95 %)")
-    assert branches["heading within 5″/ins"] == (2, "out: 81 refused in a row, up +100″, for this heading lost")
+    assert branches["heading within 5″/ins"] == (2, "out: 81 rejected in a row, up +100″, therefore heading lost")
     assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ of 3″ (95 %)")
     assert branches["tilt within 3″/star.fore"] == (0, "in")
     assert branches["pointing within 10″"] == (0, "safe: 5.3″ of 10″ (95 %)")

@@ -145,7 +145,7 @@ def test_more_lost_than_acknowledged_is_told_anew() -> None:
         voyage.go(0.5, both)
     assert voyage.book.alerts[0].instance == 1
     pointing = replace(both, lost=both.lost | {"pointing"})
-    assert [change.what for change in voyage.go(1.0, pointing)] == ["pointing as well"]
+    assert [change.what for change in voyage.go(1.0, pointing)] == ["now also affects pointing"]
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     assert voyage.book.alerts[0].instance == 2
 
@@ -156,9 +156,9 @@ def test_text_that_flickers_is_not_told_each_time() -> None:
     voyage.go(1.0, OUT)
     voyage.acknowledge("star.bow.out")
     for _ in range(100):
-        assert voyage.go(0.5, replace(OUT, text="silent")) == []
+        assert voyage.go(0.5, replace(OUT, text="no data")) == []
         assert voyage.go(0.5, OUT) == []
-    assert [change.alert.text for change in voyage.go(10.0, replace(OUT, text="silent"))] == ["silent"]
+    assert [change.alert.text for change in voyage.go(10.0, replace(OUT, text="no data"))] == ["no data"]
 
 
 def test_glitch_of_one_look_is_no_alert() -> None:
@@ -193,7 +193,7 @@ def test_unacknowledged_warning_becomes_an_alarm() -> None:
     voyage.go(60.0, lost)
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     changes = voyage.go(0.5, lost)
-    assert [change.what for change in changes] == ["became an alarm: nobody acknowledged it for 60 s"]
+    assert [change.what for change in changes] == ["became an alarm: not acknowledged for 60 s"]
     # Who has seen the warning has not seen the alarm.
     assert voyage.book.acknowledge("star.bow.out", 1, 0)[0] is None
     voyage.go(600.0, lost)
@@ -247,7 +247,7 @@ def test_worse_is_another_instance_and_better_waits() -> None:
     voyage.acknowledge("star.bow.out")
     alarm = replace(OUT, priority=Priority.ALARM)
     assert [change.what for change in voyage.go(1.0, alarm)] == ["was a warning, is an alarm now"]
-    assert "instance 2 now, not 1" in voyage.acknowledge("star.bow.out", 1)
+    assert "now instance 2, not 1" in voyage.acknowledge("star.bow.out", 1)
     assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
     voyage.go(20.0, OUT)
     assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
@@ -273,14 +273,14 @@ def test_what_another_alert_explains_is_no_alert_of_its_own() -> None:
     # The very moment at which the cause is seen: it does not become graver for one look first.
     assert [change.alert.id for change in at_once.go(0.25, lost, OUT)] == []
     assert {(change.alert.id, change.what) for change in at_once.go(0.25, lost, OUT)} == {
-        ("star.bow.out", "raised"), ("heading.lost", "told by another alert")
+        ("star.bow.out", "raised"), ("heading.lost", "covered by another alert")
     }
     late = Voyage()
     late.go(10.0, lost)
     assert list(late.states()) == ["heading.lost"]
     changes = late.go(10.0, lost, OUT)
     assert {(change.alert.id, change.what) for change in changes} == {
-        ("star.bow.out", "raised"), ("heading.lost", "told by another alert")
+        ("star.bow.out", "raised"), ("heading.lost", "covered by another alert")
     }
     late.go(10.0, lost)
     assert "heading.lost" in late.states()
@@ -319,10 +319,10 @@ def test_restarted_book_keeps_alerts_and_acknowledgements() -> None:
 def test_restarted_book_that_hears_nothing_changes_nothing() -> None:
     """An alarm of before stays an alarm although the new process never heard what became silent."""
     voyage = Voyage()
-    voyage.go(5.0, replace(OUT, priority=Priority.ALARM, text="silent"))
+    voyage.go(5.0, replace(OUT, priority=Priority.ALARM, text="no data"))
     voyage.acknowledge("star.bow.out")
     again = Voyage(AlertBook(TIMES, voyage.book.saved(), round(100.0 * S)), 100.0)
-    never = replace(OUT, text="never heard", needs_start=True, is_blind=True, becomes_alarm=True)
+    never = replace(OUT, text="never received", needs_start=True, is_blind=True, becomes_alarm=True)
     assert again.go(300.0, never) == []
     assert again.states() == {"star.bow.out": "ALARM ACTIVE_ACKNOWLEDGED"}
 
@@ -334,7 +334,7 @@ def test_spoilt_file_is_refused(spoilt: dict[str, object]) -> None:
     """A file that holds something else is not half used."""
     voyage = Voyage()
     voyage.go(5.0, OUT)
-    with pytest.raises(ValueError, match="no saved alert"):
+    with pytest.raises(ValueError, match="not a saved alert"):
         AlertBook(TIMES, [{**voyage.book.saved()[0], **spoilt}])
 
 

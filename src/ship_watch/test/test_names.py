@@ -75,7 +75,7 @@ def test_memory_does_not_follow_names_without_end(caplog):
     assert sizes[2] - sizes[1] < 0.25 * sizes[0]
     assert len(history.innovations[known]) == 3 * MOST_NAMES
     lines = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert any(line.startswith("source '") and "and others are not shown: 256 are known" in line for line in lines)
+    assert any(line.startswith("source '") and "and others are not shown: limit of 256 names" in line for line in lines)
     assert len(lines) == len({line.partition(" '")[0] for line in lines})
 
 

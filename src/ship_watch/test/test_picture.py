@@ -14,7 +14,7 @@ def test_all_angles_safe_is_safe_without_a_reason() -> None:
 
 def test_the_worst_angle_decides_whatever_stands_first() -> None:
     assert pictures.faulty().overall == OverallState(
-        Safety.UNSAFE, "encoder silent since 11:59:55 (azimuth, elevation)"
+        Safety.UNSAFE, "encoder no data since 11:59:55 (azimuth, elevation)"
     )
 
 

@@ -22,7 +22,7 @@ from ship_watch.published_state import (
 PICTURES = {
     "all well": picture(),
     "two faults": picture(
-        out("star.fore", "81 refused in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
+        out("star.fore", "81 rejected in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
         out("lights", "needs ship_attitude", because_of="ship_attitude"), lost("heading", "ins"), over("roll"),
         source("star.starboard", mounting_shift=51.0 * ARCSEC), source("gnss", presence=Presence.OFF),
     ),
@@ -89,4 +89,4 @@ def test_words_and_presences_are_changes_and_running_figures_are_none() -> None:
     assert change_of_state(running) == change_of_state(well)
     worse = replace(well, angles=(replace(well.angles[0], safety=Safety.CAUTION), *well.angles[1:]))
     assert change_of_state(worse) != change_of_state(well)
-    assert change_of_state(picture(out("ins", "silent"))) != change_of_state(well)
+    assert change_of_state(picture(out("ins", "no data"))) != change_of_state(well)

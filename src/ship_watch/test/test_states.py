@@ -16,7 +16,7 @@ from ship_watch.states import AngleClaim, AngleWord, HeldWord, Protection, Shown
 
 SECOND = 1_000_000_000
 KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
-FLOAT = replace(KNOCKED, name="baselines", reason="a 81 refused in a row: not fixed")
+FLOAT = replace(KNOCKED, name="baselines", reason="a 81 rejected in a row: not fixed")
 GOOD = AngleClaim(
     topic="ship/attitude",
     is_heard=True,
@@ -48,11 +48,11 @@ def test_valid_within_its_limit_and_protected_is_safe() -> None:
         ({"status": Status.COASTING, "hint": "no stars for 31 s"}, "no stars for 31 s"),
         ({"status": Status.DEGRADED}, "degraded"),
         ({"status": Status.DEGRADED, "guilty": KNOCKED}, "star.bow excluded"),
-        ({"protection": Protection(None)}, "integrity not told"),
-        ({"protection": Protection(IntegrityState.UNAVAILABLE)}, "nothing checks it"),
+        ({"protection": Protection(None)}, "no integrity data"),
+        ({"protection": Protection(IntegrityState.UNAVAILABLE)}, "no independent check"),
         ({"protection": Protection(IntegrityState.UNAVAILABLE), "guilty": KNOCKED}, "star.bow excluded"),
-        ({"protection": Protection(IntegrityState.MET, math.nan, 30.0)}, "nothing checks it"),
-        ({"accuracy_95": 6.0, "guilty": FLOAT}, "baselines a refused: not fixed"),
+        ({"protection": Protection(IntegrityState.MET, math.nan, 30.0)}, "no independent check"),
+        ({"accuracy_95": 6.0, "guilty": FLOAT}, "baselines a rejected: not fixed"),
         ({"is_lessened": True, "hint": "one of two lights"}, "one of two lights"),
     ],
 )
@@ -64,7 +64,7 @@ def test_what_is_a_caution(change: dict[str, Any], reason: str) -> None:
     ("change", "reason"),
     [
         ({"is_heard": False, "is_old": True}, "waiting for ship/attitude"),
-        ({"is_old": True}, "ship/attitude silent"),
+        ({"is_old": True}, "no data on ship/attitude"),
         ({"is_old": True, "guilty": KNOCKED}, "star.bow excluded"),
         ({"status": Status.INVALID}, "invalid"),
         ({"status": None}, "invalid"),
@@ -92,7 +92,7 @@ def over(accuracy: float) -> AngleWord:
 
 
 SAFE = AngleWord(Safety.SAFE, "")
-SILENT = AngleWord(Safety.CAUTION, "star.bow silent")
+SILENT = AngleWord(Safety.CAUTION, "star.bow no data")
 
 
 def test_worse_at_once_and_better_after_five_seconds() -> None:
@@ -104,7 +104,7 @@ def test_worse_at_once_and_better_after_five_seconds() -> None:
     assert held.shown_word(SILENT, 2 * SECOND)[:2] == (Safety.UNSAFE, "invalid")
     assert held.note(SAFE, 6 * SECOND)  # 5 s after it was UNSAFE, 4 s after it was a CAUTION
     assert (held.word, held.since_ns) == (Safety.CAUTION, 6 * SECOND)
-    assert held.shown_word(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "star.bow silent")
+    assert held.shown_word(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "star.bow no data")
     assert not held.note(SAFE, 7 * SECOND - 1)
     assert held.note(SAFE, 7 * SECOND)
     assert held.shown_word(SAFE, 7 * SECOND) == ShownWord(Safety.SAFE, "")
@@ -162,7 +162,7 @@ def test_the_margin_is_for_an_accuracy_that_was_over_its_limit_alone() -> None:
     held = HeldWord(5.0)
     for tenth in range(100):
         now = over(4.9)
-        silent = now._replace(word=Safety.CAUTION, reason="star.bow silent")
+        silent = now._replace(word=Safety.CAUTION, reason="star.bow no data")
         held.note(silent if tenth < 10 else now, tenth * SECOND // 10)
         assert (held.word is Safety.SAFE) == (tenth >= 59)
 
@@ -187,7 +187,7 @@ def test_an_accuracy_that_was_once_over_its_limit_is_judged_by_the_limit_once_it
         (over(16.0), over(6.0), 1.0, Safety.UNSAFE, "over the limit; CAUTION in 4 s"),
         (over(16.0), over(4.9), 1.0, Safety.UNSAFE, "within 5″ again; CAUTION in 4 s"),
         (AngleWord(Safety.UNSAFE, "invalid"), SAFE, 2.0, Safety.UNSAFE, "good again; SAFE in 3 s"),
-        (AngleWord(Safety.UNSAFE, "invalid"), SILENT, 2.0, Safety.UNSAFE, "star.bow silent; CAUTION in 3 s"),
+        (AngleWord(Safety.UNSAFE, "invalid"), SILENT, 2.0, Safety.UNSAFE, "star.bow no data; CAUTION in 3 s"),
         (SILENT, SAFE, 4.9, Safety.CAUTION, "good again; SAFE in 1 s"),
         (SILENT, SAFE, 5.0, Safety.SAFE, ""),
     ],
