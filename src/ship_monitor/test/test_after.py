@@ -92,7 +92,7 @@ class TestWhatIsRead:
         with BagWriter(path) as writer:
             for name in ("/a/ship/attitude", "/b/ship/attitude"):
                 writer.write(name, ship_attitude(START_NS), START_NS)
-        with pytest.raises(BadInput, match=r"suites in /a, /b: name one with --namespace") as problem:
+        with pytest.raises(BadInput, match=r"suites in /a, /b: select one with --namespace") as problem:
             RecordedSuite(path)
         assert "\n" not in str(problem.value)
         assert len(list(RecordedSuite(path, "b").messages(0))) == 1
@@ -100,10 +100,10 @@ class TestWhatIsRead:
             RecordedSuite(path, "/c/")
 
     def test_what_is_missing_is_told_in_one_line(self, tmp_path, suite):
-        assert suite.notes == ("night.mcap holds no truth: innovations are shown, errors are not",)
+        assert suite.notes == ("night.mcap contains no truth: innovations are shown, errors are not",)
         inputs = RecordedSuite(write_imu_bag(tmp_path / "inputs.mcap", 10))
         (note,) = inputs.notes
-        assert note.startswith("inputs.mcap holds no ship/attitude and no theodolite/pointing, only inputs:")
+        assert note.startswith("inputs.mcap contains no ship/attitude and no theodolite/pointing, only inputs:")
         assert RecordedPictures(inputs, Limits()).place == note
         assert RecordedSuite(write_suite(tmp_path / "simulated.mcap", 2, truth=True)).notes == ()
 
@@ -123,7 +123,7 @@ class TestWhatIsRead:
         record.data = record.data[:20]
         suite._bag.records = lambda *_: iter([record] * 3)
         assert list(suite.messages(0)) == []
-        assert capsys.readouterr().err.count("left out: topic 'ship/attitude'") == 1
+        assert capsys.readouterr().err.count("message skipped: topic 'ship/attitude'") == 1
 
 
 class TestPictures:

@@ -116,7 +116,7 @@ def test_a_topic_offered_again_with_another_type_is_another_channel(server, conn
     assert sum(each["op"] == "advertise" for each in client.told) == 2
 
 
-ONLY = "this server only gives out topics: "
+ONLY = "this server is read-only: "
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ ONLY = "this server only gives out topics: "
         ({"op": "getParameters", "parameterNames": []}, f"{ONLY}'getParameters' is refused"),
         (struct.pack("<BIII", 2, 1, 1, 3) + b"cdr" + MESSAGE, f"{ONLY}binary messages are refused"),
         ({"op": "fetchAsset", "uri": "file:///etc/passwd", "requestId": 1}, f"{ONLY}'fetchAsset' is refused"),
-        ({"op": "subscribe", "subscriptions": [{"id": 1}]}, "this is no request of the protocol"),
+        ({"op": "subscribe", "subscriptions": [{"id": 1}]}, "not a request of the protocol"),
     ],
 )
 def test_nothing_can_be_published_called_set_or_read_from_files(server, connect, request_, refusal):

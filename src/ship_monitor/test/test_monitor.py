@@ -56,7 +56,7 @@ def test_what_is_no_time_zone_is_one_line_with_option_value_and_what_to_do(name,
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert f"--time-zone: {name!r} is no time zone: give an IANA name such as Europe/Oslo" in said
+    assert f"--time-zone: {name!r} is not a time zone: use an IANA name as Europe/Oslo" in said
 
 
 @pytest.mark.parametrize(

@@ -72,4 +72,4 @@ def test_without_a_terminal_it_says_so():
     command = [sys.executable, "-c", COMMAND]
     done = subprocess.run(command, check=False, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     assert done.returncode == 2
-    assert done.stderr.splitlines() == ["monitor_terminal: stdin or stderr is no terminal; over ssh use ssh -t"]
+    assert done.stderr.splitlines() == ["monitor_terminal: stdin or stderr is not a terminal; over ssh use ssh -t"]
