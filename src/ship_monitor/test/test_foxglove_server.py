@@ -197,7 +197,7 @@ def test_at_the_end_clients_are_told_and_the_port_is_free_again():
 
 def test_a_port_in_use_is_said(server):
     port = int(server.address.rpartition(":")[2])
-    with pytest.raises(BadInput, match=rf"port {port} of 127\.0\.0\.1 is in use: give another one with --foxglove"):
+    with pytest.raises(BadInput, match=rf"port {port} of 127\.0\.0\.1 is in use: choose another one with --foxglove"):
         FoxgloveServer("demo", "127.0.0.1", port)
 
 

@@ -14,7 +14,7 @@ def test_a_port_in_use_is_one_line_and_bad_input(capsys):
         taken.listen()
         port = taken.getsockname()[1]
         assert main(["--port", str(port)]) == 2
-    assert capsys.readouterr().err == f"monitor: port {port} of 127.0.0.1 is in use: give another one with --port\n"
+    assert capsys.readouterr().err == f"monitor: port {port} of 127.0.0.1 is in use: choose another one with --port\n"
 
 
 def test_a_port_of_foxglove_in_use_is_one_line_and_bad_input(capsys):
@@ -23,7 +23,7 @@ def test_a_port_of_foxglove_in_use_is_one_line_and_bad_input(capsys):
         taken.listen()
         port = taken.getsockname()[1]
         assert main(["--foxglove", str(port)]) == 2
-    said = f"monitor: port {port} of 127.0.0.1 is in use: give another one with --foxglove N\n"
+    said = f"monitor: port {port} of 127.0.0.1 is in use: choose another one with --foxglove N\n"
     assert capsys.readouterr() == ("", said)
 
 

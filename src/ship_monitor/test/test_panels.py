@@ -33,12 +33,12 @@ def test_an_empty_suite_draws_empty_panels_that_say_so(panels) -> None:
     panels.update(History(), replace(PICTURE, utc_ns=0, angles=(), sources=(), inputs=(), events=()))
     texts = " ".join(div.text for div in panels.layout.select({"type": Div}))
     for said in (
-        "no source is compared with a prediction yet",
-        "no truth here",
-        "no error budget is told",
-        "no alignment and no calibration is told",
-        "no node tells of its inputs",
-        "nothing has changed yet",
+        "no innovations yet",
+        "no truth data",
+        "no error budget data",
+        "no alignment or calibration data",
+        "no input health data",
+        "no events yet",
     ):
         assert said in texts
 

@@ -207,7 +207,7 @@ def test_the_place_names_another_namespace_in_which_there_is_a_suite(reader, unt
     assert reader.place.startswith("namespace /demo, domain ")
     other = PublishingShip("voyage")
     other.say("ship/attitude", attitude(1 * NS_PER_S))
-    until(lambda: reader.take() and "there is one in /voyage" in reader.place)
+    until(lambda: reader.take() and "suite found in /voyage" in reader.place)
     other.stop()
 
 

@@ -105,7 +105,7 @@ def test_a_request_that_never_ends_is_closed(monkeypatch):
 def test_connections_beyond_the_most_are_closed_in_one_line(page, lines):
     begun = [socket.create_connection(page, timeout=20.0) for _ in range(MOST_CONNECTIONS + 20)]
     assert all(ends(each) for each in begun[-20:])
-    assert lines.texts == [f"127.0.0.1: connection closed: {MOST_CONNECTIONS} are open, the most that are served"]
+    assert lines.texts == [f"127.0.0.1: connection closed: {MOST_CONNECTIONS} are open, the maximum"]
     for each in begun:
         each.close()
 

@@ -135,7 +135,7 @@ def test_of_one_that_is_out_two_lines_say_more():
     one = tuple(each for each in pictures.faulty().sources if each.name != "encoder")
     assert shown(replace(WELL, sources=one), History(), "LIVE", "")["sources"]["why"] == [
         "disagrees: right +49″",
-        "since 11:59:28 · 81 refused",
+        "since 11:59:28 · 81 rejected",
     ]
 
 

@@ -60,7 +60,7 @@ def test_a_acknowledges_the_instance_that_is_shown():
         suite.picture = knocked(alerts=(dataclasses.replace(KNOCKED_ALERT, state=3),))
         await pilot.press("a")
         assert suite.acknowledged == [("star.starboard.out", 2)]
-        assert rows(app)[-1] == " there is nothing to acknowledge"
+        assert rows(app)[-1] == " no alert to acknowledge"
 
     run(use)
 
@@ -156,7 +156,7 @@ def test_a_message_that_cannot_be_watched_ends_nothing():
         suite.tick = fail
         await pilot.pause(0.7)
         assert suite.ticks >= 2
-        assert rows(app)[-1] == " a message is passed over: ValueError: 7 is not a priority"
+        assert rows(app)[-1] == " message skipped: ValueError: 7 is not a priority"
         assert rows(app)[4].startswith(" HEADING")
 
     run(use)

@@ -145,7 +145,7 @@ def test_a_suite_that_was_never_heard_is_waited_for_by_name():
     )
     lines = texts(nothing)
     assert lines[0].endswith("--:--:-- UTC")
-    assert lines[1:3] == [" no alert node is heard", " waiting for ship/attitude: namespace /demo, domain 7"]
+    assert lines[1:3] == [" no alert node", " waiting for ship/attitude: namespace /demo, domain 7"]
     assert row_of(lines, "HEADING").split() == ["HEADING", "—", "—", "5″", "x", "UNSAFE", "no", "data"]
 
 

@@ -27,7 +27,7 @@ WANTED_SHARE = 0.95
 """Fraction of the time within a proposed limit."""
 
 START_UP_S = 30.0
-"""Time after the first output that is ignored, s: the filters estimate mountings and INS errors from the first stars."""
+"""Time after the first output that is ignored, s: the filters first estimate mountings and INS errors from stars."""
 
 STEP_NS = NS_PER_S // 5
 """Time between two samples of the accuracy, ns."""

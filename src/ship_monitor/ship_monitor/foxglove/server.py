@@ -26,7 +26,7 @@ VIEWERS = frozenset({"https://app.foxglove.dev", "https://embed.foxglove.dev", "
 """Origins of the viewers that are web pages of other sites."""
 
 _DESKTOP_ORIGIN, _DESKTOP_AGENT = "file://", "Electron/"
-"""Origin and user agent of desktop viewers. A page saved to a file has the same origin, but its agent has no Electron."""
+"""Origin and user agent of desktop viewers. A page saved to a file has this origin too, but another agent."""
 
 MOST_CLIENTS = 32
 """Maximum number of viewers."""
