@@ -114,7 +114,7 @@ def functions(picture: Picture) -> tuple[FunctionShown, ...]:
         because_of = worst.because_of if safety else ""
         lost_before = [one for one in found if one.safety is Safety.UNSAFE]
         if output == POINTING and safety is Safety.UNSAFE and lost_before:
-            # Without the attitude there is no pointing: the cause of the lost attitude is the cause.
+            # Without the attitude there is no pointing: it has the cause of the lost attitude.
             because_of = next((one.because_of for one in lost_before if one.because_of), ATTITUDE)
         words = (*_THEODOLITE, *_SHIP) if output == POINTING else _SHIP
         sources = tuple(one for one in picture.sources if one.name.partition(".")[0] in words)

@@ -1,4 +1,4 @@
-"""Which situations are alerts: each row of the table in docs/explanation/alerts.md, and one alert for one situation."""
+"""Situations that are alerts: each row of the table in docs/explanation/alerts.md; one alert for one situation."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,8 +33,8 @@ LIMITS = replace(Limits(), inputs={"gnss": InputLimits(rate_hz=1.5)})
 
 
 def node(name: str, level: int = 2, **values: str) -> Machine:
-    """One status of a node."""
-    return Machine((NodeStatus("ship_attitude", name, level, "what it says", values),))
+    """Return a computer with one status of a node."""
+    return Machine((NodeStatus("ship_attitude", name, level, "text of the node", values),))
 
 
 ATTITUDE, ANGLES_OF_POINTING = ("heading", "pitch", "roll"), ("azimuth", "elevation")
@@ -83,7 +83,7 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
 
 
 def told(shown: Picture, machine: Machine | None = None) -> dict[str, Condition]:
-    """What becomes an alert after a minute, through a book, by id."""
+    """Return id → situation of those that have an alert after 20 s."""
     book = AlertBook(Limits().alerts)
     found = conditions(shown, LIMITS, machine)
     for tenth in range(200):
@@ -94,15 +94,15 @@ def told(shown: Picture, machine: Machine | None = None) -> dict[str, Condition]
 
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_each_row_is_one_alert(case: tuple[str, str]) -> None:
-    """The situation of a row gives one alert, with its id and its priority."""
+    """The situation of a row gives one alert with its id and priority."""
     (found,) = told(*CASES[case]).values()
     assert (kind_of(found.id), found.priority.name.lower()) == case
     assert "\n" not in found.text
     assert len(found.text) < 90
 
 
-def test_table_for_people_is_that_of_the_code() -> None:
-    """docs/explanation/alerts.md names each id with all priorities that it may have by itself, and none besides."""
+def test_documented_table_matches_the_code() -> None:
+    """docs/explanation/alerts.md has each id with exactly its own priorities, and the advice of the code."""
     rows = [line.split("|")[1:-1] for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
     table = {(row[0].strip().strip("`"), word.strip()) for row in rows for word in row[1].split(",")}
     assert table == set(CASES)
@@ -110,21 +110,21 @@ def test_table_for_people_is_that_of_the_code() -> None:
     assert {row[0].strip().strip("`"): row[4].strip() for row in rows} == ADVICE
 
 
-def test_accuracy_over_its_limit_says_where_to_look() -> None:
+def test_accuracy_over_its_limit_refers_to_the_error_budget() -> None:
     (found,) = told(picture(over("roll"))).values()
     assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
 
 
-def test_function_that_is_good_again_says_so_until_its_word_is_better() -> None:
-    """Neither over its limit nor unchecked: the tree says what is true now."""
+def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
+    """The diagnostics of a function within its limit again have the current reason."""
     reason = "within 3″ again; SAFE in 4 s"
     well_again = replace(over("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
     branches = {branch.path: (branch.level, branch.text) for branch in tree(picture(well_again), PICTURED)}
     assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ of 3″ (95 %)")
 
 
-def test_alert_rests_on_the_word_of_this_moment() -> None:
-    """The shown word waits before it gets better; the book of alerts has a patience of its own, and one is enough."""
+def test_alert_uses_the_safety_without_hold() -> None:
+    """The displayed safety has a hold; alerts have a hold of their own and use the safety without hold."""
     well_again = replace(over("roll", "ins", share=0.98), now=(Safety.SAFE, ""))
     assert conditions(picture(well_again), LIMITS) == []
     worse_now = replace(over("roll"), now=(Safety.UNSAFE, "invalid"))
@@ -132,8 +132,8 @@ def test_alert_rests_on_the_word_of_this_moment() -> None:
     assert (found.priority, found.text) == (Priority.ALARM, "Tilt lost: invalid")
 
 
-def test_function_that_is_over_its_limit_for_a_moment_is_no_alert_and_a_lost_one_is() -> None:
-    """The words of an angle tell the moment; where a source takes it away, the source's alert does so at once."""
+def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
+    """A brief excess is no alert of the output, but the alert of a source that causes it names it at once."""
     moment = {"over_s": 4.9}
     assert conditions(picture(replace(over("roll"), **moment)), LIMITS) == []
     assert list(told(picture(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
@@ -142,13 +142,13 @@ def test_function_that_is_over_its_limit_for_a_moment_is_no_alert_and_a_lost_one
 
 
 def test_all_well_is_no_alert() -> None:
-    """Nothing at all, with good statuses of nodes, too."""
+    """No alert without faults, also with good statuses of nodes."""
     assert conditions(picture(), LIMITS, node("black box", 0)) == []
     assert conditions(picture(), LIMITS, node("callbacks", 1)) == []
 
 
-def test_what_a_source_takes_away_is_told_with_it() -> None:
-    """The INS is silent, heading and tilt and the pointing are lost: one alarm that names the INS and what is lost."""
+def test_alert_of_a_source_names_the_lost_functions() -> None:
+    """INS without data, heading, tilt and pointing lost: one alarm that names the INS and the lost functions."""
     angles = [lost(name, "ins") for name in (*ATTITUDE, "azimuth", "elevation")]
     found = told(picture(out("ins", "no data", age_s=4.0), *angles))
     assert list(found) == ["ins.out"]
@@ -159,8 +159,8 @@ def test_what_a_source_takes_away_is_told_with_it() -> None:
     assert alert.lost == {"heading", "tilt", "pointing"}
 
 
-def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -> None:
-    """The drones are on deck and the INS stops: the pointing is lost because of the INS, not of the lights."""
+def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None:
+    """Drones on deck and no INS data: the pointing is lost because of the INS, not of the lights."""
     angles = [lost(name, "ins") for name in ATTITUDE] + [lost(name, "lights") for name in ANGLES_OF_POINTING]
     shown = picture(out("lights", "no lights"), out("ins", "no data"), *angles)
     found = told(shown)
@@ -172,8 +172,8 @@ def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -
     assert blamed == dict.fromkeys(("heading", "tilt", "pointing"), "ins")
 
 
-def test_all_stars_out_for_one_reason_are_one_situation() -> None:
-    """For two reasons they are two; what they need of others is told with the others."""
+def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
+    """Two reasons are two situations; sensors that need another source are covered by its alert."""
     taken = over("heading", "star.fore")
     both = told(picture(out("star.fore", "no data"), out("star.starboard", "no data"), taken))
     assert list(both) == ["stars.out"]
@@ -185,22 +185,22 @@ def test_all_stars_out_for_one_reason_are_one_situation() -> None:
     assert list(told(picture(out("ins", "no data"), *needs))) == ["ins.out"]
 
 
-def test_node_that_is_gone_is_one_situation() -> None:
-    """No attitude comes, nothing is reported of its sources, the pointing is invalid: one alarm."""
+def test_ended_node_is_one_situation() -> None:
+    """No attitude, no reports of its sources, invalid pointing: one alarm."""
     gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.fore", "star.starboard")]
     angles = [*silent(*ATTITUDE), lost("azimuth"), lost("elevation")]
     assert list(told(picture(*gone, *angles))) == ["attitude.silent"]
 
 
-def test_suite_that_only_points_misses_no_attitude() -> None:
-    """A pointing is heard, an attitude never was: nobody asked for it."""
+def test_suite_with_pointing_only_needs_no_attitude() -> None:
+    """A suite with a pointing that never published an attitude has no attitude functions."""
     shown = picture(*never_heard(*ATTITUDE))
     assert told(shown) == {}
     assert [one.safety for one in functions(shown)] == [None, None, Safety.SAFE]
 
 
-def test_texts_hold_no_figure_that_runs() -> None:
-    """The next look tells of the same situation with the same words."""
+def test_texts_have_no_changing_figures() -> None:
+    """The next update has the same text for the same situation."""
     texts = set()
     for count in (5, 81):
         shown = picture(
@@ -211,8 +211,8 @@ def test_texts_hold_no_figure_that_runs() -> None:
     assert texts == {"star.fore out: rejected in a row", "Heading unchecked: no stars"}
 
 
-def test_box_may_lose_what_the_limits_allow() -> None:
-    """Entries within the limit are no alert; a box that ended is one whatever the limit."""
+def test_black_box_may_lose_entries_within_the_limit() -> None:
+    """Lost entries within the limit are no alert; a black box that ended always is one."""
     patient = replace(LIMITS, machine=replace(LIMITS.machine, box_lost=20))
     assert conditions(picture(), patient, node("black box", lost="12")) == []
     assert len(conditions(picture(), patient, node("black box", lost="21"))) == 1
@@ -221,7 +221,7 @@ def test_box_may_lose_what_the_limits_allow() -> None:
 
 
 def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
-    """The pointing is lost because the ship's attitude comes too late: cause and consequence in one alert."""
+    """Pointing lost because the ship's attitude arrives too late: cause and consequence are one alert."""
     late = out("ship_attitude", "81 rejected in a row: late", topics=("ship/attitude",))
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
     angles = [lost(name, "ship_attitude") for name in ANGLES_OF_POINTING]
@@ -231,14 +231,14 @@ def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
     assert alone.text == "ship_attitude out: arrives late"
 
 
-def test_what_is_lost_stands_before_what_is_over_its_limit() -> None:
-    """The worst comes first, whatever the order of the functions."""
+def test_lost_functions_come_before_those_over_their_limit() -> None:
+    """The worst function comes first in the text, in any order of the functions."""
     (found,) = told(picture(out("ins", "no data"), over("heading", "ins"), lost("roll", "ins"))).values()
     assert found.text == "Tilt lost, heading over its limit: ins no data"
 
 
-def test_tree_names_the_input_that_takes_a_function_away() -> None:
-    """Each function with its limit, under it its sources; the guilty one is an error where the function is lost."""
+def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
+    """Each function is listed with its limit and its sources; the source that causes a loss is an error."""
     angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
     shown = picture(out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in tree(shown, PICTURED)}

@@ -63,7 +63,7 @@ class Page:
         self._below = Column(name="panels", sizing_mode="stretch_width")
         self._count = 0
         self._is_paused = False
-        self._angle = ""  # chosen, and not yet shown
+        self._angle = ""  # chosen, not yet displayed
         self._texts = ColumnDataSource(data={"text": [self._text()]}, name="texts")
         # The page's script is called at each change; the first call shows that the link works.
         self._texts.js_on_change("data", CustomJS(code="monitor.show(JSON.parse(cb_obj.data.text[0]))"))
