@@ -52,7 +52,7 @@ def press(browser, key, *, shift=False):
 @pytest.mark.slow
 @pytest.mark.parametrize("theme", ["day", "night"])
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
-def test_the_slider_stands_under_the_bar_in_the_colours_of_the_page(browser, bag, theme, size, tmp_path):
+def test_slider_is_under_the_bar_in_the_colours_of_the_page(browser, bag, theme, size, tmp_path):
     with page_of(bag) as server:
         browser.open(f"{server.address}?theme={theme}", *size)
         browser.until(f"{UTC} === '{AT_END}'")
@@ -95,7 +95,7 @@ def test_keys_move_the_time_and_play(browser, bag):
         assert browser.problems == []
 
 
-def test_inputs_alone_are_told_in_one_line(browser, tmp_path):
+def test_bag_without_outputs_is_reported_in_one_line(browser, tmp_path):
     with page_of(write_imu_bag(tmp_path / "inputs.mcap")) as server:
         browser.open(server.address)
         browser.until("document.querySelector('#alert-sub').textContent.includes('only inputs')")

@@ -99,7 +99,7 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_faults_take_away_is_told_with_them(faulty: Path) -> None:
+def test_alerts_of_sources_name_the_lost_functions(faulty: Path) -> None:
     """While a source that takes an angle away is out, no alert of the output stands beside that of the source."""
     voyage = Voyage(faulty)
     told: set[str] = set()
@@ -110,7 +110,7 @@ def test_what_the_faults_take_away_is_told_with_them(faulty: Path) -> None:
 
 
 @pytest.mark.slow
-def test_clean_voyage_blames_no_source(tmp_path: Path) -> None:
+def test_clean_voyage_has_no_alert_of_a_source(tmp_path: Path) -> None:
     """Without faults only the gap in the stars that the scenario has is told: no accuracy that is over for a moment."""
     voyage = Voyage(replayed(tmp_path, "demo")[1])
     assert {change.alert.id for _, change in voyage.changes} == {"stars.out"}
@@ -119,7 +119,7 @@ def test_clean_voyage_blames_no_source(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_lost_keeper_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
+def test_crash_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
     """Killed at any moment and started anew from the file: the same alerts, acknowledged or not, none raised again."""
     state = tmp_path / "alerts.json"
     for acknowledge in (False, True):
@@ -137,7 +137,7 @@ def test_lost_keeper_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"format": "ship_alerts", "version": 9, "alerts": []}', "\0"])
-def test_spoilt_file_is_said_and_nothing_is_lost_by_it(tmp_path: Path, content: str) -> None:
+def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> None:
     """One plain line that names the file; the node goes on and writes a good one."""
     state = tmp_path / "alerts.json"
     state.write_text(content)
@@ -152,7 +152,7 @@ def test_spoilt_file_is_said_and_nothing_is_lost_by_it(tmp_path: Path, content: 
     assert json.loads(state.read_text())["alerts"][0]["id"] == "attitude.silent"
 
 
-def test_full_disk_is_said_once_and_tried_again(tmp_path: Path) -> None:
+def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
     """The file cannot be written: alerts go on, and are saved when it can."""
     state = tmp_path / "folder" / "alerts.json"
     said: list[str] = []
@@ -167,7 +167,7 @@ def test_full_disk_is_said_once_and_tried_again(tmp_path: Path) -> None:
     assert json.loads(state.read_text())["alerts"][0]["state"] == AlertState.ACTIVE_UNACKNOWLEDGED
 
 
-def test_machine_that_slept_raises_no_false_alarm(faulty: Path) -> None:
+def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
     """An hour of sleep is no silence of the suite: nothing is told for ten seconds, in which it comes back."""
     voyage = Voyage(faulty)
     before = voyage.keeper.alerts
@@ -177,7 +177,7 @@ def test_machine_that_slept_raises_no_false_alarm(faulty: Path) -> None:
     assert repr(voyage.keeper.alerts) == repr(before)
 
 
-def test_what_a_node_says_of_itself_holds_for_as_long_as_it_says_it() -> None:
+def test_node_status_expires() -> None:
     """A black box that ended is a warning; when the node is gone, so is what it said."""
     keeper = AlertKeeper(Limits(), None, 0, lambda _: None)
     ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing ended: No space left on device")
@@ -192,7 +192,7 @@ def test_what_a_node_says_of_itself_holds_for_as_long_as_it_says_it() -> None:
     assert states == {AlertState.ACTIVE_UNACKNOWLEDGED, AlertState.RECTIFIED_UNACKNOWLEDGED}
 
 
-def test_disk_that_fills_up_is_told(tmp_path: Path) -> None:
+def test_full_or_missing_disk_raises_an_alert(tmp_path: Path) -> None:
     """Held against the disk of this machine: more is wanted than any has; and a disk that is not there."""
     machine = Limits().machine
     for path in (tmp_path, tmp_path / "gone"):
@@ -203,7 +203,7 @@ def test_disk_that_fills_up_is_told(tmp_path: Path) -> None:
         assert [alert.id for alert in keeper.alerts] == ["disk.full"]
 
 
-def test_statuses_of_names_without_end_are_forgotten():
+def test_number_of_statuses_is_bounded():
     keeper = AlertKeeper(Limits(), None, 0, print)
     for number in range(3 * MOST_STATUSES):
         keeper.take_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)

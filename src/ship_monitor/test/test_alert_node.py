@@ -120,7 +120,7 @@ def states(alerts):
 UNACKNOWLEDGED, ACKNOWLEDGED = Alert.ACTIVE_UNACKNOWLEDGED, Alert.ACTIVE_ACKNOWLEDGED
 
 
-def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, tmp_path):
+def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, tmp_path):
     """Silence is an alarm; the wrong instance is refused; killed with -9 and started anew, all is as it was."""
     limits, state = tmp_path / "limits.yaml", tmp_path / "alerts.json"
     limits.write_text("alerts: {clear_after_s: 1.0}\n")
@@ -176,7 +176,7 @@ def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, 
 
 
 @pytest.mark.smoke
-def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
+def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
     """A node's black box that ended is a warning; the functions stand in /diagnostics with what is lost."""
     start("--state", str(tmp_path / "alerts.json"))
 
@@ -201,7 +201,7 @@ def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
     assert ship.told["alerts: callbacks"].level == DiagnosticStatus.OK
 
 
-def test_mistake_in_the_limits_ends_it_at_once(tmp_path, capsys):
+def test_wrong_limits_end_the_node_at_once(tmp_path, capsys):
     """One line with file, line, key and what was expected; exit code 2."""
     limits = tmp_path / "limits.yaml"
     limits.write_text("tilt_arcsec: 3.0\nhedding_arcsec: 5.0\n")
@@ -212,7 +212,7 @@ def test_mistake_in_the_limits_ends_it_at_once(tmp_path, capsys):
     assert told.count("\n") == 1
 
 
-def test_each_namespace_has_a_file_of_its_own(monkeypatch, tmp_path):
+def test_each_namespace_has_its_own_file(monkeypatch, tmp_path):
     """Two suites on one machine do not mix."""
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     names = [default_state(namespace) for namespace in ("/", "/demo", "/fleet/demo")]
@@ -237,7 +237,7 @@ def test_alerts_are_in_the_recording(start, tmp_path):
 @pytest.mark.parametrize(
     ("node", "hardware_id"), [("star_attitude", ""), ("ship_attitude", "/other/ship_attitude")], ids=["by name", "told"]
 )
-def test_diagnostics_of_another_suite_are_not_this_ones(node, hardware_id, ship, start, until, tmp_path):
+def test_diagnostics_of_another_suite_are_ignored(node, hardware_id, ship, start, until, tmp_path):
     """A node of another namespace tells of its clock on the same topic: no alert of this suite.
 
     Where the nodes of the two suites have one name, the node itself tells which one it is.

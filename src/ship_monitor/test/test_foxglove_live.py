@@ -101,7 +101,7 @@ def hundred_attitudes():
 
 
 @pytest.mark.usefixtures("watch")
-def test_every_message_comes_bit_for_bit_with_its_definition_and_its_arrival(sail, connect):
+def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connect):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
     hear(client, ship, "ship/attitude", attitude(START_NS))
@@ -129,7 +129,7 @@ def test_every_message_comes_bit_for_bit_with_its_definition_and_its_arrival(sai
 
 
 @pytest.mark.usefixtures("watch")
-def test_all_topics_of_the_namespace_are_offered_whatever_the_page_reads(sail, connect, server):
+def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     ship, other, client = sail(), sail("voyage"), connect()
     ship.say("ship/attitude", attitude(START_NS))
     ship.say("ins/imu", Imu(), BEST_EFFORT)
@@ -150,7 +150,7 @@ def test_all_topics_of_the_namespace_are_offered_whatever_the_page_reads(sail, c
 
 
 @pytest.mark.usefixtures("watch")
-def test_clients_that_come_later_get_the_last_message_of_a_topic_that_keeps_it(sail, connect):
+def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
     ship = sail()
     alerts = AlertArray()
     alerts.header.stamp.sec = 7
@@ -162,7 +162,7 @@ def test_clients_that_come_later_get_the_last_message_of_a_topic_that_keeps_it(s
 
 
 @pytest.mark.usefixtures("watch")
-def test_an_estimator_that_is_started_again_is_heard_by_the_same_subscription(sail, connect):
+def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
     client = connect()
     for heading in (0.25, 0.5):
         ship = sail()
@@ -182,7 +182,7 @@ def test_an_estimator_that_is_started_again_is_heard_by_the_same_subscription(sa
 
 
 @pytest.mark.parametrize("is_awaited", [False, True])
-def test_a_topic_that_comes_back_with_another_type_is_offered_with_that(sail, connect, watch, is_awaited):
+def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_awaited):
     ship, client = sail(), connect()
     if is_awaited:  # Both types are there all the time: somebody listens with the one, the client with the other.
         sail().node.create_subscription(Float64, "told", lambda _: None, 10)
@@ -198,7 +198,7 @@ def test_a_topic_that_comes_back_with_another_type_is_offered_with_that(sail, co
     assert decoded(client, client.received[0]).data == 2.0
 
 
-def test_after_a_sleep_of_the_machine_clients_hear_again(sail, connect, watch, monkeypatch):
+def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatch):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
     hear(client, ship, "ship/attitude", attitude(START_NS))
@@ -215,7 +215,7 @@ def test_after_a_sleep_of_the_machine_clients_hear_again(sail, connect, watch, m
     client.until(came)
 
 
-def test_the_page_is_shown_the_same_with_a_client_and_without(sail, connect, watch):
+def test_page_does_not_depend_on_a_client(sail, connect, watch):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
     hear(client, ship, "ship/attitude", attitude(START_NS))
@@ -243,7 +243,7 @@ def monitor(opened, tmp_path):
     return process, next(word for word in process.log().split() if word.startswith("ws://127.0.0.1:"))
 
 
-def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, monitor):
+def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, monitor):
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
     opened.callback(client.close)
@@ -255,7 +255,7 @@ def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, open
     assert len(process.log().splitlines()) == 2, process.log()
 
 
-def test_the_executable_ends_although_a_client_has_ceased_to_read(sail, opened, monitor):
+def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor):
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
     opened.callback(client.close)

@@ -90,7 +90,7 @@ DRAWN = f"""{FIGURES}.flatMap((each) => [each.title?.text ?? '',
 @pytest.mark.slow
 @pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
 @pytest.mark.parametrize("kind", NAMES)
-def test_nothing_of_a_name_runs_in_the_live_page(browser, kind, caplog):
+def test_names_are_never_executed_in_the_page(browser, kind, caplog):
     name = NAMES[kind]
     source = SetPictures()
     source.set(*hostile(name))
@@ -118,5 +118,5 @@ def test_nothing_of_a_name_runs_in_the_live_page(browser, kind, caplog):
         assert not [text for text in drawn if re.search(r"\$\$|\\[(\[]", text)]
 
 
-def test_a_state_in_an_unknown_unit_is_shown_in_it():
+def test_state_in_an_unknown_unit_is_shown_in_it():
     assert state_text(ParameterShown("x", 0.5, 0.1, "furlong", True, 0.0)) == "+0.500 ± 0.200 furlong"

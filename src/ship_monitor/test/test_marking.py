@@ -33,7 +33,7 @@ POINTING = (
         ("unheard.of", set()),
     ],
 )
-def test_the_parts_of_a_budget_that_a_source_brings(source, parts):
+def test_budget_parts_of_a_source(source, parts):
     assert {part for part in SHIP + POINTING if is_error_of(part, source)} == parts
 
 
@@ -50,7 +50,7 @@ def test_the_parts_of_a_budget_that_a_source_brings(source, parts):
         ("star.bow.azimuth", "", False),
     ],
 )
-def test_states_belong_to_the_source_that_they_are_named_after(name, source, belongs):
+def test_states_belong_to_the_source_in_their_name(name, source, belongs):
     assert is_of(name, source) is belongs
 
 
@@ -67,5 +67,5 @@ def test_states_belong_to_the_source_that_they_are_named_after(name, source, bel
         ("heading", "heading SAFE", "", False),
     ],
 )
-def test_events_are_about_a_source_by_subject_or_by_a_word_of_the_text(subject, text, source, belongs):
+def test_events_of_a_source_by_subject_or_text(subject, text, source, belongs):
     assert is_about(Event(0, "state", subject, text), source) is belongs

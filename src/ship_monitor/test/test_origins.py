@@ -71,7 +71,7 @@ def test_foxglove_answers_viewers_and_this_machine(foxglove, host, origin, agent
     assert answer(foxglove, host=host, origin=origin, agent=agent) == status
 
 
-def test_a_name_that_is_allowed_is_host_and_origin():
+def test_allowed_name_is_host_and_origin():
     server = FoxgloveServer("demo", "127.0.0.1", 0, ["Bridge.ship.example"])
     port = port_of(server)
     assert answer(port, host="bridge.ship.example:PORT", origin="http://bridge.ship.example:8080") == 101
@@ -90,13 +90,13 @@ def test_a_name_that_is_allowed_is_host_and_origin():
         ("127.0.0.1:PORT", "http://[", 403),
     ],
 )
-def test_the_page_on_all_addresses_answers_its_own_names_alone(host, origin, status):
+def test_page_on_all_addresses_answers_only_its_own_names(host, origin, status):
     """A name of another's that leads to the ship's address is no name of the ship."""
     with served(address="0.0.0.0", allowed_hosts=["bridge.ship.example"]) as page:
         assert answer(port_of(page), host=host, origin=origin, is_socket=False) == status
 
 
-def test_the_machines_own_name_is_one_where_not_only_loopback_is_served(monkeypatch):
+def test_host_name_is_allowed_beyond_loopback(monkeypatch):
     monkeypatch.setattr("socket.gethostname", lambda: "Bridge")
     assert {"bridge", "bridge.local", "localhost"} <= OwnHosts("0.0.0.0")._names
     assert "bridge" not in OwnHosts("127.0.0.1")._names
@@ -122,7 +122,7 @@ def site():
 
 
 @pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
-def test_a_page_of_another_site_reads_no_topics_in_a_real_browser(foxglove, site):
+def test_page_of_another_site_reads_no_topics_in_a_browser(foxglove, site):
     browser = Browser()
     attempt = (
         "new Promise((done) => {{ const link = new WebSocket('{address}', {protocols});"

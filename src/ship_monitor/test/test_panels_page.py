@@ -144,7 +144,7 @@ def test_new_points_are_streamed_and_the_time_goes_on(browser):
 
 
 @pytest.mark.slow
-def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
+def test_drag_zooms_all_plots_and_double_click_returns(browser):
     with served("day") as (address, told):
         opened(browser, address, "day", 1280)
         panels = told.get(timeout=20.0)

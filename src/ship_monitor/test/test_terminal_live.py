@@ -50,7 +50,7 @@ def terminal(request):
     terminal.close()
 
 
-def test_it_waits_shows_greys_shows_again_and_leaves(terminal, until):
+def test_live_terminal_view(terminal, until):
     until(lambda: any("waiting for ship/attitude: namespace /demo, domain" in row for row in terminal.rows()))
     for start_ns in (START_NS, START_NS + 600 * NS_PER_S):
         ship, times = PublishingShip(), iter(range(start_ns, start_ns + 600 * NS_PER_S, NS_PER_S // 50))
@@ -68,7 +68,7 @@ def test_it_waits_shows_greys_shows_again_and_leaves(terminal, until):
     until(lambda: "EXIT CODE 0" in terminal.rows())
 
 
-def test_without_a_terminal_it_says_so():
+def test_missing_terminal_is_reported():
     command = [sys.executable, "-c", COMMAND]
     done = subprocess.run(command, check=False, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     assert done.returncode == 2

@@ -82,7 +82,7 @@ def sleep(monkeypatch):
     return fall_asleep
 
 
-def test_a_bag_that_starts_over_is_shown_from_its_beginning_and_nothing_of_before():
+def test_restarted_bag_is_shown_from_its_start():
     async def watch():
         async with bridge() as seen:
             seen.sail_from(START_NS + HOUR_NS)
@@ -96,7 +96,7 @@ def test_a_bag_that_starts_over_is_shown_from_its_beginning_and_nothing_of_befor
     asyncio.run(watch())
 
 
-def test_after_a_sleep_what_was_heard_before_is_old_by_the_sleep_and_then_the_suite_is_heard_again(sleep):
+def test_values_are_old_after_a_sleep_and_then_recover(sleep):
     async def watch():
         async with bridge() as seen:
             seen.sail_from(START_NS)
@@ -112,7 +112,7 @@ def test_after_a_sleep_what_was_heard_before_is_old_by_the_sleep_and_then_the_su
     asyncio.run(watch())
 
 
-def test_a_picture_that_was_held_before_a_sleep_tells_that_it_is_so_much_older(sleep):
+def test_pause_includes_the_time_of_a_sleep(sleep):
     async def watch():
         async with bridge() as seen:
             seen.sail_from(START_NS)

@@ -7,7 +7,7 @@ import pytest
 from ship_monitor.page.themes import THEMES, Theme
 
 
-def test_every_colour_of_the_night_is_red_light() -> None:
+def test_night_colours_are_red_light() -> None:
     # Green and blue light bleach the eye's rhodopsin: of red, the hue of the night's text, they are a quarter at most.
     for colour in colours(THEMES["night"]):
         red, green, blue = (int(colour[start : start + 2], 16) for start in (1, 3, 5))
