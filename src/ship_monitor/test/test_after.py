@@ -1,4 +1,4 @@
-"""A bag looked at after the fact: which messages are given to the watch, and the picture of any time."""
+"""Playback of a bag: the messages that are read, and the state at any time."""
 
 import math
 
@@ -39,7 +39,7 @@ def pictures(suite):
 
 
 def whole(pictures):
-    """The picture once the ten minutes are heard."""
+    """Return the state after the ten minutes have been read."""
     picture = pictures.look()
     while not pictures.is_whole:
         picture = pictures.look()
@@ -47,7 +47,7 @@ def whole(pictures):
 
 
 def heard_at_once(suite, since_ns, until_ns):
-    """A watch that was given all of the stretch."""
+    """Return a monitor that has processed all messages between two times."""
     watch = Watch(Limits())
     for each in suite.messages(since_ns):
         if each.log_time_ns > until_ns:
@@ -140,7 +140,7 @@ class TestPictures:
         assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
 
     def test_first_state_has_safety_sources_and_alerts(self, suite, pictures):
-        """Only events and plots need more than the last minute."""
+        """The last minute is enough except for events and plots."""
         pictures.go_to(450.0)
         first, later = pictures.look(), whole(pictures)
         assert not math.isnan(first.angles[0].value)
@@ -163,7 +163,7 @@ class TestPictures:
         assert presence == {900.0: Presence.OUT, 300.0: Presence.IN, 880.0: Presence.OUT, 350.0: Presence.IN}
 
     def test_one_update_reads_the_minute_and_a_part_of_the_ten(self, suite, pictures, monkeypatch):
-        """Counted in messages, not in time: the part is over as soon as the clock says so."""
+        """The messages are counted; each update of the ten minutes ends at its deadline."""
         monkeypatch.setattr(recorded_pictures, "LOOK_S", 0.0)
         heard = []
         original = Watch.take
@@ -185,7 +185,7 @@ class TestPictures:
         assert seen == pytest.approx([START_NS + 100 * NS_PER_S], abs=0.1 * NS_PER_S)
 
     def test_alerts_and_states_older_than_ten_minutes_are_shown(self, tmp_path):
-        """The nominal value of an installation angle is what was told first, as whoever watched all the time saw it."""
+        """The nominal value of an installation angle is the first published one, as in live monitoring."""
 
         def alignment(stamp_ns, azimuth):
             return FACTORY.make(

@@ -1,4 +1,4 @@
-"""The page of a bag in a headless Chromium: slider, buttons and keys move the time of the picture."""
+"""Page of a bag in a headless Chromium: slider, buttons and keys set the displayed time."""
 
 import pytest
 
@@ -76,7 +76,7 @@ def test_slider_is_under_the_bar_in_the_colours_of_the_page(browser, bag, theme,
 def test_keys_move_the_time_and_play(browser, bag):
     with page_of(bag) as server:
         browser.open(server.address)
-        # The first texts are in the page itself; keys work once its models are there.
+        # The first texts are in the page itself; keys work after its models are loaded.
         browser.until(f"window.Bokeh && Bokeh.documents.length && {UTC} === '{AT_END}'")
         assert "OUT" in browser.text("#sources")
         press(browser, "ArrowLeft")

@@ -1,4 +1,4 @@
-"""Stacks of variances: which bands, where they are cut off, how the axis is labelled."""
+"""Stacked variances: choice of the bands, cut-off peaks, labels of the axis."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What lines keep of many points, where they are broken, and where labels stand."""
+"""Reduction of lines, gaps, and positions of labels."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +16,7 @@ SECOND_NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Sample:
-    """A value at a time."""
+    """A value with its time."""
 
     utc_ns: int
     value: float
@@ -152,7 +152,7 @@ def test_zoomed_time_axis_does_not_move() -> None:
 
 
 def drawn(trail: Trail, seconds: range) -> list[float]:
-    """The times that a trail has in the browsers after it has followed points, s."""
+    """Return the times of a line in the browsers after streaming points, s."""
     points = [Sample(second * SECOND_NS, 0.0) for second in seconds]
     trail.follow(points, lambda some: {"value": np.array([point.value for point in some])})
     data = trail.source.data
@@ -160,7 +160,7 @@ def drawn(trail: Trail, seconds: range) -> list[float]:
 
 
 def test_earlier_points_received_later_are_drawn() -> None:
-    """A bag's page shows the last minute first; then the ten minutes take its place, also of another time."""
+    """The page of a bag shows the last minute first; then the ten minutes replace it, also after a change of time."""
     trail = Trail(("value",), by="value")
     assert drawn(trail, range(540, 601)) == list(range(540, 600))
     assert drawn(trail, range(1, 601)) == list(range(1, 600))

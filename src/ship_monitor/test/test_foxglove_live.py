@@ -1,4 +1,4 @@
-"""A suite's topics at a client of Foxglove: from DDS to the websocket, with the bytes that were published."""
+"""A suite's topics at a Foxglove client: from DDS to the websocket, with unchanged bytes."""
 
 import contextlib
 import os
@@ -53,7 +53,7 @@ def watch(opened, server):
 
 @pytest.fixture
 def sail(opened):
-    """Puts a ship to sea."""
+    """Return a function that starts a ship."""
 
     def make(namespace="demo"):
         ship = PublishingShip(namespace)
@@ -74,20 +74,20 @@ def connect(opened, server):
 
 
 def subscribe(client, topic):
-    """Subscribe to a topic of the ship, once it is offered."""
+    """Subscribe to a topic of the ship after it has been offered."""
     client.until(lambda: f"/demo/{topic}" in client.channels)
     client.subscribe(f"/demo/{topic}")
 
 
 def hear(client, ship, topic, message):
-    """Subscribe to a topic of the ship, and publish a message until it comes: from then on all of them do."""
+    """Subscribe to a topic of the ship, and publish a message until it arrives: later ones then arrive too."""
     subscribe(client, topic)
     ship.say(topic, message)
     client.until(lambda: client.received or ship.say(topic, message))
 
 
 def decoded(client, received):
-    """What anybody makes of a message who knows nothing but what was advertised."""
+    """Return a message decoded with its advertised definition only."""
     channel = client.channels[received.topic]
     schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
     return DecoderFactory().decoder_for(channel["encoding"], schema)(received.data)
@@ -106,7 +106,7 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
     ship.say("ship/attitude", attitude(START_NS))
     hear(client, ship, "ship/attitude", attitude(START_NS))
     messages = list(hundred_attitudes())
-    # Published as bytes: of two serializations of one message the padding differs.
+    # Published as bytes: the padding of two serializations of one message differs.
     published, begin_ns = [serialize_message(message) for message in messages], time.time_ns()
     for data in published:
         ship.say("ship/attitude", data)
@@ -116,7 +116,7 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
     assert [each.data for each in received] == published
     times_ns = [each.log_time_ns for each in received]
     assert begin_ns <= times_ns[0] <= times_ns[-1] <= time.time_ns()
-    # Each as it came, not as it was fetched twenty times a second.
+    # Arrival times of the single messages, not of the fetches twenty times a second.
     assert len(set(times_ns)) == 100
     for each, message in zip(received, messages, strict=True):
         found = decoded(client, each)
@@ -138,7 +138,7 @@ def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     expected = {"/demo/ship/attitude", "/demo/ins/imu", "/demo/ship/error_budget"}
     client.until(lambda: expected <= set(client.channels))
     assert not any(topic.startswith("/voyage") for topic in client.channels)
-    # Nobody looks: nobody subscribes to what the page does not read.
+    # Without a client there is no subscription to topics that the page does not read.
     assert not server.wanted()
     assert ship.publishers["ins/imu"].get_subscription_count() == 0
     imu = Imu()
@@ -232,7 +232,7 @@ def test_page_does_not_depend_on_a_client(sail, connect, watch):
 
 @pytest.fixture
 def monitor(opened, tmp_path):
-    """The executable, and the address at which it serves Foxglove."""
+    """Return the executable, and its address for Foxglove."""
     command = [*executable("ship_monitor", "monitor"), "--namespace", "demo", "--port", "0", "--foxglove", "0"]
     process = opened.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
     deadline_s = time.monotonic() + 60.0
@@ -263,7 +263,7 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor)
     ship.say("told", message)
     hear(client, ship, "told", message)
     deaf = opened.enter_context(deaf_client(address, client.channels["/demo/told"]["id"]))
-    # More than the buffers of a connection take: what it does not read then waits in the server.
+    # More than the buffers of a connection: unread messages then wait in the server.
     client.received.clear()
 
     def has_come():

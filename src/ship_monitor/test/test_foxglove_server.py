@@ -1,4 +1,4 @@
-"""The server for Foxglove, asked by a client over a real websocket."""
+"""The Foxglove server with a client over a real websocket."""
 
 import socket
 import struct
@@ -170,7 +170,7 @@ def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, 
         payload = bytes(4000)
         before_mb, begin_s = resident_mb(), time.monotonic()
         for number in range(40):
-            # 160 MB for a client that takes nothing; of them at most 1024 messages wait, which are 4 MB.
+            # 160 MB for a client that reads nothing; at most 1024 messages of them, 4 MB, wait.
             for _ in range(1000):
                 server.pass_on("/demo/said", payload, number)
             good.listen(0.01)

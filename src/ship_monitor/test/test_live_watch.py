@@ -1,4 +1,4 @@
-"""A suite that is watched live: it comes, goes, comes again, and its time goes back."""
+"""Live monitoring of a suite: start, end, restart, and a step back in time."""
 
 import threading
 import time
@@ -43,7 +43,7 @@ def heading(watch):
 
 
 def sail(ship, watch, until, time_ns=START_NS):
-    """Publish attitudes until the watch shows one."""
+    """Publish attitudes until one is displayed."""
     times = iter(range(time_ns, time_ns + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def look():
@@ -86,7 +86,7 @@ def test_step_back_in_time_resets_the_state(watch, ship, until):
 def test_busy_display_causes_no_timeout(watch, ship, until):
     sail(ship, watch, until)
     stamp_ns = heading(watch).stamp_ns
-    # Two seconds in which nobody looks, while the ship goes on; an attitude is old after one.
+    # Two seconds without an update of the display while the ship publishes; an attitude is old after one.
     for number in range(1, 101):
         ship.say("ship/attitude", attitude(stamp_ns + number * NS_PER_S // 50))
         time.sleep(0.02)
@@ -131,7 +131,7 @@ def test_queue_depths(topic, type_name, count):
 
 
 def test_page_terminal_and_alerts_show_one_state(ship, until):
-    """An alert node with tight limits: viewers show its words, and their own when it has gone."""
+    """With an alert node with tight limits displays show its state, and their own after its end."""
     tight = Limits(heading_arcsec=0.2, tilt_arcsec=0.2, pointing_arcsec=0.2)
     context = Context()
     rclpy.init(context=context)
@@ -166,7 +166,7 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
 
 
 def test_invalid_state_is_dropped_and_later_messages_are_processed(watch, ship, until, caplog):
-    """A presence that does not exist: one line, no state of it, and the attitude goes on to be shown."""
+    """An unknown presence gives one warning and no published state; the attitude is still displayed."""
     wrong = SuiteState(sources=[SuiteSource(name="ins", presence=9)])
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
 

@@ -1,4 +1,4 @@
-"""What belongs to a marked source, by the names that a suite tells."""
+"""Assignment of published names to a marked source."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The executable ``monitor``: what it refuses in one line."""
+"""The executable ``monitor``: errors in one line."""
 
 import socket
 

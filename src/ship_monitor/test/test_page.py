@@ -1,4 +1,4 @@
-"""The page as a browser shows it: headless Chromium over hand-made pictures."""
+"""The page in a browser: headless Chromium with hand-made states."""
 
 import json
 from dataclasses import replace
@@ -113,7 +113,7 @@ def test_font_sizes_for_reading_at_a_distance(browser, source, page, selector, l
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_fallback_font_cuts_nothing_and_console_is_empty(source, page, size, tmp_path, monkeypatch):
-    """B612 may not be there: DejaVu, which is wider, then comes from the server, for the plots too."""
+    """Without B612 the server provides DejaVu, which is wider, also for the plots."""
     fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
     (tmp_path / "fonts.conf").write_text(
         f'<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd"><fontconfig><dir>{fonts}</dir>'
@@ -185,13 +185,13 @@ def test_lost_link_makes_every_value_old(browser, source, page):
 def test_lost_link_is_reported_within_two_seconds(browser, page):
     browser.open(page)
     browser.until(LIVE)
-    # By the page's own clock and its own timers, whose limit is the browser's to keep: no time of this test enters.
+    # Measured by the clock and the timers of the page, not by times of this test.
     limits = browser.evaluate("[monitor.limits.linkLostMs, monitor.limits.lookMs]")
     assert sum(limits) <= 2000
 
 
 def test_busy_page_does_not_report_a_lost_link(browser, page):
-    """The news that came meanwhile waits to be read: opening the plots keeps a page busy."""
+    """Opening the plots keeps a page busy: texts received meanwhile are read later."""
     browser.open(page)
     browser.until(LIVE)
     browser.evaluate(
@@ -390,7 +390,7 @@ def test_waiting_page_names_output_and_location(browser, source, page):
 def test_first_paint_does_not_wait_for_bokeh(browser, page):
     browser.open(page)
     browser.until(LIVE)
-    # Of one timeline, the browser's: what a loaded machine delays, it delays in both.
+    # Both times are from the browser's timeline, so that a loaded computer delays both.
     painted, loaded = browser.evaluate(
         "[performance.getEntriesByName('first-contentful-paint')[0].startTime,"
         " performance.getEntriesByType('resource').find((each) => each.name.includes('bokeh')).responseEnd]"
@@ -479,7 +479,7 @@ def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source,
     source.set(watched_picture(), watched_history())
     browser.open(page, 1280, 1600)
     browser.until("monitor.isLinked()")
-    # The plots that the document has at each text: texts between them keep the link while plots are made.
+    # Number of plots in the document at each text: texts in between keep the link while plots are made.
     browser.evaluate(
         "window.plots = []; const show = monitor.show; monitor.show = (model) => {"
         " plots.push([...Bokeh.documents[0]._all_models.values()].filter((each) => each.type === 'Figure').length);"
@@ -497,7 +497,7 @@ def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source,
 
 
 def counted(browser, each):
-    """Wait until so many of each kind are marked."""
+    """Wait until the given numbers of each kind are marked."""
     browser.until(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
 
 
@@ -573,7 +573,7 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
     browser.evaluate("scrollTo(0, 0)")
 
     def rests():
-        """Whether nothing was drawn while the time of the page went on."""
+        """True if nothing was drawn while the time of the page advanced."""
         drawn.clear()
         clock = browser.text("#utc")
         browser.until(f"document.querySelector('#utc').textContent > '{clock}'")

@@ -1,4 +1,4 @@
-"""What the panels say, from drawn minutes in which a star sensor is knocked."""
+"""Content of the panels for simulated minutes with a shifted star sensor."""
 
 from collections import deque
 from dataclasses import replace
@@ -165,7 +165,7 @@ def test_only_new_points_are_streamed(panels) -> None:
 
 
 def test_few_messages_are_sent_to_a_browser_per_second(panels) -> None:
-    # Each is packed and sent by itself: three browsers with forty each are a tenth of a core.
+    # Each message is packed and sent separately: forty each for three browsers take a tenth of a core.
     history = watched_history()
     document = Document()
     document.add_root(panels.layout)
@@ -177,13 +177,13 @@ def test_few_messages_are_sent_to_a_browser_per_second(panels) -> None:
         for points in (*history.innovations.values(), *history.errors.values(), *history.budgets.values()):
             points.append(replace(points[-1], utc_ns=points[-1].utc_ns + 10**9))
         panels.update(history, replace(PICTURE, utc_ns=NOW_NS + second * 10**9))
-    # Two lines of each of three sources, five errors and the budget are streamed, the time goes on, a shade grows, and
-    # what stands beside a plot changes where it does.
+    # Two lines of each of three sources, five errors and the budget are streamed; the time axis moves, a shade grows,
+    # and changed labels are sent.
     assert len(sent) <= 10 * (2 * 3 + 5 + 1 + 2 + 1 + 6)
 
 
 def test_new_points_do_not_recompute_the_document_models(panels, monkeypatch) -> None:
-    # Bokeh looks through all models where one comes or goes, which takes 50 ms and more for each browser.
+    # Bokeh recomputes all models if one is added or removed, which takes 50 ms or more for each browser.
     history = watched_history()
     panels.update(history, PICTURE)
     document = Document()

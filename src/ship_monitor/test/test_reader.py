@@ -1,4 +1,4 @@
-"""The reader of topics against publishers of its own domain."""
+"""The topic reader with publishers in its own domain."""
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -38,7 +38,7 @@ def reader():
 
 
 def drained(reader, until, topic, count=1):
-    """Messages of a topic once there are so many."""
+    """Return the messages of a topic after ``count`` of them have been fetched."""
     found = []
 
     def look():
@@ -50,7 +50,7 @@ def drained(reader, until, topic, count=1):
 
 
 def publish_until_taken(ship, reader, until, message):
-    """Publish an attitude until the reader takes it: what is published before both sides have matched is lost."""
+    """Publish an attitude until the reader fetches it: messages before the discovery of both sides are lost."""
 
     def look():
         ship.say("ship/attitude", message)
@@ -159,7 +159,7 @@ def clock_at(time_s):
 
 
 def test_clock_in_the_namespace_is_used(ship, reader, until):
-    """As where `suite --bag --namespace` plays: each suite has the clock of its own bag."""
+    """With `suite --bag --namespace` each suite has the clock of its own bag."""
     ship.say("ship/innovation", Innovation())
     ship.say("clock", clock_at(100))
     ship.heard(until, reader.take, "clock", "ship/innovation")
@@ -174,7 +174,7 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
     ship.heard(until, reader.take, "/clock")
     ship.say("/clock", clock_at(900))
     until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
-    # Its own is earlier, which is no jump; and then the others' bag starts over.
+    # Its own clock is earlier, which is no step back; then the other bag restarts.
     ship.say("clock", clock_at(100))
     looks = []
 
@@ -191,7 +191,7 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
         hear("/clock", 5)()
     until(hear("clock", 101))
     assert not any(taken.is_anew for taken in looks)
-    # When its own has gone, the global one is its clock again.
+    # After its own clock has ended, the global one is used again.
     ship.node.destroy_publisher(ship.publishers.pop("clock"))
     until(hear("/clock", 6))
 

@@ -1,4 +1,4 @@
-"""The page's server without a browser: what it serves, and whom it refuses."""
+"""The page's server without a browser: served content and refused requests."""
 
 import asyncio
 import http.client
@@ -24,7 +24,7 @@ def page():
 
 
 def get(page, path, host=None, origin=None, upgrade=False):
-    """Return status and text; of an accepted websocket, no text, after the server has closed it."""
+    """Return status and text of an answer; for an accepted websocket no text, after the server has closed it."""
     place = page.address.removeprefix("http://").rstrip("/")
     connection = http.client.HTTPConnection(place, timeout=20)
     headers = {"Host": host or place} | ({"Origin": origin} if origin else {})
@@ -95,13 +95,13 @@ def test_other_sites_are_refused_and_ssh_tunnels_are_not(page):
     assert get(page, "/ws", origin="http://localhost:1", upgrade=True)[0] == 403
     assert get(page, "/", host="evil.example")[0] == 403
     assert get(page, "/", host="localhost:8080")[0] == 200
-    # Without a session's token Bokeh accepts the socket and closes it then.
+    # Without a session's token Bokeh accepts the socket, then closes it.
     assert get(page, "/ws", origin=f"http://{place}", upgrade=True)[0] == 101
     assert get(page, "/ws", host="localhost:8080", origin="http://localhost:8080", upgrade=True)[0] == 101
 
 
 async def leave_early(page):
-    """Open a page and leave messages behind on a connection whose end the server has noticed by a ping."""
+    """Open a page and leave messages on a connection whose end the server has detected by a ping."""
     loop = asyncio.get_running_loop()
     text = (await loop.run_in_executor(None, get, page, "/"))[1]
     token = re.search(r'"token":"([^"]+)"', text)[1]

@@ -1,4 +1,4 @@
-"""What is sent to the page's server beyond its bounds: it is refused in one line, and the page goes on."""
+"""Requests beyond the bounds of the page's server: refused with one line, without effect on the page."""
 
 import gc
 import http.client
@@ -15,7 +15,7 @@ from ship_testing.page_runs import served
 
 
 class Lines(logging.Handler):
-    """Lines of the log, each with what would follow it as a traceback."""
+    """Lines of the log, each with its traceback."""
 
     def __init__(self):
         super().__init__()
@@ -55,7 +55,7 @@ def status(page, path="/health"):
 
 
 def ends(connection):
-    """True once the server has closed a connection."""
+    """True if the server has closed a connection."""
     try:
         while connection.recv(65536):
             pass
@@ -124,6 +124,6 @@ def test_too_many_pages_are_refused_until_others_are_closed(page, lines):
     assert status(page, "/autoload.js?bokeh-autoload-element=1") == 503
     until(lambda: len(lines.texts) == 1)
     assert status(page) == 200
-    # Bokeh looks through the heap for each page that was left: what was there before does not count.
+    # Bokeh collects garbage after each closed page; objects from before are excluded.
     assert gc.get_freeze_count() > 0
     until(lambda: status(page, "/") == 200)

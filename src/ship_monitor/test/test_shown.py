@@ -1,4 +1,4 @@
-"""What the page is told to write, from hand-made pictures."""
+"""Content of the page's first screen, for hand-made states."""
 
 import json
 import math
@@ -188,7 +188,7 @@ def test_sources_not_configured_come_last_uncounted():
 
 
 def ribbon(words, start_s=0, name="heading"):
-    """Stretches of words of single seconds; a None is a second that is told without word, "-" one that is not told."""
+    """Return the intervals for single seconds: None is a second without safety, "-" a second without a point."""
     first_ns = pictures.NOW_NS - 599 * pictures.NS
     points = deque(
         SafetyPoint(first_ns + (start_s + second) * pictures.NS, {name: word})

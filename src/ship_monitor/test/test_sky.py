@@ -1,4 +1,4 @@
-"""Places on the map of the sky, and the Moon against an eclipse and against ERFA by another way."""
+"""Positions on the sky map, and the Moon against an eclipse and against another method of ERFA."""
 
 import erfa
 import numpy as np
@@ -9,10 +9,10 @@ from ship_geometry.time_scales import julian_date, tt_julian_date
 from ship_monitor.page.sky import moon_direction, on_map
 
 ECLIPSE_NS = 1_503_339_931_800_000_000
-"""Greatest eclipse of 2017-08-21, 18:25:31.8 UTC."""
+"""Time of the greatest eclipse of 2017-08-21, 18:25:31.8 UTC."""
 
 ECLIPSE_PLACE = np.deg2rad([36.0 + 58.0 / 60.0, -(87.0 + 40.3 / 60.0)])
-"""Where it was greatest, in Kentucky: NASA/TP-2015 and the eclipse bulletin of F. Espenak."""
+"""Place of the greatest eclipse, in Kentucky: NASA/TP-2015 and the eclipse bulletin of F. Espenak."""
 
 
 @pytest.mark.parametrize(

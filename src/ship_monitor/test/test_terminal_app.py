@@ -1,4 +1,4 @@
-"""The keys of the terminal view, by textual's own pilot."""
+"""Keys of the terminal view, with textual's pilot."""
 
 import asyncio
 import dataclasses
@@ -13,7 +13,7 @@ from ship_testing.pictures import KNOCKED_ALERT, knocked
 
 
 class Suite:
-    """A suite of one picture, which notes what is asked of it."""
+    """A suite with one state, which records its calls."""
 
     label, name, place = "LIVE", "demo", "namespace /demo, domain 7"
 
@@ -38,7 +38,7 @@ def rows(app):
 
 
 def run(use, size=(80, 24)):
-    """Runs an app without a terminal; `use` presses keys."""
+    """Run an app without a terminal; `use` presses keys."""
 
     async def session():
         suite = Suite()

@@ -21,10 +21,10 @@ COMMAND = "import sys; from ship_monitor.commands.monitor_terminal import main; 
 
 
 class Terminal:
-    """A terminal of 80 by 24 with the view in it."""
+    """A terminal of 80 by 24 with the view."""
 
     def __init__(self, *arguments, language="C.UTF-8"):
-        # A socket of its own: the server of the terminal before may still be ending.
+        # Its own socket: the server of the previous terminal may still be ending.
         self._tmux = ["tmux", "-L", f"ship_monitor_{os.getpid()}_{id(self)}", "-f", os.devnull]
         view = f'{sys.executable} -c "{COMMAND}" {" ".join(arguments)}; echo EXIT CODE $?; exec sleep 60'
         self._call("new-session", "-d", "-x", "80", "-y", "24", f"LANG={language} LC_ALL={language} {view}")

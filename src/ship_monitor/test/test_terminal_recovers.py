@@ -1,4 +1,4 @@
-"""The terminal view of a live suite: a bag that starts over, and a machine that has slept."""
+"""The terminal view of a live suite: restart of a bag, and sleep of the computer."""
 
 import asyncio
 import contextlib
@@ -24,7 +24,7 @@ HOUR_NS = 3600 * NS_PER_S
 
 
 class Bridge:
-    """A ship that publishes, and the terminal view of it."""
+    """A ship that publishes, with its terminal view."""
 
     def __init__(self, app, pilot, ship):
         self.app, self.pilot, self.ship = app, pilot, ship
@@ -43,7 +43,7 @@ class Bridge:
         return next(row for row in self.rows() if row.startswith(" HEADING"))
 
     async def until(self, look):
-        """Go on until the view shows something."""
+        """Continue until the view meets a condition."""
         deadline_s = time.monotonic() + LIMIT_S
         while not look():
             assert time.monotonic() < deadline_s, "\n".join(self.rows())
@@ -69,7 +69,7 @@ async def bridge():
 
 @pytest.fixture
 def sleep(monkeypatch):
-    """The machine sleeps for a time: of all its clocks only that of CLOCK_BOOTTIME has gone on."""
+    """Simulate a sleep of the computer: only CLOCK_BOOTTIME advances."""
 
     def fall_asleep(duration_ns):
         told_ns = time.clock_gettime_ns

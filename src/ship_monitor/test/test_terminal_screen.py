@@ -1,4 +1,4 @@
-"""What a watch officer reads over ssh: pictures as lines, without textual."""
+"""Lines of the terminal view for hand-made states, without textual."""
 
 import dataclasses
 import math
@@ -31,7 +31,7 @@ def row_of(lines, start):
 
 
 def cells(text):
-    """Cells of a text as Unicode says (East Asian Width), not as the library that drew it."""
+    """Return the cells of a text by Unicode (East Asian Width), independent of the drawing library."""
     return sum(2 if unicodedata.east_asian_width(char) in "WF" else 1 for char in text)
 
 
@@ -82,7 +82,7 @@ def test_old_value_is_struck_through_with_its_age():
 
 
 def test_details_and_help_show_the_safety_of_all_angles():
-    """Whatever page is open: the word for the suite in the first row, those of the angles in the second."""
+    """On any page the first row has the safety of the suite, the second that of the angles."""
     shown = knocked()
     for chosen in ("heading", "star.starboard", ""):
         lines = details(shown, shown.alerts, dataclasses.replace(VIEW, chosen=chosen))
@@ -94,7 +94,7 @@ def test_details_and_help_show_the_safety_of_all_angles():
 
 
 def test_nothing_looks_good_without_outputs():
-    """The suite has ended: no tick, no count, and ages struck through; what was OUT before stays OUT."""
+    """After the end of the suite: no ticks, no counts, ages struck through; sources that were OUT stay OUT."""
     angles = tuple(silent(*ANGLES, age_s=19.0))
     shown = knocked(angles=angles)
     lines = drawn(shown)
@@ -109,7 +109,7 @@ def test_nothing_looks_good_without_outputs():
 
 
 def test_consequence_is_indented_below_its_cause():
-    """Lights need the ship's attitude, which is late: cause first, consequence below, the cause named once."""
+    """Lights need the ship's attitude, which is late: the consequence is below its cause, which is named once."""
     late = out("ship_attitude", "81 rejected in a row: late")
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
     rows = texts(knocked(sources=(late, lights, source("ins"))))[12:15]
@@ -123,7 +123,7 @@ def test_local_time_is_shown_with_utc():
 
 
 def test_each_alert_has_its_advice():
-    """The list of alerts shows the advice below each."""
+    """The list of alerts has the advice below each alert."""
     shown = knocked()
     lines = [plain_text(line).strip() for line in details(shown, (KNOCKED_ALERT,), VIEW)]
     assert f"to do: {KNOCKED_ALERT.advice}" in " ".join(lines)
