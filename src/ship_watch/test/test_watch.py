@@ -140,9 +140,7 @@ def test_old_output_recovers_after_five_seconds() -> None:
         (8.0, 11, []),
     ],
 )
-def test_brief_excess_of_a_limit_is_displayed_and_no_alert(
-    seconds: float, every: int, alerts: list[str]
-) -> None:
+def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every: int, alerts: list[str]) -> None:
     """The safety follows at once; an alert needs five seconds over the limit, short dips below it included."""
     watch, book, shown = Watch(), AlertBook(Limits().alerts), set()
     for tenth in range(300):

@@ -57,9 +57,7 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
-    parser.add_argument(
-        "--bag", type=Path, metavar="BAG", help="show a bag or black box, with a time slider"
-    )
+    parser.add_argument("--bag", type=Path, metavar="BAG", help="show a bag or black box, with a time slider")
     add_remap(parser, is_by_suite=True)
     parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
     parser.add_argument(
