@@ -168,8 +168,8 @@ def _source_branch(path: str, function: FunctionShown, source: SourceShown) -> B
 def _line(function: FunctionShown) -> str:
     if function.safety is None:
         return "not in use: only a pointing was received, no attitude"
-    accuracy = f"{function.accuracy_arcsec:.1f}″" if math.isfinite(function.accuracy_arcsec) else "no accuracy"
-    known = "never received" if math.isinf(function.angle.age_s) else f"{accuracy} of {function.limit_arcsec:g}″ (95 %)"
+    accuracy = f"{function.accuracy_arcsec:.1f}″ (95 %)" if math.isfinite(function.accuracy_arcsec) else "no accuracy"
+    known = "never received" if math.isinf(function.angle.age_s) else f"{accuracy}, limit {function.limit_arcsec:g}″"
     if function.safety is Safety.SAFE:
         return f"safe: {known}"
     because = f"because of {function.because_of}" if function.because_of else ""

@@ -120,7 +120,7 @@ def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
     reason = "within 3″ again; SAFE in 4 s"
     well_again = replace(over("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
     branches = {branch.path: (branch.level, branch.text) for branch in tree(picture(well_again), PICTURED)}
-    assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ of 3″ (95 %)")
+    assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ (95 %), limit 3″")
 
 
 def test_alert_uses_the_safety_without_hold() -> None:
@@ -242,11 +242,11 @@ def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
     angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
     shown = picture(out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in tree(shown, PICTURED)}
-    assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy of 5″ (95 %)")
+    assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy, limit 5″")
     assert branches["heading within 5″/ins"] == (2, "out: 81 rejected in a row, up +100″, therefore heading lost")
-    assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ of 3″ (95 %)")
+    assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ (95 %), limit 3″")
     assert branches["tilt within 3″/star.fore"] == (0, "in")
-    assert branches["pointing within 10″"] == (0, "safe: 5.3″ of 10″ (95 %)")
+    assert branches["pointing within 10″"] == (0, "safe: 5.3″ (95 %), limit 10″")
     assert branches["pointing within 10″/ins"][0] == 1
     assert "heading within 5″/lights" not in branches
     off = picture(source("gnss", presence=Presence.OFF))
