@@ -129,7 +129,7 @@ class Page:
         return json.dumps(told, allow_nan=False)
 
     def _choose(self, _name: str, _old: Any, chosen: dict[str, list[Any]]) -> None:
-        """Apply the choices of the user; see ``tell`` in the page's script."""
+        """Apply the choices of the user, sent by the page's script."""
         choice = {name: values[0] for name, values in chosen.items()}
         self._is_paused = bool(choice["paused"])
         self._angle = choice["angle"] if choice["angle"] in ANGLES else self._angle
