@@ -27,11 +27,11 @@ ALERTS_LATER_S = 1.0
 # What is written of each fault.
 TEXTS = {
     "star.starboard": r"star\.starboard OUT, excluded, right \+4\d″",
-    "ins": r"ins OUT, 5 refused in a row",
-    "star.fore": r"star\.fore OUT, silent",
-    "baselines": r"baselines OUT, a 5 refused in a row: not fixed",
+    "ins": r"ins OUT, 5 rejected in a row",
+    "star.fore": r"star\.fore OUT, no data",
+    "baselines": r"baselines OUT, a 5 rejected in a row: not fixed",
     "lights": r"lights IN, names exchanged",
-    "encoder": r"encoder OUT, silent",
+    "encoder": r"encoder OUT, no data",
 }
 # Until when each source was out because of its fault; the INS is believed again with its new bias, and the knock of a
 # sensor that ended is still held against it. A source that is back is told so when it was used often enough.

@@ -65,18 +65,18 @@ def test_a_knocked_star_sensor_is_out_and_its_direction_is_told(one_by_one: Watc
 @pytest.mark.slow
 def test_an_ins_that_steps_is_out_and_comes_back(one_by_one: Watched) -> None:
     assert 55.0 < one_by_one.out["ins"][0] <= 57.0
-    assert one_by_one.seen["ins"][0].reason == "5 refused in a row"
+    assert one_by_one.seen["ins"][0].reason == "5 rejected in a row"
     assert one_by_one.back["ins"] == [pytest.approx(57.1, abs=1.1)]
     assert len(one_by_one.out["ins"]) == 1
     words = [text for time_s, text in one_by_one.events("state") if 55.0 < time_s < 55.3]
-    assert "heading CAUTION → UNSAFE, ins refused" in words
+    assert "heading CAUTION → UNSAFE, ins rejected" in words
 
 
 def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(one_by_one: Watched) -> None:
     clouds, silent = one_by_one.out["star.fore"]
     assert CLOUDS[0] < clouds < CLOUDS[1]
     assert 101.9 <= silent <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
-    assert one_by_one.seen["star.fore"][1].reason == "silent"
+    assert one_by_one.seen["star.fore"][1].reason == "no data"
     assert one_by_one.back["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
 
 
@@ -105,8 +105,8 @@ def test_what_only_makes_it_worse_is_not_blamed_for_an_output_that_is_gone(tmp_p
     )
     seen = watched(replayed(tmp_path, "theodolite", faults)[1])
     azimuth = {second: next(a for a in seen.at_s[second].angles if a.name == "azimuth") for second in (18.0, 23.0)}
-    assert (azimuth[18.0].safety, azimuth[18.0].reason) == (Safety.CAUTION, "baselines a refused: not fixed")
-    assert (azimuth[23.0].safety, azimuth[23.0].reason) == (Safety.UNSAFE, "encoder silent")
+    assert (azimuth[18.0].safety, azimuth[18.0].reason) == (Safety.CAUTION, "baselines a rejected: not fixed")
+    assert (azimuth[23.0].safety, azimuth[23.0].reason) == (Safety.UNSAFE, "encoder no data")
     became = [text for time_s, text in seen.events("state") if 20.0 < time_s < 22.0 and "azimuth" in text]
     assert len(became) == 1
     assert "baselines" not in became[0]
@@ -115,7 +115,7 @@ def test_what_only_makes_it_worse_is_not_blamed_for_an_output_that_is_gone(tmp_p
 @pytest.mark.slow
 def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: Watched) -> None:
     assert 10.0 < theodolite.out["baselines"][0] <= 12.0
-    assert theodolite.seen["baselines"][0].reason == "a 5 refused in a row: not fixed"
+    assert theodolite.seen["baselines"][0].reason == "a 5 rejected in a row: not fixed"
     assert theodolite.seen["lights"][0].because_of == "baselines"
     assert theodolite.back["baselines"][0] == pytest.approx(17.5, abs=1.0)
     assert [name for time_s, name in theodolite.guilty if time_s < 40.0] == ["baselines"]

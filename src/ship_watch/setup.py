@@ -17,6 +17,6 @@ setup(
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
-    description="What the suite's outputs say to who watches them: states, sources, verdicts, events, alerts.",
+    description="State of a suite from its outputs: safety of angles, sources, NIS consistency, events, alerts.",
     license="Apache-2.0",
 )

@@ -73,7 +73,7 @@ def never_heard(*names: str) -> list[AngleShown]:
     return [angle(name, age_s=math.inf, is_old=True, **changes) for name in names]
 
 
-def silent(*names: str, age_s: float = 7.0, reason: str = "silent") -> list[AngleShown]:
+def silent(*names: str, age_s: float = 7.0, reason: str = "no data") -> list[AngleShown]:
     """Angles that were not told for some seconds."""
     return [angle(name, safety=Safety.UNSAFE, reason=reason, age_s=age_s, is_old=True) for name in names]
 
@@ -154,7 +154,7 @@ def picture(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
 
 KNOCKED = out(
     "star.starboard",
-    "81 refused in a row",
+    "81 rejected in a row",
     disagreement="right +49″",
     residual=8.1,
     refused=81,
@@ -169,7 +169,7 @@ KNOCKED_INPUT = InputShown(KNOCKED.topics[0], 2.0, 0.1, 0.6, 1, 81, {"gate": 9, 
 
 def knocked(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
     """A knocked star sensor: the first fault of the design of the page and of the terminal."""
-    told = "WARNING star.starboard out: 5 refused in a row, residual 8.1 σ"
+    told = "WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ"
     well = {
         "alerts": (KNOCKED_ALERT,),
         "inputs": (KNOCKED_INPUT,),
@@ -185,9 +185,9 @@ def knocked(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
 
 def faulty() -> Picture:
     """And an encoder that has been silent for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
-    angles = silent("azimuth", "elevation", age_s=12.0, reason="encoder silent since 11:59:55")
-    encoder = out("encoder", "silent", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
-    lost_pointing = alert("pointing", "pointing lost, encoder silent", NOW_NS - 10 * NS)
+    angles = silent("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
+    encoder = out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
+    lost_pointing = alert("pointing", "pointing lost, encoder no data", NOW_NS - 10 * NS)
     return knocked(*angles, encoder, alerts=(lost_pointing, KNOCKED_ALERT), pointing_by="no pointing")
 
 

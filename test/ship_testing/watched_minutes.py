@@ -74,7 +74,7 @@ def watched_picture(now_ns: int = NOW_NS) -> Picture:
     inputs[-1] = replace(inputs[-1], refused_60s=81, reasons={"gate": 9, "attitude_conflict": 72, "too_few_stars": 56})
     events = (
         Event(now_ns - 36 * _SECOND, "state", "roll", "roll SAFE → CAUTION, over the limit"),
-        Event(now_ns - 38 * _SECOND, "alert", "source", "WARNING star.starboard out: 5 refused in a row <8.1 σ>"),
+        Event(now_ns - 38 * _SECOND, "alert", "source", "WARNING star.starboard out: 5 rejected in a row <8.1 σ>"),
         Event(now_ns - 190 * _SECOND, "mode", "pointing", "ONE_LIGHT → TWO_LIGHTS"),
     )
     return knocked(

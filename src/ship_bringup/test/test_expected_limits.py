@@ -29,7 +29,7 @@ def test_availability_stands_beside_each_limit_and_nothing_starts(capsys: pytest
     assert "Nothing is adopted" in text
     assert {name: row[1:2] + row[3:4] for name, row in rows.items()} == {"heading": (6.0, 5.0), "tilt": (4.0, 4.0)}
     assert all(share >= 95.0 for row in rows.values() for share in (row[2], row[4]))
-    assert "tilt: not SAFE for 25 % of the time with any limit, 20 % by: star.fore silent." in text
+    assert "tilt: not SAFE for 25 % of the time with any limit, 20 % by: star.fore no data." in text
 
 
 def test_the_lines_to_write_are_a_file_of_limits_that_is_held(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What people look at while a suite runs, or after: the live page, the terminal view, the node of the alerts.
+"""Displays of a suite, live or recorded: page and terminal view; and the alert node.
 
-What is shown is decided in :mod:`ship_watch`; here it is read from topics or bags, and drawn.
+The state of the suite is computed in :mod:`ship_watch`; this package reads topics or bags and draws the state.
 """

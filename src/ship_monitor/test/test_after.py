@@ -1,4 +1,4 @@
-"""A bag looked at after the fact: which messages are given to the watch, and the picture of any time."""
+"""Playback of a bag: the messages that are read, and the state at any time."""
 
 import math
 
@@ -39,7 +39,7 @@ def pictures(suite):
 
 
 def whole(pictures):
-    """The picture once the ten minutes are heard."""
+    """Return the state after the ten minutes have been read."""
     picture = pictures.look()
     while not pictures.is_whole:
         picture = pictures.look()
@@ -47,7 +47,7 @@ def whole(pictures):
 
 
 def heard_at_once(suite, since_ns, until_ns):
-    """A watch that was given all of the stretch."""
+    """Return a monitor that has processed all messages between two times."""
     watch = Watch(Limits())
     for each in suite.messages(since_ns):
         if each.log_time_ns > until_ns:
@@ -63,7 +63,7 @@ def slide(pictures, at_s):
 
 
 class TestWhatIsRead:
-    def test_every_message_that_counts_and_ten_a_second_of_the_others(self, bag, suite):
+    def test_needed_messages_are_read_and_ten_a_second_of_the_others(self, bag, suite):
         found = list(suite.messages(0))
         with read_bag(bag) as whole_bag:
             records = list(whole_bag.records())
@@ -72,7 +72,7 @@ class TestWhatIsRead:
         steps = {record.log_time_ns // THINNED_NS for record in records if record.topic == "ship/attitude"}
         assert sorted(time_ns // THINNED_NS for time_ns in attitudes) == sorted(steps)
 
-    def test_the_alerts_that_stood_are_told_first(self, suite):
+    def test_valid_alerts_come_first(self, suite):
         since_ns = START_NS + 400 * NS_PER_S
         first, second = [message for message, _ in zip(suite.messages(since_ns), range(2), strict=False)]
         assert (first.topic, first.log_time_ns, first.message.alerts[0].id) == ("ship/alerts", since_ns, "star.bow.out")
@@ -80,34 +80,34 @@ class TestWhatIsRead:
         assert "ship/alerts" not in {each.topic for each in suite.messages(since_ns)} - {first.topic}
 
     @pytest.mark.parametrize("prefix", ["/", "/aurora/", "a/b/"])
-    def test_the_only_namespace_is_found(self, tmp_path, prefix):
+    def test_single_namespace_is_found(self, tmp_path, prefix):
         suite = RecordedSuite(write_suite(tmp_path / "bag.mcap", 5, prefix))
         assert {each.topic for each in suite.messages(0)} == {"ship/attitude", "ship/innovation"}
         assert [each.topic for each in RecordedSuite(suite.path, prefix).messages(0)] == [
             each.topic for each in suite.messages(0)
         ]
 
-    def test_of_two_suites_one_must_be_named(self, tmp_path):
+    def test_one_of_several_suites_must_be_selected(self, tmp_path):
         path = tmp_path / "bag.mcap"
         with BagWriter(path) as writer:
             for name in ("/a/ship/attitude", "/b/ship/attitude"):
                 writer.write(name, ship_attitude(START_NS), START_NS)
-        with pytest.raises(BadInput, match=r"suites in /a, /b: name one with --namespace") as problem:
+        with pytest.raises(BadInput, match=r"suites in /a, /b: select one with --namespace") as problem:
             RecordedSuite(path)
         assert "\n" not in str(problem.value)
         assert len(list(RecordedSuite(path, "b").messages(0))) == 1
         with pytest.raises(BadInput, match="no topic in the namespace /c"):
             RecordedSuite(path, "/c/")
 
-    def test_what_is_missing_is_told_in_one_line(self, tmp_path, suite):
-        assert suite.notes == ("night.mcap holds no truth: innovations are shown, errors are not",)
+    def test_missing_data_are_reported_in_one_line(self, tmp_path, suite):
+        assert suite.notes == ("night.mcap contains no truth: innovations are shown, errors are not",)
         inputs = RecordedSuite(write_imu_bag(tmp_path / "inputs.mcap", 10))
         (note,) = inputs.notes
-        assert note.startswith("inputs.mcap holds no ship/attitude and no theodolite/pointing, only inputs:")
+        assert note.startswith("inputs.mcap contains no ship/attitude and no theodolite/pointing, only inputs:")
         assert RecordedPictures(inputs, Limits()).place == note
         assert RecordedSuite(write_suite(tmp_path / "simulated.mcap", 2, truth=True)).notes == ()
 
-    def test_simulated_is_what_holds_the_truth_or_a_scenario(self, tmp_path, suite):
+    def test_truth_or_scenario_means_simulated(self, tmp_path, suite):
         assert RecordedPictures(suite, Limits()).label == "BAG"
         with_truth = RecordedSuite(write_suite(tmp_path / "truth.mcap", 2, truth=True))
         with_scenario = RecordedSuite(
@@ -116,20 +116,20 @@ class TestWhatIsRead:
         labels = [RecordedPictures(each, Limits()).label for each in (with_truth, with_scenario)]
         assert labels == ["SIMULATED · bag"] * 2
 
-    def test_a_message_that_is_damaged_is_left_out_and_told_once(self, tmp_path, capsys):
+    def test_damaged_messages_are_skipped_with_one_line(self, tmp_path, capsys):
         path = write_suite(tmp_path / "bag.mcap", 3)
         suite = RecordedSuite(path)
         record = next(iter(suite._bag.records({"ship/attitude"})))
         record.data = record.data[:20]
         suite._bag.records = lambda *_: iter([record] * 3)
         assert list(suite.messages(0)) == []
-        assert capsys.readouterr().err.count("left out: topic 'ship/attitude'") == 1
+        assert capsys.readouterr().err.count("message skipped: topic 'ship/attitude'") == 1
 
 
 class TestPictures:
     @pytest.mark.slow
     @pytest.mark.parametrize("at_s", [0.0, 10.0, 250.0, 599.0, 700.3, 900.0])
-    def test_a_time_is_shown_as_who_had_heard_the_ten_minutes_before_saw_it(self, suite, pictures, at_s):
+    def test_state_at_a_time_equals_that_after_ten_minutes(self, suite, pictures, at_s):
         pictures.go_to(at_s)
         shown = whole(pictures)
         time_ns = min(START_NS + round(at_s * NS_PER_S), suite.end_ns)
@@ -139,8 +139,8 @@ class TestPictures:
         heading = next(angle for angle in shown.angles if angle.name == "heading")
         assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
 
-    def test_the_first_look_already_has_words_sources_and_alerts(self, suite, pictures):
-        """Only events and plots need more than the last minute."""
+    def test_first_state_has_safety_sources_and_alerts(self, suite, pictures):
+        """The last minute is enough except for events and plots."""
         pictures.go_to(450.0)
         first, later = pictures.look(), whole(pictures)
         assert not math.isnan(first.angles[0].value)
@@ -154,7 +154,7 @@ class TestPictures:
         assert first.alerts == later.alerts
 
     @pytest.mark.slow
-    def test_from_the_end_to_the_start_and_on(self, pictures):
+    def test_moving_from_the_end_to_the_start_and_forward(self, pictures):
         presence = {}
         for at_s in (900.0, 300.0, 880.0, 350.0):
             pictures.go_to(at_s)
@@ -162,8 +162,8 @@ class TestPictures:
             presence[at_s] = star.presence
         assert presence == {900.0: Presence.OUT, 300.0: Presence.IN, 880.0: Presence.OUT, 350.0: Presence.IN}
 
-    def test_a_look_hears_no_more_than_the_minute_and_a_part_of_the_ten(self, suite, pictures, monkeypatch):
-        """Counted in messages, not in time: the part is over as soon as the clock says so."""
+    def test_one_update_reads_the_minute_and_a_part_of_the_ten(self, suite, pictures, monkeypatch):
+        """The messages are counted; each update of the ten minutes ends at its deadline."""
         monkeypatch.setattr(recorded_pictures, "LOOK_S", 0.0)
         heard = []
         original = Watch.take
@@ -178,14 +178,14 @@ class TestPictures:
         pictures.look()
         assert len(heard) <= at_first + 1  # one message of the ten minutes
 
-    def test_who_chooses_a_time_sees_it_without_waiting_for_the_next_look(self, pictures):
+    def test_chosen_time_is_displayed_at_once(self, pictures):
         seen = []
         pictures.controls(lambda: seen.append(pictures.look().utc_ns))
         slide(pictures, 100.0)
         assert seen == pytest.approx([START_NS + 100 * NS_PER_S], abs=0.1 * NS_PER_S)
 
-    def test_alerts_and_states_that_stand_for_longer_than_ten_minutes_are_shown(self, tmp_path):
-        """The nominal value of an installation angle is what was told first, as whoever watched all the time saw it."""
+    def test_alerts_and_states_older_than_ten_minutes_are_shown(self, tmp_path):
+        """The nominal value of an installation angle is the first published one, as in live monitoring."""
 
         def alignment(stamp_ns, azimuth):
             return FACTORY.make(
@@ -213,7 +213,7 @@ class TestPictures:
         whole(pictures)
         assert pictures.history.alignment == ()
 
-    def test_playing_goes_on_by_the_time_that_passes_and_stops_at_the_end(self, pictures, monkeypatch):
+    def test_playback_follows_the_clock_and_stops_at_the_end(self, pictures, monkeypatch):
         now = [0.0]
         slide(pictures, 100.0)
         whole(pictures)
@@ -232,7 +232,7 @@ class TestPictures:
         now[0] = 1000.1
         assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(1.0, abs=0.11)
 
-    def test_a_drag_stops_what_plays(self, pictures):
+    def test_drag_stops_the_playback(self, pictures):
         slide(pictures, 100.0)
         pictures._controls._play.active = True
         pictures.look()

@@ -1,4 +1,4 @@
-"""The page of a bag in a headless Chromium: slider, buttons and keys move the time of the picture."""
+"""Page of a bag in a headless Chromium: slider, buttons and keys set the displayed time."""
 
 import pytest
 
@@ -52,7 +52,7 @@ def press(browser, key, *, shift=False):
 @pytest.mark.slow
 @pytest.mark.parametrize("theme", ["day", "night"])
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
-def test_the_slider_stands_under_the_bar_in_the_colours_of_the_page(browser, bag, theme, size, tmp_path):
+def test_slider_is_under_the_bar_in_the_colours_of_the_page(browser, bag, theme, size, tmp_path):
     with page_of(bag) as server:
         browser.open(f"{server.address}?theme={theme}", *size)
         browser.until(f"{UTC} === '{AT_END}'")
@@ -67,7 +67,7 @@ def test_the_slider_stands_under_the_bar_in_the_colours_of_the_page(browser, bag
         assert browser.evaluate(place.format("controls", "top")) >= browser.evaluate(place.format("bar", "bottom"))
         assert browser.evaluate(place.format("controls", "bottom")) <= browser.evaluate(place.format("heading", "top"))
         if size == (1280, 800):  # with what is missing in the bag told beside the slider
-            assert "holds no truth" in browser.evaluate(INSIDE_CONTROLS)
+            assert "contains no truth" in browser.evaluate(INSIDE_CONTROLS)
             assert browser.evaluate(place.format("ribbons", "bottom")) <= 800
             assert browser.evaluate("[heading, ages, sources].every((each) => each.scrollHeight <= each.clientHeight)")
 
@@ -76,7 +76,7 @@ def test_the_slider_stands_under_the_bar_in_the_colours_of_the_page(browser, bag
 def test_keys_move_the_time_and_play(browser, bag):
     with page_of(bag) as server:
         browser.open(server.address)
-        # The first texts are in the page itself; keys work once its models are there.
+        # The first texts are in the page itself; keys work after its models are loaded.
         browser.until(f"window.Bokeh && Bokeh.documents.length && {UTC} === '{AT_END}'")
         assert "OUT" in browser.text("#sources")
         press(browser, "ArrowLeft")
@@ -95,7 +95,7 @@ def test_keys_move_the_time_and_play(browser, bag):
         assert browser.problems == []
 
 
-def test_inputs_alone_are_told_in_one_line(browser, tmp_path):
+def test_bag_without_outputs_is_reported_in_one_line(browser, tmp_path):
     with page_of(write_imu_bag(tmp_path / "inputs.mcap")) as server:
         browser.open(server.address)
         browser.until("document.querySelector('#alert-sub').textContent.includes('only inputs')")

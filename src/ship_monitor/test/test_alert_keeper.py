@@ -1,4 +1,4 @@
-"""The alerts of whole voyages with faults, read from bags; and that no alert is lost with the process that keeps it."""
+"""Alerts of whole voyages with faults, read from bags; no alert is lost with its process."""
 
 import json
 from pathlib import Path
@@ -29,7 +29,7 @@ THEODOLITE = (
 
 
 class Voyage:
-    """A voyage as the keeper saw it, looked at five times a second; times are s after the first message."""
+    """A voyage with an alert manager updated five times a second; times are s after the first message."""
 
     def __init__(self, *paths: Path, state: Path | None = None, acknowledge: bool = False) -> None:
         self.changes: list[tuple[float, AlertChange]] = []
@@ -51,19 +51,19 @@ class Voyage:
         self.keeper, self.end_ns = keeper, due_ns
 
     def first(self, id_: str) -> tuple[float, AlertChange]:
-        """When an alert was told first, and how."""
+        """Return time and change of the first report of an alert."""
         return next((time_s, change) for time_s, change in self.changes if change.alert.id == id_)
 
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Outputs of the demo voyage with a step of the INS and a star sensor that is knocked."""
+    """Return the outputs of the demo voyage with an INS step and a shifted star sensor."""
     return replayed(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {KNOCK}")[1]
 
 
 @pytest.mark.slow
 def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
-    """The INS steps by 100″ at 20 s, a star sensor is knocked by 50″ at 40 s: two alerts of two sources.
+    """INS step of 100″ at 20 s, star sensor shifted by 50″ at 40 s: two alerts of two sources.
 
     The step takes the heading for three tenths of a second; what is over its limit from then on is told.
     """
@@ -71,7 +71,7 @@ def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     time_s, ins = voyage.first("ins.out")
     assert 20.0 <= time_s <= 22.0
     assert (ins.alert.priority, ins.alert.source) == (Priority.WARNING, "ins")
-    assert ins.alert.text == "Heading and tilt over its limit: ins refused in a row"
+    assert ins.alert.text == "Heading and tilt over its limit: ins rejected in a row"
     time_s, star = voyage.first("star.starboard.out")
     assert 40.0 <= time_s <= 42.0
     assert star.alert.priority is Priority.WARNING
@@ -82,7 +82,7 @@ def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
 
 @pytest.mark.slow
 def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
-    """A baseline that floats at 10 s, lights that bear each other's names from 25 s, encoders silent from 60 s."""
+    """A FLOAT baseline at 10 s, exchanged names of lights from 25 s, no encoder data from 60 s."""
     voyage = Voyage(*replayed(tmp_path, "theodolite", THEODOLITE))
     for start_s, id_, source, priority in (
         (10.0, "baselines.out", "baselines", Priority.CAUTION),
@@ -90,7 +90,7 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
         (60.0, "encoder.out", "encoder", Priority.ALARM),
     ):
         time_s, change = voyage.first(id_)
-        # Two seconds after what the filter could know; silence of the encoder itself is two seconds.
+        # Two seconds after the filter can detect it; the timeout of the encoder itself is two seconds.
         assert start_s < time_s <= start_s + 2.0 + 2 * LOOK_NS / NS_PER_S
         assert (change.alert.source, change.alert.priority) == (source, priority)
     blamed = {change.alert.source for time_s, change in voyage.changes if time_s < 79.0}
@@ -99,8 +99,8 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_faults_take_away_is_told_with_them(faulty: Path) -> None:
-    """While a source that takes an angle away is out, no alert of the output stands beside that of the source."""
+def test_alerts_of_sources_name_the_lost_functions(faulty: Path) -> None:
+    """While a source that causes a lost angle is OUT, the output has no alert of its own."""
     voyage = Voyage(faulty)
     told: set[str] = set()
     for time_s, change in voyage.changes:
@@ -110,8 +110,8 @@ def test_what_the_faults_take_away_is_told_with_them(faulty: Path) -> None:
 
 
 @pytest.mark.slow
-def test_clean_voyage_blames_no_source(tmp_path: Path) -> None:
-    """Without faults only the gap in the stars that the scenario has is told: no accuracy that is over for a moment."""
+def test_clean_voyage_has_no_alert_of_a_source(tmp_path: Path) -> None:
+    """Without faults only the gap in the stars of the scenario gives alerts, not a brief excess of a limit."""
     voyage = Voyage(replayed(tmp_path, "demo")[1])
     assert {change.alert.id for _, change in voyage.changes} == {"stars.out"}
     assert all(change.alert.priority is not Priority.ALARM for _, change in voyage.changes)
@@ -119,8 +119,8 @@ def test_clean_voyage_blames_no_source(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_lost_keeper_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
-    """Killed at any moment and started anew from the file: the same alerts, acknowledged or not, none raised again."""
+def test_crash_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
+    """After a crash at any time and a restart from the file: the same alerts and states, none raised again."""
     state = tmp_path / "alerts.json"
     for acknowledge in (False, True):
         state.unlink(missing_ok=True)
@@ -129,7 +129,7 @@ def test_lost_keeper_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
         again = AlertKeeper(Limits(), state, before.end_ns, before.said.append)
         assert repr(again.alerts) == repr(before.keeper.alerts)
         states = {alert.id: alert.state for alert in again.alerts}
-        # Nothing is heard for nine seconds after the start: nothing is called over, nothing is raised twice.
+        # No data for nine seconds after the start: no alert ends, none is raised twice.
         for tenth in range(90):
             assert again.look(before.end_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
         assert {alert.id: alert.state for alert in again.alerts} == states
@@ -137,8 +137,8 @@ def test_lost_keeper_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"format": "ship_alerts", "version": 9, "alerts": []}', "\0"])
-def test_spoilt_file_is_said_and_nothing_is_lost_by_it(tmp_path: Path, content: str) -> None:
-    """One plain line that names the file; the node goes on and writes a good one."""
+def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> None:
+    """One line names the file; the node continues and writes a valid one."""
     state = tmp_path / "alerts.json"
     state.write_text(content)
     said: list[str] = []
@@ -152,8 +152,8 @@ def test_spoilt_file_is_said_and_nothing_is_lost_by_it(tmp_path: Path, content: 
     assert json.loads(state.read_text())["alerts"][0]["id"] == "attitude.silent"
 
 
-def test_full_disk_is_said_once_and_tried_again(tmp_path: Path) -> None:
-    """The file cannot be written: alerts go on, and are saved when it can."""
+def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
+    """While the file cannot be written alerts continue; they are saved as soon as it can be."""
     state = tmp_path / "folder" / "alerts.json"
     said: list[str] = []
     keeper = AlertKeeper(Limits(), state, 0, said.append)
@@ -167,8 +167,8 @@ def test_full_disk_is_said_once_and_tried_again(tmp_path: Path) -> None:
     assert json.loads(state.read_text())["alerts"][0]["state"] == AlertState.ACTIVE_UNACKNOWLEDGED
 
 
-def test_machine_that_slept_raises_no_false_alarm(faulty: Path) -> None:
-    """An hour of sleep is no silence of the suite: nothing is told for ten seconds, in which it comes back."""
+def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
+    """An hour of sleep is no timeout of the suite: no alert for ten seconds, in which data arrive again."""
     voyage = Voyage(faulty)
     before = voyage.keeper.alerts
     later_ns = voyage.end_ns + 3600 * NS_PER_S
@@ -177,8 +177,8 @@ def test_machine_that_slept_raises_no_false_alarm(faulty: Path) -> None:
     assert repr(voyage.keeper.alerts) == repr(before)
 
 
-def test_what_a_node_says_of_itself_holds_for_as_long_as_it_says_it() -> None:
-    """A black box that ended is a warning; when the node is gone, so is what it said."""
+def test_node_status_expires() -> None:
+    """An ended black box is a warning; it clears when the node stops publishing its status."""
     keeper = AlertKeeper(Limits(), None, 0, lambda _: None)
     ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing failed: No space left on device")
     for second in range(8):
@@ -192,8 +192,8 @@ def test_what_a_node_says_of_itself_holds_for_as_long_as_it_says_it() -> None:
     assert states == {AlertState.ACTIVE_UNACKNOWLEDGED, AlertState.RECTIFIED_UNACKNOWLEDGED}
 
 
-def test_disk_that_fills_up_is_told(tmp_path: Path) -> None:
-    """Held against the disk of this machine: more is wanted than any has; and a disk that is not there."""
+def test_full_or_missing_disk_raises_an_alert(tmp_path: Path) -> None:
+    """The limit is more than any disk has; then the disk does not exist."""
     machine = Limits().machine
     for path in (tmp_path, tmp_path / "gone"):
         limits = Limits(machine=type(machine)(disk_path=str(path), disk_free_gb=1e6))
@@ -203,7 +203,7 @@ def test_disk_that_fills_up_is_told(tmp_path: Path) -> None:
         assert [alert.id for alert in keeper.alerts] == ["disk.full"]
 
 
-def test_statuses_of_names_without_end_are_forgotten():
+def test_number_of_statuses_is_bounded():
     keeper = AlertKeeper(Limits(), None, 0, print)
     for number in range(3 * MOST_STATUSES):
         keeper.take_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)

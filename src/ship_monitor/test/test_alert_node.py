@@ -1,4 +1,4 @@
-"""The alert node over DDS, as a process of its own: raised, acknowledged, killed and started anew."""
+"""The alert node over DDS, as a process: alerts raised, acknowledged, and restored after a kill."""
 
 import json
 import subprocess
@@ -28,7 +28,7 @@ START = "import sys; from ship_monitor.alerts.alert_node import main; sys.exit(m
 
 
 class Ship:
-    """A suite in the namespace demo that gives a good attitude, and a person who watches its alerts."""
+    """A suite in the namespace demo with a good attitude, and a subscriber of its alerts."""
 
     def __init__(self):
         self.context = Context()
@@ -49,7 +49,7 @@ class Ship:
         self.told |= {status.name: status for status in message.status}
 
     def sail(self, seconds=0.1, sigma_arcsec=0.5, is_silent=False):
-        """Let time pass, with or without attitudes at 20 Hz."""
+        """Run for some seconds, with or without attitudes at 20 Hz."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             if not is_silent:
@@ -66,17 +66,17 @@ class Ship:
             self.executor.spin_once(timeout_sec=0.05)
 
     def alerts(self):
-        """The alerts of the last message by id; None before the first."""
+        """Return id → alert of the last message; None before the first."""
         return {alert.id: alert for alert in self.heard[-1].alerts} if self.heard else None
 
     def call(self, client, request):
-        """The answer of a service."""
+        """Return the answer of a service."""
         answer = client.call_async(request)
         self.executor.spin_until_future_complete(answer, 10.0)
         return answer.result()
 
     def acknowledge(self, id_, instance):
-        """What the node answers."""
+        """Acknowledge an alert; return the node's answer."""
         return self.call(self.acknowledger, AcknowledgeAlert.Request(id=id_, instance=instance))
 
     def stop(self):
@@ -94,7 +94,7 @@ def ship():
 
 @pytest.fixture
 def start(tmp_path, monkeypatch):
-    """Starts the node; what is still running at the end is ended."""
+    """Start the node; end all running processes after the test."""
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     started = []
 
@@ -120,8 +120,8 @@ def states(alerts):
 UNACKNOWLEDGED, ACKNOWLEDGED = Alert.ACTIVE_UNACKNOWLEDGED, Alert.ACTIVE_ACKNOWLEDGED
 
 
-def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, tmp_path):
-    """Silence is an alarm; the wrong instance is refused; killed with -9 and started anew, all is as it was."""
+def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, tmp_path):
+    """A missing attitude is an alarm; a wrong instance is refused; kill -9 and a restart keep the state."""
     limits, state = tmp_path / "limits.yaml", tmp_path / "alerts.json"
     limits.write_text("alerts: {clear_after_s: 1.0}\n")
     named = ("--limits", str(limits), "--state", str(state))
@@ -135,12 +135,12 @@ def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, 
         return until(look, 30.0)
 
     sailing(lambda alerts: alerts is not None and ship.acknowledger.service_is_ready())
-    # Without ship/integrity the attitude is a caution, which nobody needs to acknowledge.
+    # Without ship/integrity the attitude is a caution, which needs no acknowledgement.
     sailing(lambda alerts: states(alerts) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)})
     sailing(lambda alerts: "attitude.silent" in alerts, is_silent=True)
     silent = ship.alerts()["attitude.silent"]
     assert (silent.priority, silent.state, silent.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
-    assert silent.text == "Heading and tilt lost: ship/attitude silent"
+    assert silent.text == "Heading and tilt lost: no data on ship/attitude"
     assert abs(silent.raised.sec - time.time()) < 20.0
 
     wrong = ship.acknowledge("attitude.silent", 2)
@@ -159,7 +159,7 @@ def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, 
     node.wait(10)
     ship.heard.clear()
     again = start(*named)
-    # The first message that the new node gives holds the alert with its acknowledgement.
+    # The first message of the new node contains the alert with its acknowledgement.
     sailing(lambda alerts: alerts is not None, is_silent=True)
     first = {alert.id: (alert.priority, alert.state, alert.instance) for alert in ship.heard[0].alerts}
     assert first["attitude.silent"] == (Alert.ALARM, ACKNOWLEDGED, 1)
@@ -170,14 +170,14 @@ def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, 
     again.terminate()
     assert again.wait(10) == 0
     log = node.log_path.read_text()
-    assert "ALARM attitude.silent 1: Heading and tilt lost: ship/attitude silent: raised" in log
-    assert "attitude.silent 1: Heading and tilt lost: ship/attitude silent: acknowledged" in log
-    assert "not acknowledged: 'attitude.silent' is instance 1 now, not 2" in log
+    assert "ALARM attitude.silent 1: Heading and tilt lost: no data on ship/attitude: raised" in log
+    assert "attitude.silent 1: Heading and tilt lost: no data on ship/attitude: acknowledged" in log
+    assert "not acknowledged: 'attitude.silent' is now instance 1, not 2" in log
 
 
 @pytest.mark.smoke
-def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
-    """A node's black box that ended is a warning; the functions stand in /diagnostics with what is lost."""
+def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
+    """A node's ended black box is a warning; /diagnostics contains the functions with their losses."""
     start("--state", str(tmp_path / "alerts.json"))
 
     def look():
@@ -190,7 +190,7 @@ def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
     name = "alerts: functions/heading within 6″"
 
     def is_lost():
-        # While nothing has been heard yet, the function is not lost but not known.
+        # Before the first message the function is unknown, not lost.
         ship.sail(0.2, sigma_arcsec=20.0)
         return name in ship.told and ship.told[name].level == DiagnosticStatus.ERROR
 
@@ -201,8 +201,8 @@ def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
     assert ship.told["alerts: callbacks"].level == DiagnosticStatus.OK
 
 
-def test_mistake_in_the_limits_ends_it_at_once(tmp_path, capsys):
-    """One line with file, line, key and what was expected; exit code 2."""
+def test_wrong_limits_end_the_node_at_once(tmp_path, capsys):
+    """The error is one line with file, line, key and expected value; the exit code is 2."""
     limits = tmp_path / "limits.yaml"
     limits.write_text("tilt_arcsec: 3.0\nhedding_arcsec: 5.0\n")
     assert main(["--limits", str(limits)]) == 2
@@ -212,15 +212,15 @@ def test_mistake_in_the_limits_ends_it_at_once(tmp_path, capsys):
     assert told.count("\n") == 1
 
 
-def test_each_namespace_has_a_file_of_its_own(monkeypatch, tmp_path):
-    """Two suites on one machine do not mix."""
+def test_each_namespace_has_its_own_file(monkeypatch, tmp_path):
+    """Two suites on one computer have different files."""
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     names = [default_state(namespace) for namespace in ("/", "/demo", "/fleet/demo")]
     assert names == [tmp_path / "alerts.json", tmp_path / "alerts_demo.json", tmp_path / "alerts_fleet_demo.json"]
 
 
 def test_alerts_are_in_the_recording(start, tmp_path):
-    """Each state of each alert is a message of the bag, also those of before the recorder heard the node."""
+    """Each state of each alert is a message in the bag, also those from before the recorder discovered the node."""
     limits = tmp_path / "limits.yaml"
     limits.write_text("alerts: {start_s: 4.0, escalate_after_s: 3.0}\n")
     start("--limits", str(limits), "--state", str(tmp_path / "alerts.json"))
@@ -237,15 +237,15 @@ def test_alerts_are_in_the_recording(start, tmp_path):
 @pytest.mark.parametrize(
     ("node", "hardware_id"), [("star_attitude", ""), ("ship_attitude", "/other/ship_attitude")], ids=["by name", "told"]
 )
-def test_diagnostics_of_another_suite_are_not_this_ones(node, hardware_id, ship, start, until, tmp_path):
-    """A node of another namespace tells of its clock on the same topic: no alert of this suite.
+def test_diagnostics_of_another_suite_are_ignored(node, hardware_id, ship, start, until, tmp_path):
+    """A node of another namespace publishes its clock status on the same topic: no alert of this suite.
 
     Where the nodes of the two suites have one name, the node itself tells which one it is.
     """
     stranger = Node(node, context=ship.context, namespace="other")
     diagnostics = stranger.create_publisher(DiagnosticArray, "/diagnostics", 10)
     start("--state", str(tmp_path / "alerts.json"))
-    # The second is this suite's by its name, and told in the same message: when it is heard, so is the first.
+    # The second status belongs to this suite by its name and is in the same message, so both are received together.
     statuses = [
         DiagnosticStatus(level=b"\x02", name=f"{node}: clock", message="stands", hardware_id=hardware_id),
         DiagnosticStatus(level=b"\x02", name="ship_attitude: stamps", hardware_id="/demo/ship_attitude"),

@@ -1,4 +1,4 @@
-"""Stacks of variances: which bands, where they are cut off, how the axis is labelled."""
+"""Stacked variances: choice of the bands, cut-off peaks, labels of the axis."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_five_largest_sources_have_bands_and_keep_them_for_small_changes() -> No
     assert largest_sources({**means, "f": 1.3}, bands) == ("a", "b", "c", "d", "f")
 
 
-def test_short_peaks_do_not_make_the_axis_and_are_told() -> None:
+def test_short_peaks_are_cut_off_and_labelled() -> None:
     totals = np.full(600, 4.0)  # σ = 2″
     totals[200:230] = 30.0
     totals[210] = 30.25  # 5.5″
@@ -35,14 +35,14 @@ def test_short_peaks_do_not_make_the_axis_and_are_told() -> None:
     assert peaks(np.arange(600) * 1e3, totals, 6.0) == []
 
 
-def test_of_two_peaks_whose_words_would_cover_one_another_the_higher_is_told() -> None:
+def test_higher_of_two_overlapping_peak_labels_is_kept() -> None:
     totals = np.ones(600)
     totals[[100, 130, 400]] = 9.0, 16.0, 25.0
     assert peaks(np.arange(600) * 1e3, totals, 1.5) == [(130e3, 16.0), (400e3, 25.0)]
 
 
 @pytest.mark.parametrize("top", [1.0, 1.5, 2.5, 4.0, 10.0, 40.0, 200.0])
-def test_labels_of_the_axis_are_round_and_apart(top: float) -> None:
+def test_axis_labels_are_round_and_do_not_overlap(top: float) -> None:
     ticks = root_ticks(top)
     assert ticks[0] == 0.0
     assert len(ticks) >= 3
@@ -50,7 +50,7 @@ def test_labels_of_the_axis_are_round_and_apart(top: float) -> None:
     assert ticks[-1] <= top
 
 
-def test_labels_name_each_band_at_its_middle_and_the_others_together() -> None:
+def test_bands_are_labelled_at_their_middle() -> None:
     last = {"drift": 4.0, "noise": 2.25, "fix": 0.01}
     texts = band_labels(last, ("drift", "noise"), 9.0)
     assert list(texts.values()) == ["drift 2.00″", "noise 1.50″", "other 0.10″"]
@@ -61,7 +61,7 @@ def test_labels_name_each_band_at_its_middle_and_the_others_together() -> None:
 
 
 @pytest.mark.slow
-def test_bands_add_up_to_the_whole_of_the_chosen_angle() -> None:
+def test_bands_add_up_to_the_total_of_the_chosen_angle() -> None:
     history = watched_history()
     panel = BudgetPanel(THEMES["day"], TimePlots(600.0))
     panel.update(history, "")

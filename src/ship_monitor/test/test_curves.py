@@ -1,4 +1,4 @@
-"""What lines keep of many points, where they are broken, and where labels stand."""
+"""Reduction of lines, gaps, and positions of labels."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +16,7 @@ SECOND_NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Sample:
-    """A value at a time."""
+    """A value with its time."""
 
     utc_ns: int
     value: float
@@ -32,14 +32,14 @@ def rows(points):
     return {"value": np.array([point.value for point in points])}
 
 
-def test_only_newer_points_are_taken() -> None:
+def test_only_newer_points_are_returned() -> None:
     points = samples(2.0, 5.0)
     assert newer(points, None) == points
     assert newer(points, points[3].utc_ns) == points[4:]
     assert newer(points, points[-1].utc_ns) == []
 
 
-def test_each_second_keeps_its_least_and_largest_value() -> None:
+def test_each_second_keeps_its_minimum_and_maximum() -> None:
     points = samples(50.0, 20.0)
     time_ns = np.array([point.utc_ns for point in points])
     value = np.array([point.value for point in points])
@@ -53,7 +53,7 @@ def test_each_second_keeps_its_least_and_largest_value() -> None:
     assert time_ns[kept][-1] // SECOND_NS == 1018
 
 
-def test_what_is_not_known_is_neither_least_nor_largest_but_stays_a_gap() -> None:
+def test_nan_is_ignored_but_stays_a_gap() -> None:
     time_ns = np.arange(12) * SECOND_NS // 4
     value = np.array([np.nan, 1.0, -2.0, 0.5, np.nan, np.nan, np.nan, np.nan, 0.0, 0.0, 0.0, 0.0])
     assert list(thinned(time_ns, value)) == [1, 2, 4]
@@ -62,7 +62,7 @@ def test_what_is_not_known_is_neither_least_nor_largest_but_stays_a_gap() -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [0.5, 1.0, 2.0, 20.0])
 @pytest.mark.parametrize("batch_s", [0.5, 1.3, 700.0])
-def test_a_trail_is_the_same_however_it_is_fed_and_never_too_long(rate_hz: float, batch_s: float) -> None:
+def test_line_does_not_depend_on_the_batches_and_is_bounded(rate_hz: float, batch_s: float) -> None:
     points = samples(rate_hz, 700.0)
     fed, whole = Trail(("value",), by="value"), Trail(("value",), by="value")
     whole.follow(points, rows)
@@ -74,7 +74,7 @@ def test_a_trail_is_the_same_however_it_is_fed_and_never_too_long(rate_hz: float
     np.testing.assert_array_equal(fed.source.data["value"], whole.source.data["value"])
 
 
-def test_a_gap_is_left_open_once_and_the_line_goes_on_behind_it() -> None:
+def test_gap_stays_open_and_the_line_continues() -> None:
     points = [point for point in samples(1.0, 60.0) if not 1020 * SECOND_NS < point.utc_ns < 1030 * SECOND_NS]
     for ends in ([len(points)], range(1, len(points) + 1)):
         trail = Trail(("value",), by="value")
@@ -86,7 +86,7 @@ def test_a_gap_is_left_open_once_and_the_line_goes_on_behind_it() -> None:
         assert np.all(np.diff(times) > 0.0)
 
 
-def test_an_area_is_closed_in_a_gap() -> None:
+def test_area_is_closed_in_a_gap() -> None:
     points = [point for point in samples(1.0, 60.0) if not 1020 * SECOND_NS < point.utc_ns < 1030 * SECOND_NS]
     trail = Trail(("value", "high"), by="value", filled=("high",))
     trail.follow(points, lambda new: {**rows(new), "high": np.full(len(new), 9.0)})
@@ -95,7 +95,7 @@ def test_an_area_is_closed_in_a_gap() -> None:
     assert set(high) == {0.0, 9.0}
 
 
-def test_points_that_begin_anew_are_drawn_anew() -> None:
+def test_restarted_data_are_drawn_again() -> None:
     trail = Trail(("value",), by="value")
     trail.follow(samples(2.0, 30.0, start_s=5000.0), rows)
     earlier = samples(2.0, 10.0)
@@ -105,7 +105,7 @@ def test_points_that_begin_anew_are_drawn_anew() -> None:
     assert list(trail.source.data["t"]) == []
 
 
-def test_a_gap_is_three_periods_and_two_seconds_at_least() -> None:
+def test_gap_is_three_periods_and_at_least_two_seconds() -> None:
     time_ns = np.array([0, 1, 4, 5, 15]) * SECOND_NS
     assert list(gaps_before(time_ns, None, 1.0 * SECOND_NS)) == [4]
     assert list(gaps_before(time_ns, None, 0.1 * SECOND_NS)) == [2, 4]
@@ -118,7 +118,7 @@ def test_axes_have_fixed_steps() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_labels_stand_apart_inside_and_in_the_order_of_what_they_name(seed: int) -> None:
+def test_labels_are_ordered_inside_and_do_not_overlap(seed: int) -> None:
     rng = np.random.default_rng(seed)
     wanted = list(rng.uniform(-1.5, 1.5, rng.integers(1, 9)))
     places = placed(wanted, 0.25, -1.0, 1.0)
@@ -127,17 +127,17 @@ def test_labels_stand_apart_inside_and_in_the_order_of_what_they_name(seed: int)
     assert all(above - below >= 0.25 - 1e-9 for below, above in pairwise(ordered))
 
 
-def test_labels_with_room_stand_where_they_belong_and_too_many_stand_closer() -> None:
+def test_labels_keep_their_positions_if_there_is_room() -> None:
     assert placed([0.5, -0.5], 0.3, -1.0, 1.0) == [0.5, -0.5]
     assert placed([0.0, 0.0, 0.0], 5.0, -1.0, 1.0) == pytest.approx([-1.0, 0.0, 1.0])
     assert placed([], 1.0, 0.0, 1.0) == []
 
 
-def test_signs_are_words_of_people() -> None:
+def test_signed_numbers() -> None:
     assert [signed(value) for value in (48.93, -1.84, -0.04, float("nan"))] == ["+48.9", "−1.8", "+0.0", "unknown"]
 
 
-def test_time_stands_still_while_somebody_looks_closer() -> None:
+def test_zoomed_time_axis_does_not_move() -> None:
     times = TimePlots(600.0)
     Document().add_root(times.range)
     times.follow(1_000 * SECOND_NS)
@@ -152,15 +152,15 @@ def test_time_stands_still_while_somebody_looks_closer() -> None:
 
 
 def drawn(trail: Trail, seconds: range) -> list[float]:
-    """The times that a trail has in the browsers after it has followed points, s."""
+    """Return the times of a line in the browsers after streaming points, s."""
     points = [Sample(second * SECOND_NS, 0.0) for second in seconds]
     trail.follow(points, lambda some: {"value": np.array([point.value for point in some])})
     data = trail.source.data
     return [time / 1e3 for time, value in zip(data["t"], data["value"], strict=True) if value == 0.0]
 
 
-def test_minutes_that_are_heard_after_later_ones_are_drawn() -> None:
-    """A bag's page shows the last minute first; then the ten minutes take its place, also of another time."""
+def test_earlier_points_received_later_are_drawn() -> None:
+    """The page of a bag shows the last minute first; then the ten minutes replace it, also after a change of time."""
     trail = Trail(("value",), by="value")
     assert drawn(trail, range(540, 601)) == list(range(540, 600))
     assert drawn(trail, range(1, 601)) == list(range(1, 600))

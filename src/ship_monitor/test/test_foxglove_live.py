@@ -1,4 +1,4 @@
-"""A suite's topics at a client of Foxglove: from DDS to the websocket, with the bytes that were published."""
+"""A suite's topics at a Foxglove client: from DDS to the websocket, with unchanged bytes."""
 
 import contextlib
 import os
@@ -53,7 +53,7 @@ def watch(opened, server):
 
 @pytest.fixture
 def sail(opened):
-    """Puts a ship to sea."""
+    """Return a function that starts a ship."""
 
     def make(namespace="demo"):
         ship = PublishingShip(namespace)
@@ -74,20 +74,20 @@ def connect(opened, server):
 
 
 def subscribe(client, topic):
-    """Subscribe to a topic of the ship, once it is offered."""
+    """Subscribe to a topic of the ship after it has been offered."""
     client.until(lambda: f"/demo/{topic}" in client.channels)
     client.subscribe(f"/demo/{topic}")
 
 
 def hear(client, ship, topic, message):
-    """Subscribe to a topic of the ship, and publish a message until it comes: from then on all of them do."""
+    """Subscribe to a topic of the ship, and publish a message until it arrives: later ones then arrive too."""
     subscribe(client, topic)
     ship.say(topic, message)
     client.until(lambda: client.received or ship.say(topic, message))
 
 
 def decoded(client, received):
-    """What anybody makes of a message who knows nothing but what was advertised."""
+    """Return a message decoded with its advertised definition only."""
     channel = client.channels[received.topic]
     schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
     return DecoderFactory().decoder_for(channel["encoding"], schema)(received.data)
@@ -101,12 +101,12 @@ def hundred_attitudes():
 
 
 @pytest.mark.usefixtures("watch")
-def test_every_message_comes_bit_for_bit_with_its_definition_and_its_arrival(sail, connect):
+def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connect):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
     hear(client, ship, "ship/attitude", attitude(START_NS))
     messages = list(hundred_attitudes())
-    # Published as bytes: of two serializations of one message the padding differs.
+    # Published as bytes: the padding of two serializations of one message differs.
     published, begin_ns = [serialize_message(message) for message in messages], time.time_ns()
     for data in published:
         ship.say("ship/attitude", data)
@@ -116,7 +116,7 @@ def test_every_message_comes_bit_for_bit_with_its_definition_and_its_arrival(sai
     assert [each.data for each in received] == published
     times_ns = [each.log_time_ns for each in received]
     assert begin_ns <= times_ns[0] <= times_ns[-1] <= time.time_ns()
-    # Each as it came, not as it was fetched twenty times a second.
+    # Arrival times of the single messages, not of the fetches twenty times a second.
     assert len(set(times_ns)) == 100
     for each, message in zip(received, messages, strict=True):
         found = decoded(client, each)
@@ -129,7 +129,7 @@ def test_every_message_comes_bit_for_bit_with_its_definition_and_its_arrival(sai
 
 
 @pytest.mark.usefixtures("watch")
-def test_all_topics_of_the_namespace_are_offered_whatever_the_page_reads(sail, connect, server):
+def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     ship, other, client = sail(), sail("voyage"), connect()
     ship.say("ship/attitude", attitude(START_NS))
     ship.say("ins/imu", Imu(), BEST_EFFORT)
@@ -138,7 +138,7 @@ def test_all_topics_of_the_namespace_are_offered_whatever_the_page_reads(sail, c
     expected = {"/demo/ship/attitude", "/demo/ins/imu", "/demo/ship/error_budget"}
     client.until(lambda: expected <= set(client.channels))
     assert not any(topic.startswith("/voyage") for topic in client.channels)
-    # Nobody looks: nobody subscribes to what the page does not read.
+    # Without a client there is no subscription to topics that the page does not read.
     assert not server.wanted()
     assert ship.publishers["ins/imu"].get_subscription_count() == 0
     imu = Imu()
@@ -150,7 +150,7 @@ def test_all_topics_of_the_namespace_are_offered_whatever_the_page_reads(sail, c
 
 
 @pytest.mark.usefixtures("watch")
-def test_clients_that_come_later_get_the_last_message_of_a_topic_that_keeps_it(sail, connect):
+def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
     ship = sail()
     alerts = AlertArray()
     alerts.header.stamp.sec = 7
@@ -162,7 +162,7 @@ def test_clients_that_come_later_get_the_last_message_of_a_topic_that_keeps_it(s
 
 
 @pytest.mark.usefixtures("watch")
-def test_an_estimator_that_is_started_again_is_heard_by_the_same_subscription(sail, connect):
+def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
     client = connect()
     for heading in (0.25, 0.5):
         ship = sail()
@@ -182,7 +182,7 @@ def test_an_estimator_that_is_started_again_is_heard_by_the_same_subscription(sa
 
 
 @pytest.mark.parametrize("is_awaited", [False, True])
-def test_a_topic_that_comes_back_with_another_type_is_offered_with_that(sail, connect, watch, is_awaited):
+def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_awaited):
     ship, client = sail(), connect()
     if is_awaited:  # Both types are there all the time: somebody listens with the one, the client with the other.
         sail().node.create_subscription(Float64, "told", lambda _: None, 10)
@@ -198,7 +198,7 @@ def test_a_topic_that_comes_back_with_another_type_is_offered_with_that(sail, co
     assert decoded(client, client.received[0]).data == 2.0
 
 
-def test_after_a_sleep_of_the_machine_clients_hear_again(sail, connect, watch, monkeypatch):
+def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatch):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
     hear(client, ship, "ship/attitude", attitude(START_NS))
@@ -215,7 +215,7 @@ def test_after_a_sleep_of_the_machine_clients_hear_again(sail, connect, watch, m
     client.until(came)
 
 
-def test_the_page_is_shown_the_same_with_a_client_and_without(sail, connect, watch):
+def test_page_does_not_depend_on_a_client(sail, connect, watch):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
     hear(client, ship, "ship/attitude", attitude(START_NS))
@@ -232,7 +232,7 @@ def test_the_page_is_shown_the_same_with_a_client_and_without(sail, connect, wat
 
 @pytest.fixture
 def monitor(opened, tmp_path):
-    """The executable, and the address at which it serves Foxglove."""
+    """Return the executable, and its address for Foxglove."""
     command = [*executable("ship_monitor", "monitor"), "--namespace", "demo", "--port", "0", "--foxglove", "0"]
     process = opened.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
     deadline_s = time.monotonic() + 60.0
@@ -243,7 +243,7 @@ def monitor(opened, tmp_path):
     return process, next(word for word in process.log().split() if word.startswith("ws://127.0.0.1:"))
 
 
-def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, monitor):
+def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, monitor):
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
     opened.callback(client.close)
@@ -255,7 +255,7 @@ def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, open
     assert len(process.log().splitlines()) == 2, process.log()
 
 
-def test_the_executable_ends_although_a_client_has_ceased_to_read(sail, opened, monitor):
+def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor):
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
     opened.callback(client.close)
@@ -263,7 +263,7 @@ def test_the_executable_ends_although_a_client_has_ceased_to_read(sail, opened, 
     ship.say("told", message)
     hear(client, ship, "told", message)
     deaf = opened.enter_context(deaf_client(address, client.channels["/demo/told"]["id"]))
-    # More than the buffers of a connection take: what it does not read then waits in the server.
+    # More than the buffers of a connection: unread messages then wait in the server.
     client.received.clear()
 
     def has_come():

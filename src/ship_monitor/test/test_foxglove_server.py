@@ -1,4 +1,4 @@
-"""The server for Foxglove, asked by a client over a real websocket."""
+"""The Foxglove server with a client over a real websocket."""
 
 import socket
 import struct
@@ -48,13 +48,13 @@ def subscribed(server, client, *topics):
     assert server.wanted() >= set(topics)
 
 
-def test_it_says_whose_suite_it_is_and_that_it_can_do_nothing_but_tell(server, connect):
+def test_server_info_has_the_name_and_no_capabilities(server, connect):
     client = connect()
     told = client.until(lambda: client.told and client.told[0])
     assert (told["op"], told["name"], told["capabilities"]) == ("serverInfo", "demo", [])
 
 
-def test_a_message_comes_with_its_bytes_its_time_and_the_definition_of_its_type(server, connect):
+def test_message_arrives_with_bytes_time_and_definition(server, connect):
     server.offer("/demo/said", STRING, "string data")
     client = connect()
     subscribed(server, client, "/demo/said")
@@ -70,7 +70,7 @@ def test_a_message_comes_with_its_bytes_its_time_and_the_definition_of_its_type(
     assert (received.log_time_ns, received.data) == (1_700_000_000_123_456_789, MESSAGE)
 
 
-def test_what_is_wanted_follows_the_clients(server, connect):
+def test_subscribed_topics_follow_the_clients(server, connect):
     server.offer("/demo/said", STRING, "string data")
     server.offer("/demo/other", STRING, "string data")
     assert server.wanted() == server.newcomers() == frozenset()
@@ -90,7 +90,7 @@ def test_what_is_wanted_follows_the_clients(server, connect):
     assert not first.received
 
 
-def test_two_clients_get_the_same_messages_in_their_order(server, connect):
+def test_two_clients_get_the_same_messages_in_order(server, connect):
     server.offer("/demo/said", STRING, "string data")
     clients = [connect(), connect()]
     for client in clients:
@@ -103,7 +103,7 @@ def test_two_clients_get_the_same_messages_in_their_order(server, connect):
         assert [each.log_time_ns for each in client.received] == list(range(500))
 
 
-def test_a_topic_offered_again_with_another_type_is_another_channel(server, connect):
+def test_topic_with_another_type_is_another_channel(server, connect):
     server.offer("/demo/said", STRING, "string data")
     client = connect()
     subscribed(server, client, "/demo/said")
@@ -116,7 +116,7 @@ def test_a_topic_offered_again_with_another_type_is_another_channel(server, conn
     assert sum(each["op"] == "advertise" for each in client.told) == 2
 
 
-ONLY = "this server only gives out topics: "
+ONLY = "this server is read-only: "
 
 
 @pytest.mark.parametrize(
@@ -134,16 +134,16 @@ ONLY = "this server only gives out topics: "
         ({"op": "getParameters", "parameterNames": []}, f"{ONLY}'getParameters' is refused"),
         (struct.pack("<BIII", 2, 1, 1, 3) + b"cdr" + MESSAGE, f"{ONLY}binary messages are refused"),
         ({"op": "fetchAsset", "uri": "file:///etc/passwd", "requestId": 1}, f"{ONLY}'fetchAsset' is refused"),
-        ({"op": "subscribe", "subscriptions": [{"id": 1}]}, "this is no request of the protocol"),
+        ({"op": "subscribe", "subscriptions": [{"id": 1}]}, "not a request of the protocol"),
     ],
 )
-def test_nothing_can_be_published_called_set_or_read_from_files(server, connect, request_, refusal):
+def test_server_is_read_only(server, connect, request_, refusal):
     client = connect()
     client.ask(request_)
     client.until(lambda: any(each.get("message") == refusal for each in client.told))
 
 
-def test_nonsense_harms_neither_the_server_nor_others(server, connect):
+def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
     server.offer("/demo/said", STRING, "string data")
     good, bad = connect(), connect()
     subscribed(server, good, "/demo/said")
@@ -161,7 +161,7 @@ def resident_mb():
         return int(file.read().split()[1]) * 4096 / 1e6
 
 
-def test_a_client_that_ceases_to_read_makes_nobody_wait_no_memory_grow_and_the_end_no_longer(server, connect):
+def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, connect):
     server.offer("/demo/said", STRING, "string data")
     good = connect()
     subscribed(server, good, "/demo/said")
@@ -170,7 +170,7 @@ def test_a_client_that_ceases_to_read_makes_nobody_wait_no_memory_grow_and_the_e
         payload = bytes(4000)
         before_mb, begin_s = resident_mb(), time.monotonic()
         for number in range(40):
-            # 160 MB for a client that takes nothing; of them at most 1024 messages wait, which are 4 MB.
+            # 160 MB for a client that reads nothing; at most 1024 messages of them, 4 MB, wait.
             for _ in range(1000):
                 server.pass_on("/demo/said", payload, number)
             good.listen(0.01)
@@ -184,7 +184,7 @@ def test_a_client_that_ceases_to_read_makes_nobody_wait_no_memory_grow_and_the_e
         assert time.monotonic() - begin_s < 5.0
 
 
-def test_at_the_end_clients_are_told_and_the_port_is_free_again():
+def test_close_ends_connections_and_frees_the_port():
     server = FoxgloveServer("demo", "127.0.0.1", 0)
     client = FoxgloveClient(server.address)
     port = int(server.address.rpartition(":")[2])
@@ -195,18 +195,18 @@ def test_at_the_end_clients_are_told_and_the_port_is_free_again():
     again.close()
 
 
-def test_a_port_in_use_is_said(server):
+def test_port_in_use_is_reported(server):
     port = int(server.address.rpartition(":")[2])
-    with pytest.raises(BadInput, match=rf"port {port} of 127\.0\.0\.1 is in use: give another one with --foxglove"):
+    with pytest.raises(BadInput, match=rf"port {port} of 127\.0\.0\.1 is in use: choose another one with --foxglove"):
         FoxgloveServer("demo", "127.0.0.1", port)
 
 
-def test_an_address_that_is_not_one_of_this_machine_is_said():
+def test_foreign_address_is_reported():
     with pytest.raises(BadInput, match=r"cannot listen on 192\.0\.2\.1, port 0"):
         FoxgloveServer("demo", "192.0.2.1", 0)
 
 
-def test_the_address_of_ipv6_is_in_brackets():
+def test_ipv6_address_is_in_brackets():
     server = FoxgloveServer("demo", "::1", 0)
     assert server.address.startswith("ws://[::1]:")
     client = FoxgloveClient(server.address)

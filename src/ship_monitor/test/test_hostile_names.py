@@ -1,4 +1,4 @@
-"""Names and texts from the network that mean harm, in a real browser: nothing runs, and all is shown as it came."""
+"""Malicious names and texts from the network in a real browser: nothing is executed, all are shown unchanged."""
 
 import re
 from collections import deque
@@ -24,7 +24,7 @@ NAMES = {
 
 
 def hostile(name):
-    """A picture and a history in which the name stands wherever a name or a text from the network does."""
+    """Return a state and a history with the name in place of all names and texts from the network."""
     well = watched_picture()
     sources = [replace(each, name=f"{name} {number}", reason=name) for number, each in enumerate(well.sources)]
     sources = [replace(each, disagreement=name, presence=Presence.OUT) for each in sources[:2]] + sources[2:]
@@ -90,7 +90,7 @@ DRAWN = f"""{FIGURES}.flatMap((each) => [each.title?.text ?? '',
 @pytest.mark.slow
 @pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
 @pytest.mark.parametrize("kind", NAMES)
-def test_nothing_of_a_name_runs_in_the_live_page(browser, kind, caplog):
+def test_names_are_never_executed_in_the_page(browser, kind, caplog):
     name = NAMES[kind]
     source = SetPictures()
     source.set(*hostile(name))
@@ -112,11 +112,11 @@ def test_nothing_of_a_name_runs_in_the_live_page(browser, kind, caplog):
             assert plain in browser.text(place).replace("\x00", ""), place
         assert shown.count(plain) >= 10
         assert browser.evaluate("document.images.length") == 0
-        # Titles and labels, drawn on a canvas, are letters and no formulas of TeX, for which nothing is loaded.
+        # Titles and labels, drawn on a canvas, are plain letters and no TeX formulas.
         drawn = browser.evaluate(DRAWN)
         assert any(plain.split()[0] in text.replace("\u2060", "") for text in drawn)
         assert not [text for text in drawn if re.search(r"\$\$|\\[(\[]", text)]
 
 
-def test_a_state_in_an_unknown_unit_is_shown_in_it():
+def test_state_in_an_unknown_unit_is_shown_in_it():
     assert state_text(ParameterShown("x", 0.5, 0.1, "furlong", True, 0.0)) == "+0.500 ± 0.200 furlong"

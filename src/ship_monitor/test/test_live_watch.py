@@ -1,4 +1,4 @@
-"""A suite that is watched live: it comes, goes, comes again, and its time goes back."""
+"""Live monitoring of a suite: start, end, restart, and a step back in time."""
 
 import threading
 import time
@@ -43,7 +43,7 @@ def heading(watch):
 
 
 def sail(ship, watch, until, time_ns=START_NS):
-    """Publish attitudes until the watch shows one."""
+    """Publish attitudes until one is displayed."""
     times = iter(range(time_ns, time_ns + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def look():
@@ -53,7 +53,7 @@ def sail(ship, watch, until, time_ns=START_NS):
     return until(look)
 
 
-def test_before_anything_is_heard_it_waits_and_says_where(watch):
+def test_location_is_shown_while_waiting(watch):
     watch.tick()
     assert watch.look().waiting_for == "ship/attitude"
     assert watch.place.startswith("namespace /demo, domain ")
@@ -61,14 +61,14 @@ def test_before_anything_is_heard_it_waits_and_says_where(watch):
 
 
 @pytest.mark.smoke
-def test_a_suite_that_comes_later_is_shown(watch, ship, until):
+def test_suite_started_later_is_shown(watch, ship, until):
     heading(watch)
     assert sail(ship, watch, until).value == 1.0
     assert watch.look().waiting_for == ""
 
 
 @pytest.mark.smoke
-def test_what_has_ended_becomes_old_by_itself_and_is_shown_again_when_it_comes_back(watch, until):
+def test_ended_suite_gets_old_and_recovers(watch, until):
     for start_ns in (START_NS, START_NS + 100 * NS_PER_S):
         ship = PublishingShip()
         sail(ship, watch, until, start_ns)
@@ -76,26 +76,26 @@ def test_what_has_ended_becomes_old_by_itself_and_is_shown_again_when_it_comes_b
         until(lambda: heading(watch).is_old)
 
 
-def test_when_time_goes_back_everything_begins_anew(watch, ship, until):
+def test_step_back_in_time_resets_the_state(watch, ship, until):
     sail(ship, watch, until)
     ship.say("ship/attitude", attitude(START_NS - 3600 * NS_PER_S))
     until(lambda: heading(watch).stamp_ns < START_NS)
     assert all(event.utc_ns < START_NS for event in watch.look().events)
 
 
-def test_who_looks_after_a_busy_second_sees_no_silence(watch, ship, until):
+def test_busy_display_causes_no_timeout(watch, ship, until):
     sail(ship, watch, until)
     stamp_ns = heading(watch).stamp_ns
-    # Two seconds in which nobody looks, while the ship goes on; an attitude is old after one.
+    # Two seconds without an update of the display while the ship publishes; an attitude is old after one.
     for number in range(1, 101):
         ship.say("ship/attitude", attitude(stamp_ns + number * NS_PER_S // 50))
         time.sleep(0.02)
     watch.tick()
     watch.look()
-    assert not [event for event in watch.look().events if "silent" in event.text]
+    assert not [event for event in watch.look().events if "no data" in event.text]
 
 
-def test_a_played_bag_with_the_truth_is_no_live_ship(watch, ship, until):
+def test_played_bag_with_truth_is_simulated(watch, ship, until):
     sail(ship, watch, until)
     assert watch.label == "LIVE"
     ship.say("truth/attitude", attitude(START_NS))
@@ -106,7 +106,7 @@ def test_a_played_bag_with_the_truth_is_no_live_ship(watch, ship, until):
     assert watch.label == "SIMULATED"  # what stands there still is that of the simulation
 
 
-def test_alerts_of_a_node_that_has_ended_are_not_shown_any_more(watch, until):
+def test_alerts_of_an_ended_node_are_cleared(watch, until):
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     for _ in range(2):
         ship = PublishingShip()
@@ -126,12 +126,12 @@ def test_alerts_of_a_node_that_has_ended_are_not_shown_any_more(watch, until):
         ("ins/imu", "sensor_msgs/msg/Imu", 0),
     ],
 )
-def test_of_outputs_the_newest_of_refusals_each_of_fast_inputs_none(topic, type_name, count):
+def test_queue_depths(topic, type_name, count):
     assert messages_wanted(topic, type_name) == count
 
 
 def test_page_terminal_and_alerts_show_one_state(ship, until):
-    """An alert node with tight limits: viewers show its words, and their own when it has gone."""
+    """With an alert node with tight limits displays show its state, and their own after its end."""
     tight = Limits(heading_arcsec=0.2, tilt_arcsec=0.2, pointing_arcsec=0.2)
     context = Context()
     rclpy.init(context=context)
@@ -165,8 +165,8 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
         context.try_shutdown()
 
 
-def test_a_state_of_another_version_is_dropped_and_the_messages_after_it_are_taken(watch, ship, until, caplog):
-    """A presence that does not exist: one line, no state of it, and the attitude goes on to be shown."""
+def test_invalid_state_is_dropped_and_later_messages_are_processed(watch, ship, until, caplog):
+    """An unknown presence gives one warning and no published state; the attitude is still displayed."""
     wrong = SuiteState(sources=[SuiteSource(name="ins", presence=9)])
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
 

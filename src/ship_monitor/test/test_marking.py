@@ -1,4 +1,4 @@
-"""What belongs to a marked source, by the names that a suite tells."""
+"""Assignment of published names to a marked source."""
 
 import pytest
 
@@ -33,7 +33,7 @@ POINTING = (
         ("unheard.of", set()),
     ],
 )
-def test_the_parts_of_a_budget_that_a_source_brings(source, parts):
+def test_budget_parts_of_a_source(source, parts):
     assert {part for part in SHIP + POINTING if is_error_of(part, source)} == parts
 
 
@@ -50,14 +50,14 @@ def test_the_parts_of_a_budget_that_a_source_brings(source, parts):
         ("star.bow.azimuth", "", False),
     ],
 )
-def test_states_belong_to_the_source_that_they_are_named_after(name, source, belongs):
+def test_states_belong_to_the_source_in_their_name(name, source, belongs):
     assert is_of(name, source) is belongs
 
 
 @pytest.mark.parametrize(
     ("subject", "text", "source", "belongs"),
     [
-        ("star.bow", "star.bow OUT, silent", "star.bow", True),
+        ("star.bow", "star.bow OUT, no data", "star.bow", True),
         ("heading", "heading SAFE → CAUTION, star.bow out", "star.bow", True),
         ("heading", "heading SAFE → CAUTION, star.bow.left out", "star.bow", False),
         ("heading", "WARNING star.bow.", "star.bow", True),
@@ -67,5 +67,5 @@ def test_states_belong_to_the_source_that_they_are_named_after(name, source, bel
         ("heading", "heading SAFE", "", False),
     ],
 )
-def test_events_are_about_a_source_by_subject_or_by_a_word_of_the_text(subject, text, source, belongs):
+def test_events_of_a_source_by_subject_or_text(subject, text, source, belongs):
     assert is_about(Event(0, "state", subject, text), source) is belongs

@@ -1,4 +1,4 @@
-"""The executable ``monitor``: what it refuses in one line."""
+"""The executable ``monitor``: errors in one line."""
 
 import socket
 
@@ -8,38 +8,38 @@ from ship_monitor.commands.monitor import main
 
 
 @pytest.mark.live
-def test_a_port_in_use_is_one_line_and_bad_input(capsys):
+def test_port_in_use_is_bad_input_in_one_line(capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
         assert main(["--port", str(port)]) == 2
-    assert capsys.readouterr().err == f"monitor: port {port} of 127.0.0.1 is in use: give another one with --port\n"
+    assert capsys.readouterr().err == f"monitor: port {port} of 127.0.0.1 is in use: choose another one with --port\n"
 
 
-def test_a_port_of_foxglove_in_use_is_one_line_and_bad_input(capsys):
+def test_foxglove_port_in_use_is_bad_input_in_one_line(capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
         assert main(["--foxglove", str(port)]) == 2
-    said = f"monitor: port {port} of 127.0.0.1 is in use: give another one with --foxglove N\n"
+    said = f"monitor: port {port} of 127.0.0.1 is in use: choose another one with --foxglove N\n"
     assert capsys.readouterr() == ("", said)
 
 
-def test_a_bag_is_not_served_to_foxglove_which_opens_it_by_itself(capsys):
+def test_bag_is_not_served_to_foxglove(capsys):
     assert main(["--bag", "OUT.mcap", "--foxglove"]) == 2
     said = "monitor: --foxglove serves a live suite: Foxglove opens OUT.mcap by itself\n"
     assert capsys.readouterr() == ("", said)
 
 
 @pytest.mark.live
-def test_what_is_no_namespace_is_one_line_and_bad_input(capsys):
+def test_invalid_namespace_is_bad_input_in_one_line(capsys):
     assert main(["--namespace", "a b"]) == 2
     assert capsys.readouterr().err.startswith("monitor: '/a b' is not a namespace of ROS")
 
 
-def test_an_unknown_key_of_the_limits_is_one_line_with_file_and_key(tmp_path, capsys):
+def test_unknown_key_of_the_limits_is_one_line_with_file_and_key(tmp_path, capsys):
     path = tmp_path / "limits.yaml"
     path.write_text("heading_arcsecs: 5.0\n", encoding="utf-8")
     assert main(["--limits", str(path)]) == 2
@@ -50,13 +50,13 @@ def test_an_unknown_key_of_the_limits_is_one_line_with_file_and_key(tmp_path, ca
 
 
 @pytest.mark.parametrize("name", ["Europe/Olso", "Europe", "../etc/passwd", ""])
-def test_what_is_no_time_zone_is_one_line_with_option_value_and_what_to_do(name, capsys):
+def test_invalid_time_zone_is_one_line_with_option_and_value(name, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--time-zone", name])
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert f"--time-zone: {name!r} is no time zone: give an IANA name such as Europe/Oslo" in said
+    assert f"--time-zone: {name!r} is not a time zone: use an IANA name as Europe/Oslo" in said
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Who is answered by the page and by the server for Foxglove: by Host and Origin, and by a real browser."""
+"""Requests answered by the page and by the Foxglove server, by Host and Origin; also with a real browser."""
 
 import http.client
 import http.server
@@ -21,7 +21,7 @@ FOXGLOVE = "https://app.foxglove.dev"
 
 
 def answer(port, *, host, origin=None, agent="", path="/", is_socket=True):
-    """Status of a request at 127.0.0.1."""
+    """Return the status of a request to 127.0.0.1."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
     headers = {"Host": host.replace("PORT", str(port))}
     headers |= {} if origin is None else {"Origin": origin.replace("PORT", str(port))}
@@ -71,7 +71,7 @@ def test_foxglove_answers_viewers_and_this_machine(foxglove, host, origin, agent
     assert answer(foxglove, host=host, origin=origin, agent=agent) == status
 
 
-def test_a_name_that_is_allowed_is_host_and_origin():
+def test_allowed_name_is_host_and_origin():
     server = FoxgloveServer("demo", "127.0.0.1", 0, ["Bridge.ship.example"])
     port = port_of(server)
     assert answer(port, host="bridge.ship.example:PORT", origin="http://bridge.ship.example:8080") == 101
@@ -90,13 +90,13 @@ def test_a_name_that_is_allowed_is_host_and_origin():
         ("127.0.0.1:PORT", "http://[", 403),
     ],
 )
-def test_the_page_on_all_addresses_answers_its_own_names_alone(host, origin, status):
-    """A name of another's that leads to the ship's address is no name of the ship."""
+def test_page_on_all_addresses_answers_only_its_own_names(host, origin, status):
+    """A foreign name that resolves to the ship's address is refused."""
     with served(address="0.0.0.0", allowed_hosts=["bridge.ship.example"]) as page:
         assert answer(port_of(page), host=host, origin=origin, is_socket=False) == status
 
 
-def test_the_machines_own_name_is_one_where_not_only_loopback_is_served(monkeypatch):
+def test_host_name_is_allowed_beyond_loopback(monkeypatch):
     monkeypatch.setattr("socket.gethostname", lambda: "Bridge")
     assert {"bridge", "bridge.local", "localhost"} <= OwnHosts("0.0.0.0")._names
     assert "bridge" not in OwnHosts("127.0.0.1")._names
@@ -104,7 +104,7 @@ def test_the_machines_own_name_is_one_where_not_only_loopback_is_served(monkeypa
 
 @pytest.fixture(scope="module")
 def site():
-    """A web site of somebody else's: an empty page at any name that leads to this machine."""
+    """Serve a foreign web site: an empty page at any name that resolves to this computer."""
 
     class Empty(http.server.BaseHTTPRequestHandler):
         def do_GET(self):
@@ -122,7 +122,7 @@ def site():
 
 
 @pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
-def test_a_page_of_another_site_reads_no_topics_in_a_real_browser(foxglove, site):
+def test_page_of_another_site_reads_no_topics_in_a_browser(foxglove, site):
     browser = Browser()
     attempt = (
         "new Promise((done) => {{ const link = new WebSocket('{address}', {protocols});"
@@ -137,10 +137,10 @@ def test_a_page_of_another_site_reads_no_topics_in_a_real_browser(foxglove, site
                 (f"ws://localhost:{port_of(page)}/ws", "['bokeh', 'token']"),
             ):
                 assert browser.evaluate(attempt.format(address=address, protocols=protocols)) == "refused", address
-            # A name that was made to lead here is a site of its own, with nothing on it.
+            # A foreign name that resolves to this server is a site of its own, without content.
             browser.open(f"http://evil.localhost:{port_of(page)}/")
             assert browser.text("p").startswith("403")
-            # The same from a page that this machine serves: the attempt itself is sound.
+            # The same attempt from a page of this computer succeeds.
             browser.open(site.replace("evil.", ""))
             own = attempt.format(address=f"ws://localhost:{foxglove}/", protocols=f"['{PROTOCOL}']")
             assert browser.evaluate(own).startswith('read {"op": "serverInfo"')

@@ -1,4 +1,4 @@
-"""The page as a browser shows it: headless Chromium over hand-made pictures."""
+"""The page in a browser: headless Chromium with hand-made states."""
 
 import json
 from dataclasses import replace
@@ -56,7 +56,7 @@ def rectangle(browser, selector):
 @pytest.mark.slow
 @pytest.mark.parametrize("theme", ["day", "dusk", "night"])
 @pytest.mark.parametrize("size", SIZES)
-def test_everything_of_the_first_screenful_is_drawn(browser, source, page, theme, size, tmp_path):
+def test_first_screen_is_drawn_completely(browser, source, page, theme, size, tmp_path):
     source.set(pictures.faulty(), pictures.history(is_faulty=True))
     browser.open(f"{page}?theme={theme}", *SIZES[size])
     browser.until(LIVE)
@@ -77,7 +77,7 @@ def test_everything_of_the_first_screenful_is_drawn(browser, source, page, theme
     assert browser.evaluate("getComputedStyle(document.body).fontFamily").startswith("B612")
 
 
-def test_the_first_screenful_at_1280_by_800_lies_where_the_design_has_it(browser, page):
+def test_first_screen_at_1280_by_800_matches_the_design(browser, page):
     browser.open(page)
     browser.until(LIVE)
     assert rectangle(browser, "#bar") == [0, 0, 1280, 64]
@@ -103,7 +103,7 @@ def test_the_first_screenful_at_1280_by_800_lies_where_the_design_has_it(browser
         ("#heading h2", 19),
     ],
 )
-def test_what_is_read_from_afar_is_large(browser, source, page, selector, least_px):
+def test_font_sizes_for_reading_at_a_distance(browser, source, page, selector, least_px):
     source.set(pictures.faulty())
     browser.open(page)
     browser.until(LIVE)
@@ -112,8 +112,8 @@ def test_what_is_read_from_afar_is_large(browser, source, page, selector, least_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
-def test_without_the_cockpit_face_nothing_is_cut_and_the_console_stays_empty(source, page, size, tmp_path, monkeypatch):
-    """B612 may not be there: DejaVu, which is wider, then comes from the server, for the plots too."""
+def test_fallback_font_cuts_nothing_and_console_is_empty(source, page, size, tmp_path, monkeypatch):
+    """Without B612 the server provides DejaVu, which is wider, also for the plots."""
     fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
     (tmp_path / "fonts.conf").write_text(
         f'<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd"><fontconfig><dir>{fonts}</dir>'
@@ -139,7 +139,7 @@ def test_without_the_cockpit_face_nothing_is_cut_and_the_console_stays_empty(sou
         plain.close()
 
 
-def test_on_a_phone_the_reason_is_within_its_tile(browser, source, page):
+def test_reason_fits_its_tile_on_a_phone(browser, source, page):
     source.set(pictures.faulty())
     browser.open(page, *SIZES["phone"])
     browser.until(LIVE)
@@ -147,7 +147,7 @@ def test_on_a_phone_the_reason_is_within_its_tile(browser, source, page):
     assert browser.evaluate(f"{below}.map((each) => each.id)") == []
 
 
-def test_on_a_phone_a_tile_is_92_px_high_and_the_order_is_alert_tiles_ages_sources(browser, page):
+def test_phone_layout(browser, page):
     browser.open(page, *SIZES["phone"])
     browser.until(LIVE)
     tops = [rectangle(browser, selector)[1] for selector in ("#alert", "#heading", "#elevation", "#ages", "#sources")]
@@ -156,7 +156,7 @@ def test_on_a_phone_a_tile_is_92_px_high_and_the_order_is_alert_tiles_ages_sourc
     assert rectangle(browser, "#heading")[2] > 370
 
 
-def test_values_change_without_loading_anew(browser, source, page):
+def test_values_change_without_reload(browser, source, page):
     browser.open(page)
     browser.until(LIVE)
     well = pictures.picture()
@@ -169,7 +169,7 @@ def test_values_change_without_loading_anew(browser, source, page):
 
 
 @pytest.mark.slow
-def test_a_server_that_says_nothing_is_no_link_and_every_value_is_old(browser, source, page):
+def test_lost_link_makes_every_value_old(browser, source, page):
     browser.open(page)
     browser.until(LIVE)
     source.fails = True
@@ -182,16 +182,16 @@ def test_a_server_that_says_nothing_is_no_link_and_every_value_is_old(browser, s
     assert browser.text("#heading .state b") == "SAFE"
 
 
-def test_no_link_is_said_within_two_seconds_of_the_last_news(browser, page):
+def test_lost_link_is_reported_within_two_seconds(browser, page):
     browser.open(page)
     browser.until(LIVE)
-    # By the page's own clock and its own timers, whose limit is the browser's to keep: no time of this test enters.
+    # Measured by the clock and the timers of the page, not by times of this test.
     limits = browser.evaluate("[monitor.limits.linkLostMs, monitor.limits.lookMs]")
     assert sum(limits) <= 2000
 
 
-def test_a_page_that_was_busy_itself_does_not_claim_a_lost_link(browser, page):
-    """The news that came meanwhile waits to be read: opening the plots keeps a page busy."""
+def test_busy_page_does_not_report_a_lost_link(browser, page):
+    """Opening the plots keeps a page busy: texts received meanwhile are read later."""
     browser.open(page)
     browser.until(LIVE)
     browser.evaluate(
@@ -208,7 +208,7 @@ def test_a_page_that_was_busy_itself_does_not_claim_a_lost_link(browser, page):
 
 
 @pytest.mark.slow
-def test_a_server_that_starts_again_is_found_again(browser, source):
+def test_page_reconnects_after_a_restart_of_the_server(browser, source):
     with served(source) as server:
         port = int(server.address.rstrip("/").rpartition(":")[2])
         browser.open(server.address)
@@ -242,7 +242,7 @@ def test_the_alert_line_opens_the_list(browser, source, page):
     assert browser.text("#alerts p:nth-child(2) .advice").startswith("Clean the sensor")
 
 
-def test_a_click_on_a_source_marks_it(browser, page):
+def test_click_on_a_source_marks_it(browser, page):
     browser.open(page)
     browser.until(LIVE)
     browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
@@ -258,7 +258,7 @@ def test_hovering_shows_all_digits_in_the_colours_of_the_theme(browser, page):
     assert browser.evaluate("getComputedStyle(document.querySelector('#tip')).color") == "rgb(255, 64, 38)"
 
 
-def test_names_from_the_network_are_text(browser, source, page):
+def test_names_from_the_network_are_plain_text(browser, source, page):
     well = pictures.picture()
     evil = "</script><img src=x onerror=window.hit=1>"
     source.set(replace(well, sources=(replace(well.sources[0], name=evil), *well.sources[1:])))
@@ -268,7 +268,7 @@ def test_names_from_the_network_are_text(browser, source, page):
     assert browser.evaluate("window.hit") is None
 
 
-def test_many_sources_are_counted_and_those_that_are_out_are_seen(browser, source, page):
+def test_many_sources_are_counted_and_out_ones_are_visible(browser, source, page):
     faulty = pictures.faulty()
     more = tuple(pictures.source(f"reference.{number}") for number in range(20))
     source.set(replace(faulty, sources=faulty.sources + more))
@@ -280,7 +280,7 @@ def test_many_sources_are_counted_and_those_that_are_out_are_seen(browser, sourc
 
 
 @pytest.mark.slow
-def test_a_ship_without_a_theodolite_has_no_empty_tiles_and_her_three_take_the_room(browser, source, page):
+def test_suite_without_a_theodolite_has_no_empty_tiles(browser, source, page):
     well = pictures.picture()
     source.set(replace(well, angles=well.angles[:3], pointing_by=""))
     browser.open(page)
@@ -302,7 +302,7 @@ GREY = (".ages dd", "#head", "#sources li .who", "#sources li .age", "#sources l
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_linked", [True, False])
-def test_without_news_no_tick_no_age_and_no_count_looks_good(browser, source, page, is_linked):
+def test_old_data_have_no_ticks_ages_or_counts(browser, source, page, is_linked):
     browser.open(page)
     browser.until(LIVE)
     assert OLD_COLOUR not in [colour(browser, each) for each in GREY]
@@ -323,7 +323,7 @@ def test_without_news_no_tick_no_age_and_no_count_looks_good(browser, source, pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [*SIZES.values(), LAPTOP])
-def test_scrolled_down_the_state_of_each_angle_and_the_alert_stay_in_sight(browser, source, page, size):
+def test_safety_and_alert_stay_visible_while_scrolled(browser, source, page, size):
     source.set(pictures.faulty())
     browser.open(page, *size)
     browser.until(LIVE)
@@ -340,7 +340,7 @@ def test_scrolled_down_the_state_of_each_angle_and_the_alert_stay_in_sight(brows
 
 
 @pytest.mark.slow
-def test_at_1366_by_768_the_time_axis_is_above_the_fold(browser, page):
+def test_time_axis_is_visible_at_1366_by_768(browser, page):
     browser.open(page, *LAPTOP)
     browser.until(LIVE)
     assert browser.evaluate("document.querySelector('#ticks span').getBoundingClientRect().bottom") <= LAPTOP[1]
@@ -348,7 +348,7 @@ def test_at_1366_by_768_the_time_axis_is_above_the_fold(browser, page):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [SIZES["watch"], LAPTOP])
-def test_two_that_are_out_leave_the_list_readable(browser, source, page, size):
+def test_list_is_readable_with_two_sources_out(browser, source, page, size):
     source.set(pictures.faulty())
     browser.open(page, *size)
     browser.until(LIVE)
@@ -358,7 +358,7 @@ def test_two_that_are_out_leave_the_list_readable(browser, source, page, size):
 
 
 @pytest.mark.slow
-def test_on_a_phone_words_are_clear_of_stripes_and_reasons_of_digits(browser, source, page):
+def test_phone_texts_do_not_overlap(browser, source, page):
     source.set(pictures.faulty())
     browser.open(page, *SIZES["phone"])
     browser.until(LIVE)
@@ -372,7 +372,7 @@ def test_on_a_phone_words_are_clear_of_stripes_and_reasons_of_digits(browser, so
 
 
 @pytest.mark.slow
-def test_local_time_stands_with_utc(browser, source):
+def test_local_time_is_shown_with_utc(browser, source):
     with served(source, zone=ZoneInfo("Europe/Oslo")) as server:
         browser.open(server.address)
         browser.until(LIVE)
@@ -380,17 +380,17 @@ def test_local_time_stands_with_utc(browser, source):
         assert browser.text("#local").endswith(" CEST")
 
 
-def test_a_page_that_waits_says_for_what_and_where(browser, source, page):
+def test_waiting_page_names_output_and_location(browser, source, page):
     source.set(replace(pictures.picture(), waiting_for="ship/attitude", utc_ns=0))
     browser.open(page)
     browser.until("document.querySelector('#alert-text').textContent === 'waiting for ship/attitude'")
     assert browser.text("#alert-sub") == "namespace /demo, domain 0"
 
 
-def test_the_first_paint_waits_for_no_script_of_bokeh(browser, page):
+def test_first_paint_does_not_wait_for_bokeh(browser, page):
     browser.open(page)
     browser.until(LIVE)
-    # Of one timeline, the browser's: what a loaded machine delays, it delays in both.
+    # Both times are from the browser's timeline, so that a loaded computer delays both.
     painted, loaded = browser.evaluate(
         "[performance.getEntriesByName('first-contentful-paint')[0].startTime,"
         " performance.getEntriesByType('resource').find((each) => each.name.includes('bokeh')).responseEnd]"
@@ -418,7 +418,7 @@ TITLES = [
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("theme", ["dusk", "night"])
-def test_all_panels_below_are_drawn_when_they_come_into_sight(browser, source, page, theme, size, tmp_path):
+def test_panels_are_drawn_when_they_become_visible(browser, source, page, theme, size, tmp_path):
     source.set(watched_picture(), watched_history())
     browser.open(f"{page}?theme={theme}", *SIZES[size])
     browser.until("monitor.isLinked()")
@@ -464,7 +464,7 @@ MARKED = f"""(() => {{
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
-def test_a_click_on_a_tile_shows_its_budget_and_its_error_in_one_window(browser, source, page, size):
+def test_click_on_a_tile_shows_its_budget_and_error(browser, source, page, size):
     source.set(watched_picture(), watched_history())
     browser.open(page, *SIZES[size])
     browser.until("monitor.isLinked()")
@@ -475,11 +475,11 @@ def test_a_click_on_a_tile_shows_its_budget_and_its_error_in_one_window(browser,
 
 
 @pytest.mark.slow
-def test_plots_come_panel_after_panel_and_a_text_before_each(browser, source, page):
+def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source, page):
     source.set(watched_picture(), watched_history())
     browser.open(page, 1280, 1600)
     browser.until("monitor.isLinked()")
-    # The plots that the document has at each text: texts between them keep the link while plots are made.
+    # Number of plots in the document at each text: texts in between keep the link while plots are made.
     browser.evaluate(
         "window.plots = []; const show = monitor.show; monitor.show = (model) => {"
         " plots.push([...Bokeh.documents[0]._all_models.values()].filter((each) => each.type === 'Figure').length);"
@@ -497,12 +497,12 @@ def test_plots_come_panel_after_panel_and_a_text_before_each(browser, source, pa
 
 
 def counted(browser, each):
-    """Wait until so many of each kind are marked."""
+    """Wait until the given numbers of each kind are marked."""
     browser.until(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
 
 
 @pytest.mark.slow
-def test_a_mark_is_in_every_panel_stays_through_updates_and_goes_with_escape(browser, source, page):
+def test_mark_is_in_every_panel_until_escape(browser, source, page):
     source.set(watched_picture(), watched_history())
     browser.open(page, 1280, 4000)  # all panels in sight
     browser.until("monitor.isLinked()")
@@ -534,7 +534,7 @@ def test_a_mark_is_in_every_panel_stays_through_updates_and_goes_with_escape(bro
 
 
 @pytest.mark.slow
-def test_another_theme_keeps_the_mark(browser, source, page):
+def test_change_of_theme_keeps_the_mark(browser, source, page):
     source.set(watched_picture(), watched_history())
     browser.open(page)
     browser.until("monitor.isLinked()")
@@ -547,7 +547,7 @@ def test_another_theme_keeps_the_mark(browser, source, page):
 
 
 @pytest.mark.slow
-def test_only_the_panels_in_sight_are_drawn(browser, source, page, monkeypatch):
+def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
     drawn = []
     for kind in (InnovationPanel, SkyPanel, InputsPanel):
         update = kind.update
@@ -573,7 +573,7 @@ def test_only_the_panels_in_sight_are_drawn(browser, source, page, monkeypatch):
     browser.evaluate("scrollTo(0, 0)")
 
     def rests():
-        """Whether nothing was drawn while the time of the page went on."""
+        """True if nothing was drawn while the time of the page advanced."""
         drawn.clear()
         clock = browser.text("#utc")
         browser.until(f"document.querySelector('#utc').textContent > '{clock}'")

@@ -1,4 +1,4 @@
-"""What the panels say, from drawn minutes in which a star sensor is knocked."""
+"""Content of the panels for simulated minutes with a shifted star sensor."""
 
 from collections import deque
 from dataclasses import replace
@@ -29,22 +29,22 @@ def panels():
     return build_panels(THEMES["dusk"])
 
 
-def test_an_empty_suite_draws_empty_panels_that_say_so(panels) -> None:
+def test_empty_suite_has_empty_panels_with_notes(panels) -> None:
     panels.update(History(), replace(PICTURE, utc_ns=0, angles=(), sources=(), inputs=(), events=()))
     texts = " ".join(div.text for div in panels.layout.select({"type": Div}))
     for said in (
-        "no source is compared with a prediction yet",
-        "no truth here",
-        "no error budget is told",
-        "no alignment and no calibration is told",
-        "no node tells of its inputs",
-        "nothing has changed yet",
+        "no innovations yet",
+        "no truth data",
+        "no error budget data",
+        "no alignment or calibration data",
+        "no input health data",
+        "no events yet",
     ):
         assert said in texts
 
 
 @pytest.mark.slow
-def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> None:
+def test_innovations_use_the_room_of_errors_without_truth(panels) -> None:
     panels.update(watched_history(has_truth=True), PICTURE)
     assert panels.frames["error"].visible
     assert "'innovations error' 'innovations budget'" in panels._grid.css
@@ -55,7 +55,7 @@ def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> No
 
 
 @pytest.mark.slow
-def test_without_a_telescope_the_sky_takes_the_room_of_the_lights(panels) -> None:
+def test_sky_uses_the_room_of_lights_without_a_telescope(panels) -> None:
     history = watched_history()
     panels.update(replace(history, lights={}), PICTURE)
     assert not panels.frames["lights"].visible
@@ -65,7 +65,7 @@ def test_without_a_telescope_the_sky_takes_the_room_of_the_lights(panels) -> Non
     assert "'sky lights'" in panels._grid.css
 
 
-def test_the_height_of_errors_is_that_of_now_and_a_start_is_cut_off(panels) -> None:
+def test_height_of_errors_follows_the_recent_values(panels) -> None:
     history = watched_history(length_s=50.0)
     points = history.errors["ship/error_arcsec"]
     history.errors["ship/error_arcsec"] = deque(
@@ -82,7 +82,7 @@ def test_the_height_of_errors_is_that_of_now_and_a_start_is_cut_off(panels) -> N
     assert row.figure.title.text == "roll · axis ±30″"
 
 
-def test_a_knocked_sensor_is_shown_refused_off_and_shaded(panels) -> None:
+def test_shifted_sensor_is_shown_rejected_and_shaded(panels) -> None:
     panels.update(watched_history(), PICTURE)
     row = panels._innovations.plots.rows["star.starboard"]
     right = row._trails[1].source.data
@@ -99,7 +99,7 @@ def test_a_knocked_sensor_is_shown_refused_off_and_shaded(panels) -> None:
 
 
 @pytest.mark.slow
-def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> None:
+def test_past_outages_stay_shaded(panels) -> None:
     panel: InnovationPanel = panels._innovations
     history = watched_history()
     for now_s, since_s in ((0, -40), (5, -40), (10, None), (20, 15), (22, 15)):
@@ -112,7 +112,7 @@ def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> N
 
 
 @pytest.mark.slow
-def test_an_outage_is_forgotten_where_the_time_goes_back_before_it(panels) -> None:
+def test_outage_is_removed_after_a_step_back_in_time(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
     out = panels._innovations.plots.rows["star.starboard"]._out
@@ -123,7 +123,7 @@ def test_an_outage_is_forgotten_where_the_time_goes_back_before_it(panels) -> No
         assert ends == pytest.approx([end for span in zip(*spans, strict=True) for end in span])
 
 
-def test_a_band_that_says_nothing_does_not_hide_what_is_measured(panels) -> None:
+def test_wide_band_does_not_hide_the_values(panels) -> None:
     history = watched_history()
     wide = [
         replace(p, sigma=p.sigma * (400.0 if p.utc_ns > NOW_NS - 20 * 10**9 else 1.0))
@@ -140,20 +140,20 @@ def test_a_band_that_says_nothing_does_not_hide_what_is_measured(panels) -> None
         (GOOD, 15.0, ("✓ star.fore  IN · σ as stated (1.01)", False)),
         (GOOD, 30.0, ("✓ star.fore  IN · axis ±30″ · σ as stated (1.01)", False)),
         (replace(GOOD, verdict=None), 15.0, ("✓ star.fore  IN", False)),
-        (replace(GOOD, presence=Presence.OUT, reason="silent"), 15.0, ("✕ star.fore  OUT · silent", True)),
+        (replace(GOOD, presence=Presence.OUT, reason="no data"), 15.0, ("✕ star.fore  OUT · no data", True)),
         (
             replace(GUILTY, name="star.fore"),
             60.0,
-            ("✕ star.fore  OUT · axis ±60″ · 81 refused in a row · right +49″ · residual 8.1 σ", True),
+            ("✕ star.fore  OUT · axis ±60″ · 81 rejected in a row · right +49″ · residual 8.1 σ", True),
         ),
         (None, 15.0, ("star.fore", False)),
     ],
 )
-def test_the_verdict_or_the_reason_stands_above_the_plot(source, step, line) -> None:
+def test_title_of_a_source_plot(source, step, line) -> None:
     assert source_line("star.fore", source, step) == line
 
 
-def test_what_is_new_is_streamed_and_a_second_look_sends_nothing(panels) -> None:
+def test_only_new_points_are_streamed(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
     sent = []
@@ -164,8 +164,8 @@ def test_what_is_new_is_streamed_and_a_second_look_sends_nothing(panels) -> None
     assert sent == []
 
 
-def test_few_messages_go_to_a_browser_in_a_second(panels) -> None:
-    # Each is packed and sent by itself: three browsers with forty each are a tenth of a core.
+def test_few_messages_are_sent_to_a_browser_per_second(panels) -> None:
+    # Each message is packed and sent separately: forty each for three browsers take a tenth of a core.
     history = watched_history()
     document = Document()
     document.add_root(panels.layout)
@@ -177,13 +177,13 @@ def test_few_messages_go_to_a_browser_in_a_second(panels) -> None:
         for points in (*history.innovations.values(), *history.errors.values(), *history.budgets.values()):
             points.append(replace(points[-1], utc_ns=points[-1].utc_ns + 10**9))
         panels.update(history, replace(PICTURE, utc_ns=NOW_NS + second * 10**9))
-    # Two lines of each of three sources, five errors and the budget are streamed, the time goes on, a shade grows, and
-    # what stands beside a plot changes where it does.
+    # Two lines of each of three sources, five errors and the budget are streamed; the time axis moves, a shade grows,
+    # and changed labels are sent.
     assert len(sent) <= 10 * (2 * 3 + 5 + 1 + 2 + 1 + 6)
 
 
-def test_a_document_is_not_looked_through_while_only_points_are_new(panels, monkeypatch) -> None:
-    # Bokeh looks through all models where one comes or goes, which takes 50 ms and more for each browser.
+def test_new_points_do_not_recompute_the_document_models(panels, monkeypatch) -> None:
+    # Bokeh recomputes all models if one is added or removed, which takes 50 ms or more for each browser.
     history = watched_history()
     panels.update(history, PICTURE)
     document = Document()
@@ -201,7 +201,7 @@ def test_a_document_is_not_looked_through_while_only_points_are_new(panels, monk
     assert 1 <= len(looks) <= 3  # not at each band
 
 
-def test_stars_that_were_not_used_are_told_apart_and_rows_count_downward() -> None:
+def test_rejected_stars_differ_and_rows_count_downward() -> None:
     seen = watched_history().stars["star.fore"]
     seen = replace(
         seen,
@@ -228,7 +228,7 @@ def test_stars_that_were_not_used_are_told_apart_and_rows_count_downward() -> No
         ((90.0, 45.0), (0.0, 0.0, 5.0), (90.0, 40.0)),  # port up: starboard goes down
     ],
 )
-def test_a_sensor_that_tells_no_stars_looks_where_it_is_installed(installed_deg, deck_deg, expected_deg) -> None:
+def test_boresight_from_installation_and_attitude(installed_deg, deck_deg, expected_deg) -> None:
     alignment = [
         ParameterShown(f"star.aft.{name}", np.deg2rad(value), 0.0, "rad", True)
         for name, value in zip(("azimuth", "elevation"), installed_deg, strict=True)
@@ -242,7 +242,7 @@ def test_a_sensor_that_tells_no_stars_looks_where_it_is_installed(installed_deg,
     assert np.isnan(boresight("star.aft", alignment, angles[:2])).all()
 
 
-def test_states_are_told_from_their_nominal_values_with_two_sigma() -> None:
+def test_states_are_deviations_from_nominal_with_two_sigma() -> None:
     angle = ParameterShown("star.a.azimuth", 2 * np.pi - 1 * ARCSEC, 0.6 * ARCSEC, "rad", True, 1.5 * ARCSEC)
     low, value, high = bars_arcsec([angle, replace(angle, unit="s"), replace(angle, nominal=float("nan"))])
     assert (low[0], value[0], high[0]) == pytest.approx((-3.7, -2.5, -1.3), abs=1e-6)
@@ -255,14 +255,14 @@ def test_states_are_told_from_their_nominal_values_with_two_sigma() -> None:
     assert state_text(ParameterShown("star.a.focal_length", 2e-4, 1e-5, "1", True, 0.0)) == "+0.0200 ± 0.0020 %"
 
 
-def test_the_axis_of_the_states_holds_all_values_and_most_bars() -> None:
+def test_axis_of_the_states_contains_all_values_and_most_bars() -> None:
     value, reach = np.array([1.0, 2.0, 70.0, -3.0, 0.0]), np.array([5.0, 5.0, 2.0, 4000.0, 9.0])
     assert half_width(value - reach, value + reach) == 120.0
     nothing = np.full(2, np.nan)
     assert half_width(nothing, nothing) == 30.0
 
 
-def test_a_gyro_that_is_off_by_a_thousand_arcseconds_leaves_the_other_states_their_scale(panels) -> None:
+def test_large_deviation_has_its_own_scale(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
     states = panels._alignment
@@ -278,7 +278,7 @@ def test_a_gyro_that_is_off_by_a_thousand_arcseconds_leaves_the_other_states_the
     assert all(labels[row] == others[row] for row in range(rows))
 
 
-def test_without_a_position_the_sky_says_why_there_is_no_moon() -> None:
+def test_missing_position_is_stated_in_the_sky_panel() -> None:
     history = replace(watched_history(), position=None)
     for is_bag, where in ((True, " in this bag"), (False, "")):
         panels = build_panels(THEMES["dusk"], is_bag=is_bag)
@@ -286,17 +286,17 @@ def test_without_a_position_the_sky_says_why_there_is_no_moon() -> None:
         assert panels._sky.box._head.text.endswith(f"residuals · Moon not drawn: no GNSS position{where}</span>")
 
 
-def test_the_guilty_input_stands_out_although_its_node_refused_nothing() -> None:
+def test_input_of_a_faulty_source_is_highlighted() -> None:
     shown = InputShown("star/starboard/observations", 2.0, 0.1, 0.6, 0, 0, {})
     row = input_row(shown, {shown.topic: GUILTY})
     assert "class='guilty'" in row
     assert "<td class='n'>81" in row
-    assert "OUT: 81 refused in a row" in row
+    assert "OUT: 81 rejected in a row" in row
     assert "guilty" not in input_row(shown, {})
     assert "guilty" not in input_row(shown, {shown.topic: replace(GUILTY, because_of="ins")})
 
 
-def test_a_marked_source_stands_out_in_every_panel_and_nothing_else_does(panels) -> None:
+def test_only_the_marked_source_is_highlighted(panels) -> None:
     theme, history = THEMES["dusk"], watched_history()
     event = Event(NOW_NS, "source", "star.fore", "star.fore IN")
     picture = replace(PICTURE, events=(*PICTURE.events, event))
@@ -352,7 +352,7 @@ def test_a_marked_source_stands_out_in_every_panel_and_nothing_else_does(panels)
     assert not any(standing_out().values())
 
 
-def test_the_error_of_a_chosen_angle_stands_out_and_of_no_other(panels) -> None:
+def test_only_the_error_of_the_chosen_angle_is_highlighted(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
     titles = [row.figure.title.text for row in panels._errors.plots.rows.values()]
@@ -363,7 +363,7 @@ def test_the_error_of_a_chosen_angle_stands_out_and_of_no_other(panels) -> None:
     assert panels._budget.box._head.text.count("roll, σ")
 
 
-def test_a_panel_out_of_sight_is_not_drawn_and_catches_up(panels) -> None:
+def test_invisible_panel_is_not_drawn_and_catches_up(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
     panels.seen = {"inputs"}
@@ -380,7 +380,7 @@ def test_a_panel_out_of_sight_is_not_drawn_and_catches_up(panels) -> None:
     assert len(row._trail.source.data["t"]) == rows + 3
 
 
-def test_reasons_are_in_order_and_names_from_outside_are_only_text() -> None:
+def test_reasons_are_sorted_and_names_are_escaped() -> None:
     assert reasons_text({"gate": 9, "too_few_stars": 56, "late": 0}) == "too few stars 56, gate 9"
     assert reasons_text({}) == "—"
     assert reasons_text(dict.fromkeys("abcdef", 9)).endswith(", 2 more")

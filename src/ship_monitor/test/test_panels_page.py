@@ -1,4 +1,4 @@
-"""The panels as a browser draws them: headless Chromium, a page of nothing else, minutes that go on."""
+"""The panels in a browser: headless Chromium, a page with panels only, advancing simulated minutes."""
 
 import asyncio
 import contextlib
@@ -34,17 +34,17 @@ const found = (type) => {
     return views;
 };
 """
-"""JavaScript: the views of all models of a type."""
+"""JavaScript that returns the views of all models of a type."""
 
 
 class Minutes:
-    """Drawn minutes that go on by one measurement of each kind at each update."""
+    """Simulated minutes that advance by one measurement of each kind at each update."""
 
     def __init__(self) -> None:
         self.history, self.picture = watched_history(), watched_picture()
 
     def go_on(self) -> None:
-        """One second more."""
+        """Advance by one second."""
         second = 1_000_000_000
         self.picture = replace(self.picture, utc_ns=self.picture.utc_ns + second)
         for points in (
@@ -57,7 +57,7 @@ class Minutes:
 
 @contextlib.contextmanager
 def served(theme):
-    """Address of a page that holds the panels alone, and the panels; the minutes go on where that is said."""
+    """Return the address of a page with the panels only, and the panels."""
     told: Queue = Queue()
     minutes = Minutes()
 
@@ -144,7 +144,7 @@ def test_new_points_are_streamed_and_the_time_goes_on(browser):
 
 
 @pytest.mark.slow
-def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
+def test_drag_zooms_all_plots_and_double_click_returns(browser):
     with served("day") as (address, told):
         opened(browser, address, "day", 1280)
         panels = told.get(timeout=20.0)
@@ -168,7 +168,7 @@ def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
         assert panels.times.range.end == before
 
         def is_live_again():
-            """Two clicks are one double click only where they come in time: on a busy machine it may need another."""
+            """Two clicks are a double click only if they are fast enough: on a busy computer another may be needed."""
             for count in (1, 2):
                 mouse(browser, "mousePressed", x, y, count)
                 mouse(browser, "mouseReleased", x, y, count)
@@ -181,7 +181,7 @@ def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
 
 
 def is_told_at(browser, view):
-    """Whether something is told once the pointer has moved across a plot above its line; it may be laid out yet."""
+    """True if a tooltip appears after the pointer has moved across a plot; its layout may not be finished yet."""
     box = f"((box) => [box.left + box.width / 2, box.top + box.height * 0.3])({view}.el.getBoundingClientRect())"
     x, y = evaluated(browser, box)
     for step in range(-10, 1):

@@ -1,4 +1,4 @@
-"""The reader of topics against publishers of its own domain."""
+"""The topic reader with publishers in its own domain."""
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -38,7 +38,7 @@ def reader():
 
 
 def drained(reader, until, topic, count=1):
-    """Messages of a topic once there are so many."""
+    """Return the messages of a topic after ``count`` of them have been fetched."""
     found = []
 
     def look():
@@ -50,7 +50,7 @@ def drained(reader, until, topic, count=1):
 
 
 def publish_until_taken(ship, reader, until, message):
-    """Publish an attitude until the reader takes it: what is published before both sides have matched is lost."""
+    """Publish an attitude until the reader fetches it: messages before the discovery of both sides are lost."""
 
     def look():
         ship.say("ship/attitude", message)
@@ -59,7 +59,7 @@ def publish_until_taken(ship, reader, until, message):
     assert until(look)
 
 
-def test_of_a_stream_the_newest_and_of_other_topics_every_message(ship, reader, until):
+def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reader, until):
     ship.say("ins/imu", Imu())
     ship.say("ship/innovation", Innovation())
     ship.heard(until, reader.take, "ins/imu", "ship/innovation")
@@ -81,7 +81,7 @@ def test_of_a_stream_the_newest_and_of_other_topics_every_message(ship, reader, 
     assert len(imus) < 50
 
 
-def test_arrivals_lie_between_two_looks_and_in_order(ship, reader, until):
+def test_arrivals_are_ordered_and_between_two_fetches(ship, reader, until):
     ship.say("ship/innovation", Innovation())
     ship.heard(until, reader.take, "ship/innovation")
     before_ns = steady_ns()
@@ -93,19 +93,19 @@ def test_arrivals_lie_between_two_looks_and_in_order(ship, reader, until):
     assert before_ns - 1_000_000 <= times[0] <= times[-1] <= steady_ns()
 
 
-def test_a_topic_that_keeps_its_last_message_gives_it_to_a_reader_that_comes_later(ship, reader, until):
+def test_late_reader_gets_the_last_message_of_a_latched_topic(ship, reader, until):
     ship.say("ship/alerts", AlertArray(), LATCHED)
     assert drained(reader, until, "ship/alerts")
 
 
-def test_a_publisher_that_comes_again_is_heard_again(reader, until):
+def test_restarted_publisher_is_received(reader, until):
     for namespace in ("demo", "demo"):
         ship = PublishingShip(namespace)
         publish_until_taken(ship, reader, until, attitude(6 * NS_PER_S))
         ship.stop()
 
 
-def test_a_topic_that_begins_to_keep_its_last_message_is_taken_anew(ship, reader, until):
+def test_topic_that_becomes_latched_is_subscribed_again(ship, reader, until):
     ship.say("ship/alerts", AlertArray())
     ship.heard(until, reader.take, "ship/alerts")
     ship.node.destroy_publisher(ship.publishers.pop("ship/alerts"))
@@ -114,7 +114,7 @@ def test_a_topic_that_begins_to_keep_its_last_message_is_taken_anew(ship, reader
 
 
 @pytest.mark.parametrize(("shift_s", "is_anew"), [(-60, True), (60, False), (-2, False)])
-def test_outputs_that_go_back_are_those_of_another_voyage(ship, reader, until, shift_s, is_anew):
+def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s, is_anew):
     ship.say("ship/attitude", attitude(1000 * NS_PER_S))
     ship.heard(until, reader.take, "ship/attitude")
     ship.say("ship/attitude", attitude(1000 * NS_PER_S))
@@ -125,7 +125,7 @@ def test_outputs_that_go_back_are_those_of_another_voyage(ship, reader, until, s
     assert taken.messages[-1].message.header.stamp.sec == 1000 + shift_s
 
 
-def test_the_time_of_an_invalid_attitude_is_no_jump(ship, reader, until):
+def test_invalid_attitude_is_no_step_back(ship, reader, until):
     ship.say("ship/attitude", attitude(1000 * NS_PER_S))
     ship.heard(until, reader.take, "ship/attitude")
     ship.say("ship/attitude", attitude(1000 * NS_PER_S))
@@ -135,7 +135,7 @@ def test_the_time_of_an_invalid_attitude_is_no_jump(ship, reader, until):
     assert not taken.is_anew
 
 
-def test_a_clock_that_goes_back_starts_anew_and_what_came_before_is_dropped(ship, reader, until):
+def test_clock_step_back_drops_earlier_messages(ship, reader, until):
     clock = Clock()
     clock.clock.sec = 100
     ship.say("/clock", clock)
@@ -158,8 +158,8 @@ def clock_at(time_s):
     return clock
 
 
-def test_a_clock_of_the_suites_own_namespace_is_its_clock(ship, reader, until):
-    """As where `suite --bag --namespace` plays: each suite has the clock of its own bag."""
+def test_clock_in_the_namespace_is_used(ship, reader, until):
+    """With `suite --bag --namespace` each suite has the clock of its own bag."""
     ship.say("ship/innovation", Innovation())
     ship.say("clock", clock_at(100))
     ship.heard(until, reader.take, "clock", "ship/innovation")
@@ -169,12 +169,12 @@ def test_a_clock_of_the_suites_own_namespace_is_its_clock(ship, reader, until):
     until(lambda: reader.take().is_anew)
 
 
-def test_where_a_suite_has_its_own_clock_that_of_others_does_not_count(ship, reader, until):
+def test_own_clock_replaces_the_global_one(ship, reader, until):
     ship.say("/clock", clock_at(900))
     ship.heard(until, reader.take, "/clock")
     ship.say("/clock", clock_at(900))
     until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
-    # Its own is earlier, which is no jump; and then the others' bag starts over.
+    # Its own clock is earlier, which is no step back; then the other bag restarts.
     ship.say("clock", clock_at(100))
     looks = []
 
@@ -191,27 +191,27 @@ def test_where_a_suite_has_its_own_clock_that_of_others_does_not_count(ship, rea
         hear("/clock", 5)()
     until(hear("clock", 101))
     assert not any(taken.is_anew for taken in looks)
-    # When its own has gone, the global one is its clock again.
+    # After its own clock has ended, the global one is used again.
     ship.node.destroy_publisher(ship.publishers.pop("clock"))
     until(hear("/clock", 6))
 
 
-def test_a_topic_named_clock_of_another_type_is_no_clock(ship, reader, until):
+def test_clock_topic_of_another_type_is_ignored(ship, reader, until):
     ship.say("clock", Imu())
     ship.say("ship/innovation", Innovation())
     ship.heard(until, reader.take, "ship/innovation")
     assert not reader.is_played
 
 
-def test_the_place_names_another_namespace_in_which_there_is_a_suite(reader, until):
+def test_location_names_other_namespaces_with_a_suite(reader, until):
     assert reader.place.startswith("namespace /demo, domain ")
     other = PublishingShip("voyage")
     other.say("ship/attitude", attitude(1 * NS_PER_S))
-    until(lambda: reader.take() and "there is one in /voyage" in reader.place)
+    until(lambda: reader.take() and "suite found in /voyage" in reader.place)
     other.stop()
 
 
-def test_truth_on_the_network_means_that_the_ship_is_simulated(ship, reader, until):
+def test_truth_on_the_network_means_simulated(ship, reader, until):
     ship.say("ship/attitude", attitude(1 * NS_PER_S))
     ship.heard(until, reader.take, "ship/attitude")
     assert not reader.is_simulated
@@ -219,7 +219,7 @@ def test_truth_on_the_network_means_that_the_ship_is_simulated(ship, reader, unt
     until(lambda: reader.take() and reader.is_simulated)
 
 
-def test_after_a_sleep_of_the_machine_it_takes_part_anew(ship, reader, until, monkeypatch):
+def test_reader_rejoins_the_network_after_a_sleep(ship, reader, until, monkeypatch):
     publish_until_taken(ship, reader, until, attitude(1 * NS_PER_S))
     former = reader._node
     monkeypatch.setattr(reader_module, "_asleep_ns", lambda: 3600 * 10**9)
@@ -228,6 +228,6 @@ def test_after_a_sleep_of_the_machine_it_takes_part_anew(ship, reader, until, mo
     publish_until_taken(ship, reader, until, attitude(2 * NS_PER_S))
 
 
-def test_what_is_no_namespace_is_refused_in_one_line():
+def test_invalid_namespace_is_refused_in_one_line():
     with pytest.raises(BadInput, match=r"'/a b' is not a namespace"):
         TopicReader("monitor", "a b", lambda *_: 1)

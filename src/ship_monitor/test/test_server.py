@@ -1,4 +1,4 @@
-"""The page's server without a browser: what it serves, and whom it refuses."""
+"""The page's server without a browser: served content and refused requests."""
 
 import asyncio
 import http.client
@@ -24,7 +24,7 @@ def page():
 
 
 def get(page, path, host=None, origin=None, upgrade=False):
-    """Return status and text; of an accepted websocket, no text, after the server has closed it."""
+    """Return status and text of an answer; for an accepted websocket no text, after the server has closed it."""
     place = page.address.removeprefix("http://").rstrip("/")
     connection = http.client.HTTPConnection(place, timeout=20)
     headers = {"Host": host or place} | ({"Origin": origin} if origin else {})
@@ -42,42 +42,42 @@ def get(page, path, host=None, origin=None, upgrade=False):
 
 
 @pytest.mark.parametrize(("theme", "colour"), [("day", "#0E141B"), ("dusk", "#05080B"), ("night", "#000000")])
-def test_the_background_is_in_the_first_bytes(page, theme, colour):
+def test_background_is_in_the_first_bytes(page, theme, colour):
     status, text = get(page, f"/?theme={theme}")
     assert status == 200
     assert f"background:{colour}" in text[:120]
 
 
-def test_a_theme_that_is_none_is_the_default(page):
+def test_unknown_theme_is_the_default(page):
     assert "background:#0E141B" in get(page, "/?theme=%22%3E%3Cscript%3E")[1][:120]
 
 
-def test_the_page_asks_nobody_else(page):
+def test_page_uses_no_other_host(page):
     text = get(page, "/")[1]
     own = text.replace("http://www.w3.org/2000/svg", "")
     assert "//" not in own.replace("// ", "").split("<script src")[0].split("<script>")[0]
     assert "cdn" not in text
 
 
-def test_values_are_in_the_page_before_any_script_of_bokeh(page):
+def test_values_come_before_any_bokeh_script(page):
     text = get(page, "/")[1]
     assert text.index('"034.39\\u00b0"') < text.index("bokeh.min.js")
 
 
-def test_fonts_come_from_the_wheel_of_matplotlib_and_nothing_else_does(page):
+def test_only_fonts_are_served_from_matplotlib(page):
     assert get(page, "/fonts/DejaVuSans.ttf")[0] == 200
     assert get(page, "/fonts/DejaVuSans-Bold.ttf")[0] == 200
     assert get(page, "/fonts/../matplotlibrc")[0] == 404
     assert get(page, "/fonts/DejaVuSerif.ttf")[0] == 404
 
 
-def test_what_is_not_there_is_said_on_black(page):
+def test_error_page_is_black(page):
     status, text = get(page, "/nothing")
     assert status == 404
     assert "background:#000000" in text
 
 
-def test_a_page_that_cannot_be_drawn_is_not_white_and_is_tried_again():
+def test_failed_page_is_not_white_and_retries():
     source = SetPictures()
     source.fails = True
     with served(source) as page:
@@ -89,19 +89,19 @@ def test_a_page_that_cannot_be_drawn_is_not_white_and_is_tried_again():
         assert "034.39" in get(page, "/?theme=night")[1]
 
 
-def test_another_site_is_refused_and_an_ssh_tunnel_is_not(page):
+def test_other_sites_are_refused_and_ssh_tunnels_are_not(page):
     place = page.address.removeprefix("http://").rstrip("/")
     assert get(page, "/ws", origin="http://evil.example", upgrade=True)[0] == 403
     assert get(page, "/ws", origin="http://localhost:1", upgrade=True)[0] == 403
     assert get(page, "/", host="evil.example")[0] == 403
     assert get(page, "/", host="localhost:8080")[0] == 200
-    # Without a session's token Bokeh accepts the socket and closes it then.
+    # Without a session's token Bokeh accepts the socket, then closes it.
     assert get(page, "/ws", origin=f"http://{place}", upgrade=True)[0] == 101
     assert get(page, "/ws", host="localhost:8080", origin="http://localhost:8080", upgrade=True)[0] == 101
 
 
 async def leave_early(page):
-    """Open a page and leave messages behind on a connection whose end the server has noticed by a ping."""
+    """Open a page and leave messages on a connection whose end the server has detected by a ping."""
     loop = asyncio.get_running_loop()
     text = (await loop.run_in_executor(None, get, page, "/"))[1]
     token = re.search(r'"token":"([^"]+)"', text)[1]
@@ -124,7 +124,7 @@ async def leave_early(page):
         pass
 
 
-def test_a_tab_that_closes_early_is_no_traceback_in_the_log(caplog, monkeypatch):
+def test_early_closed_tab_logs_no_traceback(caplog, monkeypatch):
     monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # without handlers of others bokeh has its own
     with served() as page:
         asyncio.run(leave_early(page))
@@ -133,7 +133,7 @@ def test_a_tab_that_closes_early_is_no_traceback_in_the_log(caplog, monkeypatch)
     assert told == []
 
 
-def test_a_port_in_use_is_said_in_one_line():
+def test_port_in_use_is_reported_in_one_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -142,6 +142,6 @@ def test_a_port_in_use_is_said_in_one_line():
             PageServer(lambda document: None, "127.0.0.1", port, lambda: None)
 
 
-def test_an_address_of_another_machine_is_said_in_one_line():
+def test_foreign_address_is_reported_in_one_line():
     with pytest.raises(BadInput, match=r"cannot listen on 192\.0\.2\.1"):
         PageServer(lambda document: None, "192.0.2.1", 0, lambda: None)

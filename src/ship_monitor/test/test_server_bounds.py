@@ -1,4 +1,4 @@
-"""What is sent to the page's server beyond its bounds: it is refused in one line, and the page goes on."""
+"""Requests beyond the bounds of the page's server: refused with one line, without effect on the page."""
 
 import gc
 import http.client
@@ -15,7 +15,7 @@ from ship_testing.page_runs import served
 
 
 class Lines(logging.Handler):
-    """Lines of the log, each with what would follow it as a traceback."""
+    """Lines of the log, each with its traceback."""
 
     def __init__(self):
         super().__init__()
@@ -55,7 +55,7 @@ def status(page, path="/health"):
 
 
 def ends(connection):
-    """True once the server has closed a connection."""
+    """True if the server has closed a connection."""
     try:
         while connection.recv(65536):
             pass
@@ -72,13 +72,13 @@ def until(look, limit_s=30.0):
 
 
 @pytest.mark.parametrize("path", ["/%00", "/static/js/%00", "/static/a%00b.js", "/fonts/%00.ttf", "/health%00"])
-def test_a_nul_in_a_path_is_not_there(page, lines, path):
+def test_nul_in_a_path_is_not_found(page, lines, path):
     assert status(page, path) == 404
     until(lambda: len(lines.texts) == 1)
     assert not lines.tracebacks
 
 
-def test_large_bodies_are_not_taken(page, lines):
+def test_large_bodies_are_refused(page, lines):
     for length in (MOST_BODY_BYTES + 1, 95_000_000, 10**30):
         with socket.create_connection(page, timeout=20.0) as connection:
             connection.sendall(f"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: {length}\r\n\r\n".encode())
@@ -87,7 +87,7 @@ def test_large_bodies_are_not_taken(page, lines):
     assert status(page) == 200
 
 
-def test_a_request_that_never_ends_is_closed(monkeypatch):
+def test_endless_request_is_closed(monkeypatch):
     monkeypatch.setattr(bounded_server, "REQUEST_S", 0.3)
     with served() as server:
         place = "127.0.0.1", int(server.address.strip("/").rpartition(":")[2])
@@ -102,10 +102,10 @@ def test_a_request_that_never_ends_is_closed(monkeypatch):
         assert status(place) == 200
 
 
-def test_connections_beyond_the_most_are_closed_in_one_line(page, lines):
+def test_too_many_connections_are_closed_with_one_line(page, lines):
     begun = [socket.create_connection(page, timeout=20.0) for _ in range(MOST_CONNECTIONS + 20)]
     assert all(ends(each) for each in begun[-20:])
-    assert lines.texts == [f"127.0.0.1: connection closed: {MOST_CONNECTIONS} are open, the most that are served"]
+    assert lines.texts == [f"127.0.0.1: connection closed: {MOST_CONNECTIONS} are open, the maximum"]
     for each in begun:
         each.close()
 
@@ -118,12 +118,12 @@ def test_connections_beyond_the_most_are_closed_in_one_line(page, lines):
     until(answers)
 
 
-def test_pages_beyond_the_most_are_refused_until_others_have_been_left(page, lines):
+def test_too_many_pages_are_refused_until_others_are_closed(page, lines):
     assert [status(page, "/") for _ in range(MOST_BROWSERS)] == [200] * MOST_BROWSERS
     assert [status(page, "/") for _ in range(20)] == [503] * 20
     assert status(page, "/autoload.js?bokeh-autoload-element=1") == 503
     until(lambda: len(lines.texts) == 1)
     assert status(page) == 200
-    # Bokeh looks through the heap for each page that was left: what was there before does not count.
+    # Bokeh collects garbage after each closed page; objects from before are excluded.
     assert gc.get_freeze_count() > 0
     until(lambda: status(page, "/") == 200)

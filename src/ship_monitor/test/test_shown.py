@@ -1,4 +1,4 @@
-"""What the page is told to write, from hand-made pictures."""
+"""Content of the page's first screen, for hand-made states."""
 
 import json
 import math
@@ -25,20 +25,20 @@ def tile(picture, name):
     return shown(picture, History(), "LIVE", "")["angles"][name]
 
 
-def test_a_tile_says_value_accuracy_limit_and_word():
+def test_tile_has_value_accuracy_limit_and_safety():
     heading = tile(WELL, "heading")
     assert (heading["number"], heading["sense"], heading["accuracy"]) == ("034.39°", "true", "±3.3″")
     assert (heading["reason"], heading["is_reason"], heading["safety"]) == ("limit 5″", False, "SAFE")
 
 
-def test_the_limit_is_in_the_middle_of_the_bar():
+def test_limit_is_in_the_middle_of_the_bar():
     at_limit = with_angle("heading", accuracy_95=5.0 * ARCSEC)
     assert tile(at_limit, "heading")["bar"] == pytest.approx(0.5)
     assert tile(with_angle("heading", accuracy_95=50.0 * ARCSEC), "heading")["bar"] == 1.0
 
 
 @pytest.mark.parametrize("accuracy", [math.nan, math.inf])
-def test_without_a_number_there_is_no_bar_shorter_than_the_limit(accuracy):
+def test_unknown_accuracy_has_no_short_bar(accuracy):
     bar = tile(with_angle("heading", accuracy_95=accuracy), "heading")["bar"]
     assert bar is None or bar == 1.0
 
@@ -47,24 +47,24 @@ def test_pitch_without_a_value_has_no_sense():
     assert tile(with_angle("pitch", value=math.nan), "pitch")["sense"] == ""
 
 
-def test_over_the_limit_names_it():
+def test_reason_over_the_limit_has_the_limit():
     picture = with_angle("roll", safety=Safety.CAUTION, reason="over the limit", accuracy_95=3.7 * ARCSEC)
     assert tile(picture, "roll")["reason"] == "over the limit, 3″"
 
 
-def test_an_old_value_has_its_age_for_its_accuracy_and_no_bar():
+def test_old_value_has_its_age_and_no_bar():
     old = tile(pictures.faulty(), "azimuth")
     assert (old["is_old"], old["accuracy"], old["bar"]) == (True, "OLD 12 s", None)
 
 
-def test_full_digits_are_told_for_hovering():
+def test_tooltip_has_full_digits():
     assert tile(WELL, "heading")["tip"][0] == "34.392000°"
     assert tile(WELL, "heading")["tip"][1] == "σ 1.684″"  # 3.3 / 1.96
     assert tile(WELL, "pitch")["tip"][0] == "−0.120000°"
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_whatever_is_unknown_can_be_sent(value):
+def test_unknown_values_are_valid_json(value):
     angles = tuple(
         replace(each, value=value, accuracy_95=value, age_s=math.inf, protection_level=value) for each in WELL.angles
     )
@@ -77,14 +77,14 @@ def test_whatever_is_unknown_can_be_sent(value):
     assert told["angles"]["heading"]["age_s"] is None
 
 
-def test_without_a_theodolite_lights_have_no_age():
+def test_lights_have_no_age_without_a_theodolite():
     assert [name for name, *_ in shown(replace(WELL, angles=WELL.angles[:3]), History(), "LIVE", "")["ages"]] == [
         "stars",
         "ins",
     ]
 
 
-def test_who_waits_is_told_for_what_and_where():
+def test_waiting_text_has_output_and_location():
     told = shown(replace(WELL, waiting_for="ship/attitude"), History(), "LIVE", "namespace /demo, domain 3")
     assert (told["waiting"], told["place"]) == ("waiting for ship/attitude", "namespace /demo, domain 3")
     assert shown(WELL, History(), "LIVE", "namespace /demo, domain 3")["place"] == ""
@@ -101,41 +101,41 @@ def test_who_waits_is_told_for_what_and_where():
         ((pictures.alert("ins", "late", 0, Priority.CAUTION, 3),), "CAUTION · ins late", "caution", "ack", 0),
     ],
 )
-def test_the_alert_line(alerts, text, icon, state, unack):
+def test_alert_line(alerts, text, icon, state, unack):
     line = shown(replace(WELL, alerts=alerts), History(), "LIVE", "")["alert"]
     assert (line["text"], line["icon"], line["state"], line["unack"]) == (text, icon, state, unack)
 
 
-def test_of_several_alerts_the_first_is_said_and_all_are_listed():
+def test_first_of_several_alerts_is_shown_and_all_are_listed():
     line = shown(pictures.faulty(), History(), "LIVE", "")["alert"]
-    assert line["text"] == "WARNING · pointing lost, encoder silent"
+    assert line["text"] == "WARNING · pointing lost, encoder no data"
     assert line["sub"] == "11:59:57 · not acknowledged"
     assert (line["unack"], len(line["all"])) == (2, 2)
     assert line["all"][1]["advice"] == "Clean the sensor and check its mounting; calibrate it again if it was moved"
 
 
-def test_a_mounting_that_was_learnt_again_is_said_of_its_source():
+def test_mounting_shift_is_shown_at_its_source():
     shifted = pictures.source("star.starboard", mounting_shift=51.0 * ARCSEC)
     rows = shown(pictures.picture(shifted), History(), "LIVE", "")["sources"]["rows"]
     assert next(row["sub"] for row in rows if row["name"] == "star.starboard") == "mounting shifted by 51.0″"
 
 
-def test_sources_that_are_out_are_named_and_why():
+def test_sources_that_are_out_have_banners_and_reasons():
     sources = shown(pictures.faulty(), History(), "LIVE", "")["sources"]
     assert sources["out"] == [("star.starboard", "star.starboard OUT"), ("encoder", "encoder OUT")]
     assert sources["head"] == "6 of 8 in"
     assert [row["sub"] for row in sources["rows"][:2]] == [
-        "right +49″ · 81 refused in a row since 11:59:28",
-        "silent since 11:59:55",
+        "right +49″ · 81 rejected in a row since 11:59:28",
+        "no data since 11:59:55",
     ]
     assert sources["why"] == [], "the list says it"
 
 
-def test_of_one_that_is_out_two_lines_say_more():
+def test_single_source_out_has_two_more_lines():
     one = tuple(each for each in pictures.faulty().sources if each.name != "encoder")
     assert shown(replace(WELL, sources=one), History(), "LIVE", "")["sources"]["why"] == [
         "disagrees: right +49″",
-        "since 11:59:28 · 81 refused",
+        "since 11:59:28 · 81 rejected",
     ]
 
 
@@ -143,8 +143,8 @@ def needing(*names, cause="encoder", reason="needs encoder"):
     return [pictures.out(name, reason, because_of=cause, out_since_ns=pictures.NOW_NS) for name in names]
 
 
-def test_what_is_out_because_of_a_source_stands_below_it_and_has_no_banner():
-    encoder = pictures.out("encoder", "silent", out_since_ns=pictures.NOW_NS - pictures.NS)
+def test_consequence_is_below_its_cause_without_a_banner():
+    encoder = pictures.out("encoder", "no data", out_since_ns=pictures.NOW_NS - pictures.NS)
     listed = (pictures.KNOCKED, encoder, *needing("lights"), pictures.source("ins"))
     sources = shown(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
     assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
@@ -152,27 +152,27 @@ def test_what_is_out_because_of_a_source_stands_below_it_and_has_no_banner():
     assert rows == [("star.starboard", False), ("encoder", False), ("lights", True)]
 
 
-def test_a_node_that_is_behind_is_the_banner_of_all_that_is_out_because_of_it():
+def test_overloaded_node_has_the_banner_of_its_consequences():
     behind = needing("star.fore", "lights", cause="ship_attitude", reason="ship_attitude is behind")
     sources = shown(pictures.picture(*behind), History(), "LIVE", "")["sources"]
     assert sources["out"] == [("ship_attitude", "ship_attitude is behind")]
     assert [row["is_because"] for row in sources["rows"][:3]] == [True, True, False]
 
 
-def test_many_that_are_out_leave_the_list_its_room():
-    out = [pictures.out(name, "silent", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
+def test_number_of_banners_is_limited():
+    out = [pictures.out(name, "no data", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
     banners = shown(pictures.picture(*out), History(), "LIVE", "")["sources"]["out"]
     assert [text for _, text in banners[:2]] == ["ins OUT", "star.fore OUT"]
     assert banners[2][1] == "3 more OUT"
 
 
-def test_one_word_stands_for_all_angles():
+def test_overall_safety():
     assert shown(WELL, History(), "LIVE", "")["overall"] == {"safety": "SAFE", "text": ""}
     overall = shown(pictures.faulty(), History(), "LIVE", "")["overall"]
-    assert overall == {"safety": "UNSAFE", "text": "encoder silent since 11:59:55 (azimuth, elevation)"}
+    assert overall == {"safety": "UNSAFE", "text": "encoder no data since 11:59:55 (azimuth, elevation)"}
 
 
-def test_where_all_outputs_are_old_nothing_is_known_of_the_sources():
+def test_sources_are_unknown_if_all_outputs_are_old():
     old = pictures.picture(*pictures.silent(*ANGLES, age_s=19.0))
     told = shown(old, History(), "LIVE", "")
     assert told["is_stale"]
@@ -180,7 +180,7 @@ def test_where_all_outputs_are_old_nothing_is_known_of_the_sources():
     assert not shown(pictures.faulty(), History(), "LIVE", "")["is_stale"], "the attitude is fresh"
 
 
-def test_what_is_not_configured_comes_last_and_is_not_counted():
+def test_sources_not_configured_come_last_uncounted():
     off = replace(pictures.source("reference.gyro"), presence=Presence.OFF, age_s=math.inf)
     sources = shown(replace(WELL, sources=(off, *WELL.sources)), History(), "LIVE", "")["sources"]
     assert sources["head"] == "8 of 8 in"
@@ -188,7 +188,7 @@ def test_what_is_not_configured_comes_last_and_is_not_counted():
 
 
 def ribbon(words, start_s=0, name="heading"):
-    """Stretches of words of single seconds; a None is a second that is told without word, "-" one that is not told."""
+    """Return the intervals for single seconds: None is a second without safety, "-" a second without a point."""
     first_ns = pictures.NOW_NS - 599 * pictures.NS
     points = deque(
         SafetyPoint(first_ns + (start_s + second) * pictures.NS, {name: word})
@@ -212,22 +212,22 @@ SAFE, CAUTION = Safety.SAFE, Safety.CAUTION
         ([None, CAUTION], [(1, 2, "CAUTION")]),
     ],
 )
-def test_a_ribbon_joins_seconds_of_one_word_and_leaves_gaps(words, stretches):
+def test_ribbon_joins_seconds_of_equal_safety(words, stretches):
     # The first second of the history is one after the start of the ribbon.
     expected = [((start + 1) / 600, (end + 1) / 600, word) for start, end, word in stretches]
     assert ribbon(words) == [[pytest.approx(start), pytest.approx(end), word] for start, end, word in expected]
 
 
-def test_what_is_older_than_ten_minutes_is_left_out():
+def test_ribbon_is_ten_minutes_long():
     assert ribbon([SAFE] * 5, start_s=-700) == []
 
 
-def test_ticks_stand_at_even_minutes():
+def test_ticks_are_at_even_minutes():
     ticks = shown(WELL, History(), "LIVE", "")["ribbons"]["ticks"]
     assert [label for _, label in ticks] == ["11:52", "11:54", "11:56", "11:58", "12:00"]
     assert ticks[-1][0] == pytest.approx(1.0 - 7.0 / 600.0)
 
 
-def test_when_a_source_went_out_is_marked():
+def test_start_of_an_outage_is_marked():
     marks = shown(pictures.faulty(), History(), "LIVE", "")["ribbons"]["marks"]
     assert marks == [pytest.approx(1.0 - 39.0 / 600.0), pytest.approx(1.0 - 12.0 / 600.0)]

@@ -1,4 +1,4 @@
-"""Places on the map of the sky, and the Moon against an eclipse and against ERFA by another way."""
+"""Positions on the sky map, and the Moon against an eclipse and against another method of ERFA."""
 
 import erfa
 import numpy as np
@@ -9,10 +9,10 @@ from ship_geometry.time_scales import julian_date, tt_julian_date
 from ship_monitor.page.sky import moon_direction, on_map
 
 ECLIPSE_NS = 1_503_339_931_800_000_000
-"""Greatest eclipse of 2017-08-21, 18:25:31.8 UTC."""
+"""Time of the greatest eclipse of 2017-08-21, 18:25:31.8 UTC."""
 
 ECLIPSE_PLACE = np.deg2rad([36.0 + 58.0 / 60.0, -(87.0 + 40.3 / 60.0)])
-"""Where it was greatest, in Kentucky: NASA/TP-2015 and the eclipse bulletin of F. Espenak."""
+"""Place of the greatest eclipse, in Kentucky: NASA/TP-2015 and the eclipse bulletin of F. Espenak."""
 
 
 @pytest.mark.parametrize(
@@ -26,11 +26,11 @@ ECLIPSE_PLACE = np.deg2rad([36.0 + 58.0 / 60.0, -(87.0 + 40.3 / 60.0)])
         (90.0, -9.0, (1.1, 0.0)),
     ],
 )
-def test_north_is_up_east_is_right_the_horizon_is_the_rim(azimuth_deg, elevation_deg, place) -> None:
+def test_map_positions(azimuth_deg, elevation_deg, place) -> None:
     assert on_map(np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)) == pytest.approx(place, abs=1e-12)
 
 
-def test_the_moon_covered_the_sun_in_the_eclipse_of_2017() -> None:
+def test_moon_covered_the_sun_in_the_eclipse_of_2017() -> None:
     # The bulletin gives the Sun there: azimuth 197.9°, altitude 63.9°. The centres were 0.4367 Earth radii apart as
     # seen from the Earth's centre; from the place of greatest eclipse they coincide within a minute of arc.
     direction = moon_direction(ECLIPSE_NS, *ECLIPSE_PLACE)
@@ -41,7 +41,7 @@ def test_the_moon_covered_the_sun_in_the_eclipse_of_2017() -> None:
 
 
 @pytest.mark.parametrize("day", range(0, 30, 3))
-def test_the_moon_is_where_erfa_puts_it_by_its_equinox_based_way(day: int) -> None:
+def test_moon_equals_the_equinox_based_direction_of_erfa(day: int) -> None:
     time_ns = 1_404_906_607_800_000_000 + day * 86_400_000_000_000
     latitude, longitude = np.deg2rad(31.945), np.deg2rad(120.293)
     orientation = earth_orientation_table().at(time_ns)
@@ -63,5 +63,5 @@ def test_the_moon_is_where_erfa_puts_it_by_its_equinox_based_way(day: int) -> No
     assert found[1] == pytest.approx(elevation, abs=1e-8)
 
 
-def test_without_earth_orientation_there_is_no_moon() -> None:
+def test_no_moon_without_earth_orientation() -> None:
     assert moon_direction(0, 0.5, 2.0) is None

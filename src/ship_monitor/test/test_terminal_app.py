@@ -1,4 +1,4 @@
-"""The keys of the terminal view, by textual's own pilot."""
+"""Keys of the terminal view, with textual's pilot."""
 
 import asyncio
 import dataclasses
@@ -13,7 +13,7 @@ from ship_testing.pictures import KNOCKED_ALERT, knocked
 
 
 class Suite:
-    """A suite of one picture, which notes what is asked of it."""
+    """A suite with one state, which records its calls."""
 
     label, name, place = "LIVE", "demo", "namespace /demo, domain 7"
 
@@ -38,7 +38,7 @@ def rows(app):
 
 
 def run(use, size=(80, 24)):
-    """Runs an app without a terminal; `use` presses keys."""
+    """Run an app without a terminal; `use` presses keys."""
 
     async def session():
         suite = Suite()
@@ -51,7 +51,7 @@ def run(use, size=(80, 24)):
     return asyncio.run(session())
 
 
-def test_a_acknowledges_the_instance_that_is_shown():
+def test_key_a_acknowledges_the_displayed_instance():
     async def use(app, pilot, suite):
         await pilot.press("a")
         await app.workers.wait_for_complete()
@@ -60,12 +60,12 @@ def test_a_acknowledges_the_instance_that_is_shown():
         suite.picture = knocked(alerts=(dataclasses.replace(KNOCKED_ALERT, state=3),))
         await pilot.press("a")
         assert suite.acknowledged == [("star.starboard.out", 2)]
-        assert rows(app)[-1] == " there is nothing to acknowledge"
+        assert rows(app)[-1] == " no alert to acknowledge"
 
     run(use)
 
 
-def test_enter_tells_details_of_what_is_chosen_and_goes_back():
+def test_enter_shows_details_of_the_selection_and_goes_back():
     async def use(app, pilot, suite):
         first = rows(app)
         await pilot.press("down", "enter")
@@ -82,7 +82,7 @@ def test_enter_tells_details_of_what_is_chosen_and_goes_back():
     run(use)
 
 
-def test_p_holds_the_picture_and_says_so():
+def test_key_p_pauses_the_display():
     async def use(app, pilot, suite):
         await pilot.press("p")
         held = rows(app)[4]
@@ -98,7 +98,7 @@ def test_p_holds_the_picture_and_says_so():
     run(use)
 
 
-def test_t_goes_through_the_themes():
+def test_key_t_switches_the_theme():
     async def use(app, pilot, suite):
         names = []
         for _ in range(4):
@@ -117,7 +117,7 @@ def test_keys_that_end_it(key, code):
     assert run(use).return_value == code
 
 
-def test_question_mark_helps():
+def test_question_mark_shows_help():
     async def use(app, pilot, suite):
         await pilot.press("question_mark")
         assert any("SAFE" in row for row in rows(app))
@@ -127,7 +127,7 @@ def test_question_mark_helps():
     run(use)
 
 
-def test_another_size_is_used_at_once():
+def test_new_size_is_used_at_once():
     async def use(app, pilot, suite):
         await pilot.resize_terminal(40, 10)
         await pilot.pause()
@@ -139,7 +139,7 @@ def test_another_size_is_used_at_once():
     run(use)
 
 
-def test_it_takes_messages_while_it_draws():
+def test_messages_are_processed_while_drawing():
     async def use(app, pilot, suite):
         await pilot.pause(0.6)
         assert suite.ticks >= 1
@@ -147,7 +147,7 @@ def test_it_takes_messages_while_it_draws():
     run(use)
 
 
-def test_a_message_that_cannot_be_watched_ends_nothing():
+def test_invalid_message_is_skipped():
     async def use(app, pilot, suite):
         def fail():
             suite.ticks += 1
@@ -156,14 +156,14 @@ def test_a_message_that_cannot_be_watched_ends_nothing():
         suite.tick = fail
         await pilot.pause(0.7)
         assert suite.ticks >= 2
-        assert rows(app)[-1] == " a message is passed over: ValueError: 7 is not a priority"
+        assert rows(app)[-1] == " message skipped: ValueError: 7 is not a priority"
         assert rows(app)[4].startswith(" HEADING")
 
     run(use)
 
 
 @pytest.mark.parametrize("theme", THEMES.values(), ids=THEMES.keys())
-def test_each_look_has_a_style_and_the_urgent_ones_differ_without_colour(theme):
+def test_urgent_styles_differ_without_colour(theme):
     styles = styles_of(theme)
     assert set(styles) == set(Look)
     attributes = {look: (style.bold, style.reverse, style.strike) for look, style in styles.items()}
@@ -184,5 +184,5 @@ def test_each_look_has_a_style_and_the_urgent_ones_differ_without_colour(theme):
         ({"LC_CTYPE": "en_GB.UTF-8", "LANG": "C"}, True),
     ],
 )
-def test_the_locale_says_whether_the_terminal_shows_utf8(environment, shows):
+def test_utf8_from_the_locale(environment, shows):
     assert shows_utf8(environment) is shows

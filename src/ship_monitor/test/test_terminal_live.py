@@ -21,10 +21,10 @@ COMMAND = "import sys; from ship_monitor.commands.monitor_terminal import main; 
 
 
 class Terminal:
-    """A terminal of 80 by 24 with the view in it."""
+    """A terminal of 80 by 24 with the view."""
 
     def __init__(self, *arguments, language="C.UTF-8"):
-        # A socket of its own: the server of the terminal before may still be ending.
+        # Its own socket: the server of the previous terminal may still be ending.
         self._tmux = ["tmux", "-L", f"ship_monitor_{os.getpid()}_{id(self)}", "-f", os.devnull]
         view = f'{sys.executable} -c "{COMMAND}" {" ".join(arguments)}; echo EXIT CODE $?; exec sleep 60'
         self._call("new-session", "-d", "-x", "80", "-y", "24", f"LANG={language} LC_ALL={language} {view}")
@@ -50,7 +50,7 @@ def terminal(request):
     terminal.close()
 
 
-def test_it_waits_shows_greys_shows_again_and_leaves(terminal, until):
+def test_live_terminal_view(terminal, until):
     until(lambda: any("waiting for ship/attitude: namespace /demo, domain" in row for row in terminal.rows()))
     for start_ns in (START_NS, START_NS + 600 * NS_PER_S):
         ship, times = PublishingShip(), iter(range(start_ns, start_ns + 600 * NS_PER_S, NS_PER_S // 50))
@@ -68,8 +68,8 @@ def test_it_waits_shows_greys_shows_again_and_leaves(terminal, until):
     until(lambda: "EXIT CODE 0" in terminal.rows())
 
 
-def test_without_a_terminal_it_says_so():
+def test_missing_terminal_is_reported():
     command = [sys.executable, "-c", COMMAND]
     done = subprocess.run(command, check=False, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     assert done.returncode == 2
-    assert done.stderr.splitlines() == ["monitor_terminal: stdin or stderr is no terminal; over ssh use ssh -t"]
+    assert done.stderr.splitlines() == ["monitor_terminal: stdin or stderr is not a terminal; over ssh use ssh -t"]

@@ -1,4 +1,4 @@
-"""The terminal view of a live suite: a bag that starts over, and a machine that has slept."""
+"""The terminal view of a live suite: restart of a bag, and sleep of the computer."""
 
 import asyncio
 import contextlib
@@ -24,7 +24,7 @@ HOUR_NS = 3600 * NS_PER_S
 
 
 class Bridge:
-    """A ship that publishes, and the terminal view of it."""
+    """A ship that publishes, with its terminal view."""
 
     def __init__(self, app, pilot, ship):
         self.app, self.pilot, self.ship = app, pilot, ship
@@ -43,7 +43,7 @@ class Bridge:
         return next(row for row in self.rows() if row.startswith(" HEADING"))
 
     async def until(self, look):
-        """Go on until the view shows something."""
+        """Continue until the view meets a condition."""
         deadline_s = time.monotonic() + LIMIT_S
         while not look():
             assert time.monotonic() < deadline_s, "\n".join(self.rows())
@@ -69,7 +69,7 @@ async def bridge():
 
 @pytest.fixture
 def sleep(monkeypatch):
-    """The machine sleeps for a time: of all its clocks only that of CLOCK_BOOTTIME has gone on."""
+    """Simulate a sleep of the computer: only CLOCK_BOOTTIME advances."""
 
     def fall_asleep(duration_ns):
         told_ns = time.clock_gettime_ns
@@ -82,7 +82,7 @@ def sleep(monkeypatch):
     return fall_asleep
 
 
-def test_a_bag_that_starts_over_is_shown_from_its_beginning_and_nothing_of_before():
+def test_restarted_bag_is_shown_from_its_start():
     async def watch():
         async with bridge() as seen:
             seen.sail_from(START_NS + HOUR_NS)
@@ -96,7 +96,7 @@ def test_a_bag_that_starts_over_is_shown_from_its_beginning_and_nothing_of_befor
     asyncio.run(watch())
 
 
-def test_after_a_sleep_what_was_heard_before_is_old_by_the_sleep_and_then_the_suite_is_heard_again(sleep):
+def test_values_are_old_after_a_sleep_and_then_recover(sleep):
     async def watch():
         async with bridge() as seen:
             seen.sail_from(START_NS)
@@ -112,7 +112,7 @@ def test_after_a_sleep_what_was_heard_before_is_old_by_the_sleep_and_then_the_su
     asyncio.run(watch())
 
 
-def test_a_picture_that_was_held_before_a_sleep_tells_that_it_is_so_much_older(sleep):
+def test_pause_includes_the_time_of_a_sleep(sleep):
     async def watch():
         async with bridge() as seen:
             seen.sail_from(START_NS)

@@ -1,4 +1,4 @@
-"""What a watch officer reads over ssh: pictures as lines, without textual."""
+"""Lines of the terminal view for hand-made states, without textual."""
 
 import dataclasses
 import math
@@ -31,11 +31,11 @@ def row_of(lines, start):
 
 
 def cells(text):
-    """Cells of a text as Unicode says (East Asian Width), not as the library that drew it."""
+    """Return the cells of a text by Unicode (East Asian Width), independent of the drawing library."""
     return sum(2 if unicodedata.east_asian_width(char) in "WF" else 1 for char in text)
 
 
-def test_the_screen_of_the_design():
+def test_screen_matches_the_design():
     assert texts(knocked()) == [
         " demo  LIVE   ! CAUTION  over the limit (roll)                     12:00:07 UTC",
         " (!) WARNING star.starboard out        11:59:29  UNACK       1 unack, 1 active",
@@ -49,7 +49,7 @@ def test_the_screen_of_the_design():
         "─" * 80,
         " ages   stars 0.5 s   lights 0.6 s   ins 0.1 s       horizon geodetic",
         "── sources ── 7 of 8 in " + "─" * 56,
-        " x star.starboard   OUT    0.6 s     2.0 Hz   81 refused in a row, right +49″",
+        " x star.starboard   OUT    0.6 s     2.0 Hz   81 rejected in a row, right +49″",
         " + ins              IN     0.1 s     2.0 Hz",
         " + star.fore        IN     0.6 s     2.0 Hz   σ as stated (1.01)",
         " + lights           IN     0.6 s     2.0 Hz   σ as stated (1.01)",
@@ -59,20 +59,20 @@ def test_the_screen_of_the_design():
         " + weather          IN     1.1 s     2.0 Hz",
         "── events " + "─" * 70,
         " 11:59:31  state: roll SAFE → CAUTION, over the limit",
-        " 11:59:29  WARNING star.starboard out: 5 refused in a row, residual 8.1 σ",
+        " 11:59:29  WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ",
         " a acknowledge   Enter details   t theme   p pause   ? help   q quit",
     ]
 
 
 @pytest.mark.parametrize(("word", "look"), [("SAFE", Look.SAFE), ("CAUTION", Look.CAUTION), ("UNSAFE", Look.UNSAFE)])
-def test_each_word_stands_as_a_word_with_its_look(word, look):
+def test_each_safety_is_a_word_with_its_style(word, look):
     shown = knocked(angles=(angle("heading", safety=Safety[word]),))
     spans = [span for line in drawn(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]
     assert [span.look for span in spans if "→" not in span.text] == [look, look]  # of the suite, of the angle
 
 
-def test_an_old_value_is_struck_through_and_has_its_age():
-    old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="ship/attitude silent")
+def test_old_value_is_struck_through_with_its_age():
+    old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="no data on ship/attitude")
     lines = drawn(knocked(angles=(old,)))
     heading = lines[4]
     assert [span.text.strip() for span in heading if span.look is Look.OLD] == ["034.39° true"]
@@ -81,8 +81,8 @@ def test_an_old_value_is_struck_through_and_has_its_age():
     assert texts(knocked(angles=(very_old,)))[4].split()[:4] == ["HEADING", "—", "OLD", "13"]
 
 
-def test_details_and_help_show_the_words_of_all_angles():
-    """Whatever page is open: the word for the suite in the first row, those of the angles in the second."""
+def test_details_and_help_show_the_safety_of_all_angles():
+    """On any page the first row has the safety of the suite, the second that of the angles."""
     shown = knocked()
     for chosen in ("heading", "star.starboard", ""):
         lines = details(shown, shown.alerts, dataclasses.replace(VIEW, chosen=chosen))
@@ -93,8 +93,8 @@ def test_details_and_help_show_the_words_of_all_angles():
     assert plain_text(help_page(shown, VIEW)[1]).startswith(" HDG ! CAUTION")
 
 
-def test_nothing_looks_well_where_no_output_comes():
-    """The suite has ended: no tick, no count, and ages struck through; what was OUT before stays OUT."""
+def test_nothing_looks_good_without_outputs():
+    """After the end of the suite: no ticks, no counts, ages struck through; sources that were OUT stay OUT."""
     angles = tuple(silent(*ANGLES, age_s=19.0))
     shown = knocked(angles=angles)
     lines = drawn(shown)
@@ -108,28 +108,28 @@ def test_nothing_looks_well_where_no_output_comes():
     assert all(Look.TEXT not in {span.look for span in line if span.text.strip()} for line in lines[13:20])
 
 
-def test_what_a_source_takes_with_it_is_indented_below_it():
-    """Lights need the ship's attitude, which is late: cause first, consequence below, the cause named once."""
-    late = out("ship_attitude", "81 refused in a row: late")
+def test_consequence_is_indented_below_its_cause():
+    """Lights need the ship's attitude, which is late: the consequence is below its cause, which is named once."""
+    late = out("ship_attitude", "81 rejected in a row: late")
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
     rows = texts(knocked(sources=(late, lights, source("ins"))))[12:15]
     assert [row[:20] for row in rows] == [" x ship_attitude    ", " x   lights         ", " + ins              "]
     assert rows[1].endswith("   needs ship_attitude")
 
 
-def test_local_time_stands_beside_utc():
+def test_local_time_is_shown_with_utc():
     line = texts(knocked(), dataclasses.replace(VIEW, zone=ZoneInfo("Europe/Oslo")))[0]
     assert line.endswith(" 14:00:07 CEST  12:00:07 UTC")
 
 
-def test_each_alert_has_what_to_do():
-    """The list of alerts shows the advice below each."""
+def test_each_alert_has_its_advice():
+    """The list of alerts has the advice below each alert."""
     shown = knocked()
     lines = [plain_text(line).strip() for line in details(shown, (KNOCKED_ALERT,), VIEW)]
     assert f"to do: {KNOCKED_ALERT.advice}" in " ".join(lines)
 
 
-def test_a_suite_that_was_never_heard_is_waited_for_by_name():
+def test_waiting_screen_names_the_suite():
     nothing = knocked(
         utc_ns=0,
         angles=tuple(
@@ -145,7 +145,7 @@ def test_a_suite_that_was_never_heard_is_waited_for_by_name():
     )
     lines = texts(nothing)
     assert lines[0].endswith("--:--:-- UTC")
-    assert lines[1:3] == [" no alert node is heard", " waiting for ship/attitude: namespace /demo, domain 7"]
+    assert lines[1:3] == [" no alert node", " waiting for ship/attitude: namespace /demo, domain 7"]
     assert row_of(lines, "HEADING").split() == ["HEADING", "—", "—", "5″", "x", "UNSAFE", "no", "data"]
 
 
@@ -160,39 +160,39 @@ def test_sources_beyond_the_room_are_counted():
 
 
 @pytest.mark.parametrize("chosen", [f"reference.number_{place}" for place in range(20)])
-def test_the_chosen_source_is_in_sight(chosen):
+def test_selected_source_is_visible(chosen):
     many = knocked(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
     assert any(line.startswith(f">+ {chosen[:15]}") for line in texts(many, dataclasses.replace(VIEW, chosen=chosen)))
 
 
-def test_more_room_is_used():
+def test_larger_terminal_shows_more():
     wide = texts(knocked(), dataclasses.replace(VIEW, width=120, height=50))
     assert len(wide) == 50
     assert "attitude_conflict 72, gate 9" in "\n".join(wide)
 
 
 @pytest.mark.parametrize(("width", "height"), [(63, 24), (80, 14), (20, 3), (1, 1)])
-def test_where_there_is_too_little_room_one_line_says_the_worst(width, height):
+def test_small_terminal_has_one_line_with_the_worst_state(width, height):
     lines = texts(knocked(), dataclasses.replace(VIEW, width=width, height=height))
     assert not any(lines[1:])
     assert lines[0].startswith("CAUTION heading, roll"[: width - 1])
 
 
-def test_a_terminal_in_a_window_of_tmux_has_one_row_less():
+def test_terminal_with_one_row_less():
     lines = texts(knocked(), dataclasses.replace(VIEW, height=23))
     assert len(lines) == 23
     assert any("star.starboard" in line and "OUT" in line for line in lines)
     assert lines[-1].startswith(" a acknowledge")
 
 
-def test_paused_is_said_and_alerts_go_on():
+def test_pause_is_shown_and_alerts_continue():
     alarm = dataclasses.replace(KNOCKED_ALERT, priority=Priority.ALARM, text="heading lost")
     lines = texts(knocked(), dataclasses.replace(VIEW, paused_s=12.0), alerts=(alarm,))
     assert "PAUSED 12 s ago" in lines[0]
     assert lines[1].startswith(" /!\\ ALARM heading lost")
 
 
-def test_the_alert_that_nobody_has_acknowledged_is_shown_first():
+def test_unacknowledged_alert_is_shown_first():
     acknowledged = dataclasses.replace(KNOCKED_ALERT, id="first", priority=Priority.ALARM, state=3)
     assert shown_alert((acknowledged, KNOCKED_ALERT)) == KNOCKED_ALERT
     assert shown_alert((acknowledged,)) == acknowledged
@@ -200,7 +200,7 @@ def test_the_alert_that_nobody_has_acknowledged_is_shown_first():
     assert "1 unack, 2 active" in texts(knocked(alerts=(acknowledged, KNOCKED_ALERT)))[1]
 
 
-def test_details_tell_all_digits():
+def test_details_have_all_digits():
     def page(chosen):
         view = dataclasses.replace(VIEW, chosen=chosen)
         return "\n".join(plain_text(line).rstrip() for line in details(knocked(), (KNOCKED_ALERT,), view))
@@ -212,7 +212,7 @@ def test_details_tell_all_digits():
     assert "(!) WARNING star.starboard out" in page("")
 
 
-def test_without_utf8_every_character_is_ascii_and_every_meaning_stays():
+def test_ascii_terminal_keeps_every_meaning():
     view = dataclasses.replace(VIEW, is_ascii=True)
     lines = texts(knocked(), view)
     assert all(line.isascii() for line in lines)
@@ -244,7 +244,7 @@ WIDE = st.text(alphabet=st.sampled_from("aß漢字ｆ🚢\u0301\x1b\t\n−″σ�
     is_old=st.booleans(),
     count=st.integers(0, 30),
 )
-def test_every_line_is_exactly_as_wide_as_the_terminal(
+def test_every_line_has_the_width_of_the_terminal(
     name, told, number, other, width, height, chosen, is_ascii, safety, is_old, count
 ):
     changed = {
@@ -273,9 +273,9 @@ def test_every_line_is_exactly_as_wide_as_the_terminal(
 
 
 @given(WIDE, st.integers(0, 90), st.booleans(), st.booleans())
-def test_a_cell_is_as_wide_as_it_is_told(text, width, to_right, is_ascii):
+def test_fitted_text_has_the_given_width(text, width, to_right, is_ascii):
     assert cells(Pen(90, is_ascii).cell(text, width, to_right=to_right)) == width
 
 
-def test_what_can_be_chosen_goes_downward():
+def test_selection_goes_downward():
     assert choices(knocked())[:6] == (*ANGLES, "star.starboard")

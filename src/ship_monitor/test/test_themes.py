@@ -1,4 +1,4 @@
-"""Colours of the page: legible on the panel, and nothing but red light at night."""
+"""Colours of the page: contrast on the panel, and red light only at night."""
 
 from dataclasses import fields
 
@@ -7,8 +7,8 @@ import pytest
 from ship_monitor.page.themes import THEMES, Theme
 
 
-def test_every_colour_of_the_night_is_red_light() -> None:
-    # Green and blue light bleach the eye's rhodopsin: of red, the hue of the night's text, they are a quarter at most.
+def test_night_colours_are_red_light() -> None:
+    # Green and blue light bleach the eye's rhodopsin: they are at most a quarter of red, the hue of the night's text.
     for colour in colours(THEMES["night"]):
         red, green, blue = (int(colour[start : start + 2], 16) for start in (1, 3, 5))
         assert max(green, blue) <= 0.26 * red, colour
@@ -16,7 +16,7 @@ def test_every_colour_of_the_night_is_red_light() -> None:
 
 @pytest.mark.parametrize(
     ("name", "text", "second_text", "safe", "old"),
-    # The contrasts that the design of the page states, to the digits that it states.
+    # Contrasts from the design of the page, with its digits.
     [("day", 15, 7.9, 8.8, 4.7), ("dusk", 12, 6.0, 6.2, 3.8), ("night", 5.9, 4.6, 4.6, 3.1)],
 )
 def test_contrasts_against_the_panel(name: str, text: float, second_text: float, safe: float, old: float) -> None:
@@ -29,13 +29,13 @@ def test_contrasts_against_the_panel(name: str, text: float, second_text: float,
 
 @pytest.mark.parametrize("theme", THEMES.values(), ids=lambda theme: theme.name)
 def test_words_on_fills_are_legible(theme: Theme) -> None:
-    # WCAG 2.1, 1.4.3: 4.5 for text; 3 for large text, as the words of states are.
+    # WCAG 2.1, 1.4.3: 4.5 for text; 3 for large text, as that of the states.
     assert contrast(theme.unsafe_word, theme.unsafe_fill) >= 4.5
     assert contrast(theme.caution_word, theme.caution_fill) >= 3.0
 
 
 def colours(theme: Theme) -> list[str]:
-    """Every colour of a theme."""
+    """Return all colours of a theme."""
     found: list[str] = []
     for field in fields(theme):
         value = getattr(theme, field.name)
@@ -44,13 +44,13 @@ def colours(theme: Theme) -> list[str]:
 
 
 def contrast(first: str, second: str) -> float:
-    """Contrast ratio of two colours after WCAG 2.1."""
+    """Return the contrast ratio of two colours after WCAG 2.1."""
     lighter, darker = sorted((luminance(first), luminance(second)), reverse=True)
     return (lighter + 0.05) / (darker + 0.05)
 
 
 def luminance(colour: str) -> float:
-    """Relative luminance of ``#RRGGBB`` after WCAG 2.1."""
+    """Return the relative luminance of ``#RRGGBB`` after WCAG 2.1."""
     parts = [int(colour[start : start + 2], 16) / 255 for start in (1, 3, 5)]
     linear = [part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

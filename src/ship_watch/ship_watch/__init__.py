@@ -1,5 +1,5 @@
-"""What the outputs of a suite say to who watches them: is each angle safe, which source is out and why, what happened.
+"""State of a suite from its outputs: safety of each angle, sources that are OUT with their reasons, events, alerts.
 
-The live page, the terminal view, the alerts and the report all read it, so that they never disagree. It takes decoded
-messages and the times at which they came, and knows no ROS, no clock and no file but the ship's limits.
+The live page, the terminal view, the alerts and the report use it, so that they agree. Its input are decoded messages
+with their arrival times. It uses no ROS, no clock and no file except the ship's limits.
 """

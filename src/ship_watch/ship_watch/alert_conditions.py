@@ -1,7 +1,7 @@
-"""Which situations of a suite are alerts, and how urgent each is: one alert for one situation.
+"""Situations of a suite that are alerts, and their priorities: one alert for one situation.
 
-A source that is out is one alert, and what it takes away is told with it: the more is lost, the more urgent it is. Only
-what no source explains is an alert of an output. docs/explanation/alerts.md has the table for people.
+A source that is OUT is one alert; its text names the affected functions, and its priority rises with them. An output
+has an alert of its own only if no source explains it. docs/explanation/alerts.md has the table for people.
 """
 
 import math
@@ -27,18 +27,18 @@ _OUT_PRIORITY = {
     "gnss": Priority.CAUTION,
     "weather": Priority.CAUTION,
 }
-"""Urgency of a source that is out and takes nothing away, by the first word of its name. Lights come and go with the
-drones; of the fix and the weather the last ones hold for a while."""
+"""Kind of source → priority if it is OUT and affects no function. Lights come and go with the drones; the last fix and
+weather stay valid for a while."""
 
 _NOT_ITS_FAULT = ("no stars", "no lights")
-"""Reasons for which a source is out although nothing is broken: clouds, daylight, drones on deck."""
+"""Reasons of a source that is OUT without a defect: clouds, daylight, drones on deck."""
 
 _VERBS = {"no stars": "sees ", "no lights": "sees "}
 _LATE = ": late"
-"""Ending of the reason of a source whose data come too late to be used; the alert's value is then their delay."""
+"""Ending of the reason of a source whose data arrive too late to be used; the alert's value is then their delay."""
 
-_SILENT = ("silent", "never heard", "not reported")
-"""Endings of reasons for which the age says how long."""
+_SILENT = ("no data", "never received", "not reported")
+"""Endings of reasons for which the alert's value is the age of the source."""
 
 _NODE_STATUSES = {
     "black box": ("box", Priority.WARNING),
@@ -47,27 +47,27 @@ _NODE_STATUSES = {
     "name": ("name", Priority.WARNING),
     "callbacks": ("software", Priority.CAUTION),
 }
-"""Statuses by which nodes tell in `/diagnostics` how they themselves do: end of the alert's id, urgency of an error."""
+"""Status of a node in `/diagnostics` → ending of the alert's id, priority of an error."""
 
 _LINE_STATUSES = {
-    "sink": (Priority.WARNING, "nothing goes out to"),
-    "source": (Priority.CAUTION, "nothing comes from"),
+    "sink": (Priority.WARNING, "no output to"),
+    "source": (Priority.CAUTION, "no data from"),
 }
-"""Statuses of lines that NMEA goes out or comes in by, by the first word of their names: urgency of an error, words.
-The second word is the line. What a dead source takes away is told by the inputs that it gives."""
+"""First word of the status of an NMEA line → priority of an error, text; the second word is the line. Functions lost
+with a source are reported by the alerts of its inputs."""
 
 _OVERLOAD = "overload"
-"""Status of a node that cannot keep up with its inputs. The alert of an output lost by it has the same words."""
+"""Status of a node that cannot keep up with its inputs. The alert of an output lost by it has the same text."""
 
 _RECOVERY, _RECOVERED = "recovery", "recovered after [s]"
-"""Status of a node's second estimator, and its figure after an adoption."""
+"""Status of a node's second estimator, and its key with the time after an adoption."""
 
 _ERROR = 2
 
 
 @dataclass(frozen=True)
 class NodeStatus:
-    """What a node told of itself in `/diagnostics`: its level as there, text, and further figures."""
+    """Status of a node from `/diagnostics`: name of the node, name of the status, level, text, further values."""
 
     node: str
     name: str
@@ -78,11 +78,11 @@ class NodeStatus:
 
 @dataclass(frozen=True)
 class Machine:
-    """How the computer does.
+    """State of the computer and of the nodes on it.
 
     Attributes:
-        statuses: what nodes told of themselves last.
-        disk_free_gb: free space of the disk that the limits name, GB; NaN where none is named.
+        statuses: last statuses of the nodes.
+        disk_free_gb: free space of the disk in the limits, GB; NaN if the limits name none.
     """
 
     statuses: tuple[NodeStatus, ...] = ()
@@ -90,10 +90,15 @@ class Machine:
 
 
 def conditions(picture: Picture, limits: Limits, machine: Machine | None = None) -> list[Condition]:
-    """All situations that are there now, for :meth:`ship_watch.alerts.AlertBook.take`.
+    """Return all present situations, for :meth:`ship_watch.alerts.AlertList.update`.
 
-    They rest on the words of this moment, which nothing holds. The book knows how long a situation must last to be
-    told; an accuracy over its limit is a situation only after ``alerts.over_after_s``.
+    They are derived from the safety without hold: the list of alerts has delays of its own. An accuracy over its limit
+    is a situation only after ``alerts.over_after_s``.
+
+    Args:
+        suite_state: current state of the suite.
+        limits: limits of the ship.
+        computer: state of the computer; None for no data.
     """
     shown = functions(replace(picture, angles=tuple(angle.held_by_nothing for angle in picture.angles)))
     machine = machine or Machine()
@@ -110,7 +115,7 @@ def conditions(picture: Picture, limits: Limits, machine: Machine | None = None)
 
 
 def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits) -> Iterable[Condition]:
-    """Outputs that do not come, and what is lost of the others: alerts where no source that is out explains it."""
+    """Yield the situations of outputs without data and of functions not SAFE; a source that is OUT may explain them."""
     outs = (STARS_OUT, *(f"{source.name}.out" for source in picture.sources))
     for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
         members = [one for one in shown if one.output == output and one.safety]
@@ -119,7 +124,7 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits)
             never = all(math.isinf(one.angle.age_s) for one in silent)
             yield Condition(
                 f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
-                f"{topic} never heard" if never else _lost_first(silent, f"{topic} silent"),
+                f"{topic} never received" if never else _lost_first(silent, f"no data on {topic}"),
                 becomes_alarm=never, needs_start=never, is_blind=never,
                 under=above[:1] if never else (), lost=_lost(silent),
             )
@@ -136,15 +141,14 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits)
 
 
 def _is_over_for_a_moment(function: FunctionShown, limits: Limits) -> bool:
-    """Whether it is over its limit, and not lost, for less time than people want to be told of."""
+    """True if a function is over its limit, but not lost, for less than ``alerts.over_after_s``."""
     return function.priority is Priority.WARNING and function.over_s < limits.alerts.over_after_s
 
 
 def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
-    """Sources that are out by a fault of their own; all star sensors out for one reason are one situation.
+    """Yield the situations of sources: OUT by a fault of their own, corrected, or reinstated with a shifted mounting.
 
-    A source that is used although something in it had to be corrected is a situation, too, and so is one that was
-    reinstated with a shifted mounting.
+    All star sensors OUT for the same reason are one situation.
     """
     guilty = _guilty(picture)
     stars = [source for source in picture.sources if source.name.startswith("star.")]
@@ -169,7 +173,7 @@ def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable
 
 
 def _unreported(picture: Picture) -> Iterable[Condition]:
-    """Sources of which nothing is known because the node that reads them is gone, while the output still comes."""
+    """Yield the sources whose state is unknown because the node that reads them has stopped reporting."""
     for source in picture.sources:
         if source.presence is Presence.OUT and source.because_of == ITS_NODE:
             yield Condition(
@@ -200,7 +204,7 @@ def _out(
 
 
 def _ages(picture: Picture, limits: Limits) -> Iterable[Condition]:
-    """Stars and lights that were used too long ago, where no source says why."""
+    """Yield the situations of stars and lights that were last used too long ago; a source that is OUT explains them."""
     outs = tuple(f"{source.name}.out" for source in picture.sources)
     for what, limit_s, above in (
         ("stars", limits.stars_age_s, ("attitude.silent",)),
@@ -217,13 +221,13 @@ def _ages(picture: Picture, limits: Limits) -> Iterable[Condition]:
 def _rate(source: SourceShown, limits: InputLimits) -> Iterable[Condition]:
     if source.presence is Presence.IN and source.rate_hz < limits.rate_hz:
         yield Condition(
-            f"{source.name}.rate", Priority.CAUTION, source.name, f"{source.name} comes at a lower rate than it should",
+            f"{source.name}.rate", Priority.CAUTION, source.name, f"rate of {source.name} too low",
             source.rate_hz, limits.rate_hz, "Hz", under=(f"{source.name}.out",),
         )
 
 
 def _clock(picture: Picture, limits: Limits) -> Iterable[Condition]:
-    """Stamps from the future: the clock of an instrument, or that of the computer, is wrong."""
+    """Yield the situation of stamps in the future: the clock of an instrument or of the computer is wrong."""
     ahead = [one for one in picture.inputs if one.latency_s < -limits.machine.clock_offset_s]
     if ahead:
         worst = min(ahead, key=lambda one: one.latency_s)
@@ -282,9 +286,10 @@ def _guilty(picture: Picture) -> list[SourceShown]:
 
 
 def _lost_first(taken: Iterable[FunctionShown], cause: str) -> str:
-    """Return what has become of functions, the worst first, and why: "Heading lost, tilt over its limit: ins silent".
+    """Return the text of an alert from its functions, the worst first, and its cause.
 
-    Functions that are only unchecked are named where no other is worse.
+    Functions that are only unchecked are named if no other is worse. An example is "Heading lost, tilt over its limit:
+    ins no data".
     """
     taken = list(taken)
     by_words: dict[str, list[str]] = {}

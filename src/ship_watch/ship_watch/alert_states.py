@@ -1,8 +1,7 @@
-"""The situations that alerts tell, the states of an alert, and what leads from one to the next.
+"""Situations of alerts, states of an alert, and the transitions between them.
 
 The states are those of IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until a person has
-acknowledged it, also where its situation is over. A caution is told as long as its situation is there, and nobody
-needs to acknowledge it.
+acknowledged it, also if its situation is over. A caution lasts as long as its situation and needs no acknowledgement.
 """
 
 import enum
@@ -15,23 +14,24 @@ from ship_watch.picture import Priority
 
 @dataclass(frozen=True)
 class Condition:
-    """A situation that is there now, as :class:`ship_watch.picture.AlertShown` tells it.
+    """A present situation, the basis of an :class:`ship_watch.suite_state.AlertEntry`.
 
     Attributes:
         id: name of the situation.
-        priority: its urgency.
-        source: who is to blame; empty where nobody is known.
-        text: the situation in a few words. It holds no figure that runs, or each look would be a change.
-        value: what was measured; NaN for nothing.
-        limit: what it is held against; NaN for nothing.
-        unit: of both.
-        becomes_alarm: whether a warning that nobody acknowledges becomes an alarm; otherwise it is repeated.
-        needs_start: whether the situation may be nothing but a suite that is about to start.
-        is_blind: whether it only says that nothing was ever heard: an alert that is there, of before a restart, is not
-            changed by that.
-        under: ids of situations that explain this one. While one of them is active, and not less urgent, this one is
-            told by it and is no alert of its own.
-        lost: what the situation takes away. When more is lost than a person has acknowledged, it is told anew.
+        priority: its priority.
+        source: the source that causes it; empty if none is known.
+        text: the situation in a few words, without changing figures: a new text is a change of the alert.
+        value: measured value; NaN without one.
+        limit: limit of ``value``; NaN without one.
+        unit: unit of both.
+        becomes_alarm: True if an unacknowledged warning becomes an alarm; otherwise it is repeated.
+        may_be_startup: True if the situation is normal during the start of the suite; it is then raised later.
+        is_never_received: True if the situation is only that nothing was received; it does not change an alert that
+            was active before a restart.
+        explained_by: ids of situations that explain this one. While one of them is active with at least the same
+            priority, this one has no alert of its own.
+        lost_functions: functions that the situation affects. A new instance is raised if more are affected than were
+            acknowledged.
     """
 
     id: str
@@ -49,7 +49,7 @@ class Condition:
 
 
 class AlertState(enum.IntEnum):
-    """The states of ship_msgs/Alert."""
+    """State of an alert, as in ship_msgs/Alert."""
 
     NORMAL = 0
     ACTIVE_UNACKNOWLEDGED = 1
@@ -59,15 +59,15 @@ class AlertState(enum.IntEnum):
 
 
 class AlertEvent(enum.Enum):
-    """What may happen to an alert."""
+    """Event that may change the state of an alert."""
 
-    COMES = "the situation is there"
+    COMES = "the situation is present"
     GOES = "the situation is over"
-    ACKNOWLEDGED = "a person has seen it"
-    SILENCED = "a person has switched off the sound"
-    SILENCE_ENDS = "the sound has been off for long enough"
-    UNANSWERED = "nobody acknowledged it in time"
-    EXPLAINED = "another alert tells the situation"
+    ACKNOWLEDGED = "acknowledged by a person"
+    SILENCED = "silenced by a person"
+    SILENCE_ENDS = "the silence has ended"
+    UNANSWERED = "not acknowledged in time"
+    EXPLAINED = "another alert covers the situation"
 
 
 _S, _E = AlertState, AlertEvent
@@ -88,23 +88,23 @@ TRANSITIONS: Mapping[tuple[AlertState, AlertEvent], AlertState] = {
     (_S.RECTIFIED_UNACKNOWLEDGED, _E.COMES): _S.ACTIVE_UNACKNOWLEDGED,
     (_S.RECTIFIED_UNACKNOWLEDGED, _E.ACKNOWLEDGED): _S.NORMAL,
 }
-"""The state of a warning or an alarm after an event; whatever is not named changes nothing."""
+"""State of a warning or an alarm after an event; other combinations change nothing."""
 
 CAUTION_TRANSITIONS: Mapping[tuple[AlertState, AlertEvent], AlertState] = {
     (_S.NORMAL, _E.COMES): _S.ACTIVE_ACKNOWLEDGED,
     (_S.ACTIVE_ACKNOWLEDGED, _E.GOES): _S.NORMAL,
     (_S.ACTIVE_ACKNOWLEDGED, _E.EXPLAINED): _S.NORMAL,
 }
-"""Likewise of a caution, which nobody needs to acknowledge."""
+"""State of a caution after an event; it needs no acknowledgement."""
 
 UNANSWERED = frozenset((_S.ACTIVE_UNACKNOWLEDGED, _S.ACTIVE_SILENCED))
-"""The situation is there, and nobody has acknowledged it."""
+"""States of a present situation that is not acknowledged."""
 
 ACTIVE = UNANSWERED | {_S.ACTIVE_ACKNOWLEDGED}
-"""The situation is there."""
+"""States of a present situation."""
 
 
 def next_state(state: AlertState, event: AlertEvent, priority: Priority) -> AlertState:
-    """The state after an event; the same where the event changes nothing."""
+    """Return the state after an event; the same state if the event changes nothing."""
     table = CAUTION_TRANSITIONS if priority is Priority.CAUTION else TRANSITIONS
     return table.get((state, event), state)

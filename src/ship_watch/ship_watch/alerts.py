@@ -1,8 +1,8 @@
-"""All alerts of a suite: one of each situation, raised, acknowledged, silenced, repeated, over.
+"""Alerts of a suite: one for each situation; raised, acknowledged, silenced, repeated, over.
 
-:class:`AlertBook` is told again and again which situations are there. It makes one alert of each, however often the
-situation flaps, and keeps the alert until it is over and, where that is needed, a person has acknowledged it. The book
-knows no clock: the caller gives a steady time, from which durations are counted, and UTC, which goes into the stamps.
+:class:`AlertList` is updated again and again with the present situations. Each has one alert, however often it flaps.
+An alert is kept until its situation is over and, if necessary, a person has acknowledged it. The caller passes a steady
+time for durations, and UTC for the stamps.
 """
 
 import dataclasses
@@ -17,24 +17,24 @@ from ship_watch.limits import AlertTimes
 from ship_watch.picture import AlertShown, Priority
 
 LONGEST_HOLD_S = 60.0
-"""A situation that comes and goes is held active for the longer the more often it came back, up to this time, s."""
+"""Maximum hold of an active alert after its situation disappears, s; the hold doubles each time it comes back."""
 
 FORGOTTEN_S = 1.0
-"""A situation that was there for less time than it must last is remembered so long: twice within it is no glitch, s."""
+"""Time within which a brief situation that appears twice counts as one, s."""
 
 QUIET_S = 300.0
-"""A situation that stayed away for so long does not flap any more, s."""
+"""Time without the situation after which the hold is no longer doubled, s."""
 
 
 MOST_KEPT = 1000
-"""Alerts that are remembered where they are over."""
+"""Maximum number of alerts, including those that are over."""
 
 _EXAMPLE = AlertShown("", 1, Priority.CAUTION, AlertState.NORMAL, "", "", math.nan, math.nan, "", 0, 0)
 
 
 @dataclass(frozen=True)
 class AlertChange:
-    """What became of an alert, NORMAL where it is no more, and in words what happened."""
+    """An alert after a change (NORMAL if it is over), and the change in words."""
 
     alert: AlertShown
     what: str
@@ -42,14 +42,14 @@ class AlertChange:
 
 @dataclass
 class _Kept:
-    """What the book remembers of one situation beside its alert; steady times in ns."""
+    """An alert with the data of its situation; steady times in ns."""
 
     alert: AlertShown
     hold_ns: int
     present_ns: int
-    """When the situation was last there."""
+    """Last time at which the situation was present."""
     other_since_ns: int | None = None
-    """Since when it is less urgent than its alert says, or another text tells it."""
+    """Time since which the situation has a lower priority or another text than its alert; None if it has not."""
     lost: frozenset[str] = frozenset()
     becomes_alarm: bool = False
     unanswered_from_ns: int = 0
@@ -60,13 +60,13 @@ class AlertBook:
     """All alerts of a suite.
 
     Args:
-        times: how long situations last before they are told, and people have to answer.
-        saved: what :meth:`saved` of an earlier book gave: its alerts go on with their acknowledgements. They are kept
-            for at least ``times.start_s``, until it can be known whether the situations are still there.
+        times: delays until a situation is raised, cleared and escalated.
+        saved_alerts: alerts from :meth:`serialise` of an earlier list, which continue with their acknowledgements. They
+            are kept for at least ``times.start_s``, until the situations can be evaluated.
         now_ns: steady time of the start.
 
     Raises:
-        ValueError: ``saved`` is not what :meth:`saved` gives.
+        ValueError: ``saved_alerts`` are not from :meth:`serialise`.
     """
 
     def __init__(self, times: AlertTimes, saved: Iterable[Mapping[str, Any]] = (), now_ns: int = 0) -> None:
@@ -81,21 +81,21 @@ class AlertBook:
 
     @property
     def alerts(self) -> tuple[AlertShown, ...]:
-        """All that are not NORMAL, the most urgent first: unacknowledged before acknowledged, alarms before others."""
+        """Alerts that are not NORMAL, the most urgent first: unacknowledged before acknowledged, alarms first."""
         told = [kept.alert for kept in self._kept.values() if kept.alert.state != AlertState.NORMAL]
         return tuple(sorted(told, key=lambda alert: alert.urgency))
 
     def saved(self) -> list[dict[str, Any]]:
-        """The book as plain values for a file, the counts of instances of alerts that are over among them."""
+        """Return the alerts as plain values for a file, with the instance counts of those that are over."""
         return [
             {**dataclasses.asdict(kept.alert), "lost": sorted(kept.lost)} for _, kept in sorted(self._kept.items())
         ]
 
     def take(self, conditions: Iterable[Condition], now_ns: int, utc_ns: int) -> tuple[AlertChange, ...]:
-        """Take the situations that are there now, all of them.
+        """Update with all situations that are present; return the changes.
 
         Args:
-            conditions: one for each id.
+            conditions: present situations, one for each id.
             now_ns: steady time.
             utc_ns: UTC as POSIX time.
         """
@@ -103,7 +103,7 @@ class AlertBook:
         there = {each.id: each for each in conditions}
         self._forget_pending(now_ns)
         self._forget_over()
-        # Those that explain others come first, so that nothing is told twice within one call.
+        # Situations that explain others come first, so that none is raised twice in one call.
         for condition in sorted(there.values(), key=lambda each: (len(each.under), each.id)):
             changes += self._present(condition, now_ns, utc_ns)
         for id_, kept in self._kept.items():
@@ -113,21 +113,21 @@ class AlertBook:
         return tuple(changes)
 
     def acknowledge(self, id_: str, instance: int, utc_ns: int) -> tuple[AlertChange | None, str]:
-        """What a person's acknowledgement changed, None for nothing, and in words what was done or why not."""
+        """Acknowledge one instance of an alert; return the change, None without one, and the result in words."""
         kept = self._kept.get(id_)
         if kept is None or kept.alert.state == AlertState.NORMAL:
             there = ", ".join(alert.id for alert in self.alerts) or "none"
-            return None, f"there is no alert '{id_}' now; there is {there}"
+            return None, f"no alert '{id_}'; current alerts: {there}"
         alert = kept.alert
         if alert.instance != instance:
-            return None, f"'{id_}' is instance {alert.instance} now, not {instance}: look at it again"
+            return None, f"'{id_}' is now instance {alert.instance}, not {instance}: read it again"
         if alert.is_acknowledged:
             return None, f"'{id_}' needs no acknowledgement: it is {_words(alert)}"
         change = self._happens(kept, AlertEvent.ACKNOWLEDGED, utc_ns, "acknowledged")
         return change, f"'{id_}' {'acknowledged' if change.alert.state else 'acknowledged, and over'}"
 
     def silence(self, now_ns: int, utc_ns: int) -> tuple[AlertChange, ...]:
-        """Switch off the sound of all alerts that sound, for a while."""
+        """Silence all sounding alerts for ``times.silence_s``; return the changes."""
         changes = []
         for kept in self._kept.values():
             if kept.alert.state == AlertState.ACTIVE_UNACKNOWLEDGED:
@@ -136,25 +136,25 @@ class AlertBook:
         return tuple(changes)
 
     def _forget_pending(self, now_ns: int) -> None:
-        """What went before it had lasted long enough to be told."""
+        """Remove situations that disappeared before they were raised."""
         for what, (_, last_ns) in list(self._pending.items()):
             if now_ns - last_ns > _ns(FORGOTTEN_S):
                 del self._pending[what]
 
     def _forget_over(self) -> None:
-        """Remove the oldest alerts that are over where there are too many; their next instances begin at 1 again."""
+        """Remove the oldest alerts that are over if there are too many; their instances then start at 1 again."""
         over = [id_ for id_, kept in self._kept.items() if kept.alert.state == AlertState.NORMAL]
         for id_ in over[: max(0, len(self._kept) - MOST_KEPT)]:
             del self._kept[id_]
 
     def _has_lasted(self, what: str, now_ns: int) -> bool:
-        """Whether what was told to nobody yet has lasted long enough to be told; it is there now."""
+        """True if a present situation that is not raised yet has lasted long enough."""
         first_ns, _ = self._pending.get(what, (now_ns, now_ns))
         self._pending[what] = first_ns, now_ns
         return now_ns - first_ns >= _ns(self._times.raise_after_s)
 
     def _is_explained(self, condition: Condition) -> bool:
-        """Whether an alert that is active, or about to be, tells this situation already."""
+        """True if an active alert of at least the same priority already explains this situation."""
         for id_ in condition.under:
             kept = self._kept.get(id_)
             if kept is not None and kept.alert.state in ACTIVE and kept.alert.priority >= condition.priority:
@@ -164,13 +164,13 @@ class AlertBook:
     def _present(self, condition: Condition, now_ns: int, utc_ns: int) -> list[AlertChange]:
         kept = self._kept.get(condition.id)
         if any(id_ in self._pending for id_ in condition.under):
-            # What explains it may be told in a moment.
+            # A situation that explains it may be raised soon.
             return []
         if self._is_explained(condition):
             self._pending.pop(condition.id, None)
             if kept is None or kept.alert.state not in ACTIVE:
                 return []
-            return [self._happens(kept, AlertEvent.EXPLAINED, utc_ns, "told by another alert")]
+            return [self._happens(kept, AlertEvent.EXPLAINED, utc_ns, "covered by another alert")]
         if kept is None or kept.alert.state not in ACTIVE:
             has_lasted = self._has_lasted(condition.id, now_ns)
             starting = condition.needs_start and now_ns - self._start_ns < _ns(self._times.start_s)
@@ -190,9 +190,9 @@ class AlertBook:
             return [self._worsen(condition, kept, what, now_ns, utc_ns)]
         if more and condition.priority is not Priority.CAUTION:
             if kept.alert.is_acknowledged:
-                return [self._worsen(condition, kept, f"{', '.join(sorted(more))} as well", now_ns, utc_ns)]
+                return [self._worsen(condition, kept, f"now also affects {', '.join(sorted(more))}", now_ns, utc_ns)]
             kept.alert = _told(kept.alert, condition)
-            return [AlertChange(kept.alert, f"{', '.join(sorted(more))} as well")]
+            return [AlertChange(kept.alert, f"now also affects {', '.join(sorted(more))}")]
         return self._ease(condition, kept, now_ns, utc_ns)
 
     def _raise(self, condition: Condition, kept: _Kept | None, now_ns: int, utc_ns: int) -> AlertChange:
@@ -202,7 +202,7 @@ class AlertBook:
             instance, state = kept.alert.instance + 1, AlertState(kept.alert.state)
             if state is AlertState.RECTIFIED_UNACKNOWLEDGED:
                 priority = max(priority, kept.alert.priority)
-            # It came back: held for twice as long from now on, so that it does not come again and again.
+            # It came back: the hold is doubled, so that it is not raised again and again.
             flaps = now_ns - kept.present_ns < _ns(QUIET_S)
             hold_ns = min(2 * kept.hold_ns, max(_ns(LONGEST_HOLD_S), hold_ns)) if flaps else hold_ns
         alert = AlertShown(
@@ -216,7 +216,7 @@ class AlertBook:
 
     @staticmethod
     def _worsen(condition: Condition, kept: _Kept, what: str, now_ns: int, utc_ns: int) -> AlertChange:
-        """The situation is graver than what people acknowledged: an instance of its own, which they have not seen."""
+        """Raise a new instance: the situation is more severe than the one that was acknowledged."""
         kept.unanswered_from_ns, kept.other_since_ns = now_ns, None
         kept.alert = dataclasses.replace(
             _told(kept.alert, condition), priority=max(condition.priority, kept.alert.priority),
@@ -226,9 +226,9 @@ class AlertBook:
 
     @staticmethod
     def _ease(condition: Condition, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
-        """The situation is as before, or not as grave, or told in other words: taken when that has lasted for a while.
+        """Update text and value; take over another text or a lower priority after the hold time.
 
-        An alert that nobody acknowledged never gets less urgent.
+        The priority of an unacknowledged alert is never lowered.
         """
         alert = kept.alert
         if condition.text == alert.text and condition.priority == alert.priority:
@@ -242,9 +242,9 @@ class AlertBook:
         kept.other_since_ns = None
         kept.alert = _told(alert, condition)
         if not is_lower:
-            return [AlertChange(kept.alert, "told in other words")]
+            return [AlertChange(kept.alert, "text changed")]
         kept.alert = dataclasses.replace(kept.alert, priority=condition.priority, changed_ns=utc_ns)
-        return [AlertChange(kept.alert, f"is only a {condition.priority.name.lower()} now")]
+        return [AlertChange(kept.alert, f"now only a {condition.priority.name.lower()}")]
 
     def _absent(self, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
         if kept.alert.state not in ACTIVE or now_ns - kept.present_ns < kept.hold_ns:
@@ -252,16 +252,16 @@ class AlertBook:
         return [self._happens(kept, AlertEvent.GOES, utc_ns, "over")]
 
     def _waited(self, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
-        """What the time that has passed does to an alert that nobody has acknowledged."""
+        """Repeat or escalate an unacknowledged warning, and end a silence, when their times have passed."""
         alert, patience_ns = kept.alert, _ns(self._times.escalate_after_s)
         is_due = now_ns - kept.unanswered_from_ns >= patience_ns
         if alert.state in UNANSWERED and alert.priority is Priority.WARNING and is_due:
             kept.unanswered_from_ns = now_ns
-            what = f"repeated: nobody acknowledged it for {self._times.escalate_after_s:g} s"
+            what = f"repeated: not acknowledged for {self._times.escalate_after_s:g} s"
             if kept.becomes_alarm:
-                # An instance of its own: who has seen a warning has not seen an alarm.
+                # A new instance: an acknowledgement of the warning does not count for the alarm.
                 kept.alert = dataclasses.replace(alert, priority=Priority.ALARM, instance=alert.instance + 1)
-                what = f"became an alarm: nobody acknowledged it for {self._times.escalate_after_s:g} s"
+                what = f"became an alarm: not acknowledged for {self._times.escalate_after_s:g} s"
             return [self._happens(kept, AlertEvent.UNANSWERED, utc_ns, what)]
         if alert.state == AlertState.ACTIVE_SILENCED and now_ns - kept.silenced_ns >= _ns(self._times.silence_s):
             return [self._happens(kept, AlertEvent.SILENCE_ENDS, utc_ns, "sounds again")]
@@ -282,21 +282,21 @@ def _told(alert: AlertShown, condition: Condition) -> AlertShown:
 
 
 def _loaded(entry: Mapping[str, Any]) -> tuple[AlertShown, frozenset[str]]:
-    """An alert out of a file, and what its situation takes away.
+    """Return an alert from its plain values, and the functions that its situation affects.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the values are not those of an alert.
     """
     try:
         fields = {**entry, "priority": Priority(entry["priority"]), "state": AlertState(entry["state"])}
         lost = frozenset(map(str, fields.pop("lost")))
         alert = AlertShown(**fields)
     except (TypeError, KeyError, ValueError) as problem:
-        raise ValueError(f"no saved alert: {problem}") from problem
+        raise ValueError(f"not a saved alert: {problem}") from problem
     for field in dataclasses.fields(alert):
         value, default = getattr(alert, field.name), getattr(_EXAMPLE, field.name)
         if not isinstance(value, type(default)):
-            raise ValueError(f"no saved alert: {field.name} is {value!r}")
+            raise ValueError(f"not a saved alert: {field.name} is {value!r}")
     return alert, lost
 
 

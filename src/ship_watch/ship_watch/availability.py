@@ -1,7 +1,7 @@
-"""Expected availability: the share of the time for which the angles of a recording are within a limit.
+"""Expected availability: fraction of the time for which the angles of a recording are within a limit.
 
-A limit decides only where nothing else is wrong: while the output is VALID, fresh and checked. The share is that of the
-time in which the page shows SAFE, with its hysteresis. A proposed limit is the lowest round one with a share of 95 %.
+A limit is decisive only while the output is VALID, recent and independently checked. The fraction is that of the time
+in which the page shows SAFE, with its hysteresis. A proposed limit is the lowest round one with a fraction of 95 %.
 """
 
 import math
@@ -21,13 +21,13 @@ from ship_watch.states import MARGIN, AngleWord, HeldWord, words_by_accuracy
 from ship_watch.watch import Watch
 
 QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
-"""Quantity with a limit of its own → its angles."""
+"""Quantity with its own limit → its angles."""
 
 WANTED_SHARE = 0.95
-"""Share of the time for which a proposed limit is held."""
+"""Fraction of the time within a proposed limit."""
 
 START_UP_S = 30.0
-"""Time after the first output that is left out, s: the filters find mountings and INS errors by the first stars."""
+"""Time after the first output that is ignored, s: the filters first estimate mountings and INS errors from stars."""
 
 STEP_NS = NS_PER_S // 5
 """Time between two samples of the accuracy, ns."""
@@ -43,12 +43,12 @@ class Availability:
     Attributes:
         quantity: "heading", "tilt" or "pointing".
         limit_arcsec: its limit now.
-        share: share of the time within that limit, of the time in which the limit decides.
+        share: fraction within that limit of the time in which the limit is decisive.
         median_arcsec: median of the accuracy (95 %) of its worse angle in this time.
-        proposed_arcsec: the lowest round limit that is held for :data:`WANTED_SHARE` of this time.
-        proposed_share: share of this time within the proposed limit.
-        decided_share: share of the whole time, without the start, in which the limit decides.
-        other: reason → share of the whole time in which the quantity is not SAFE whatever its limit is.
+        proposed_arcsec: the lowest round limit that is met for :data:`REQUIRED_SHARE` of this time.
+        proposed_share: fraction of this time within the proposed limit.
+        decisive_share: fraction of the whole time, without the start, in which the limit is decisive.
+        other: reason → fraction of the whole time in which the quantity is not SAFE with any limit.
     """
 
     quantity: str
@@ -63,7 +63,7 @@ class Availability:
 
 @dataclass(frozen=True)
 class _Sample:
-    """Angles of a quantity at one time, judged without a limit of their accuracy."""
+    """Angles of a quantity at one time, evaluated without a limit of their accuracy."""
 
     time_ns: int
     is_start: bool
@@ -71,7 +71,7 @@ class _Sample:
 
     @property
     def is_decided(self) -> bool:
-        """True if nothing but the limit decides whether the quantity is SAFE."""
+        """True if the limit alone determines whether the quantity is SAFE."""
         return not self.is_start and all(angle.safety is Safety.SAFE for angle in self.angles)
 
 
@@ -79,7 +79,7 @@ class AvailabilityRecord:
     """Accuracies of a recording, sampled at a fixed rate.
 
     Args:
-        limits: of the ship.
+        limits: limits of the ship.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -90,12 +90,12 @@ class AvailabilityRecord:
         self._samples: dict[str, list[_Sample]] = {quantity: [] for quantity in QUANTITIES}
 
     def take(self, topic: str, message: Any, arrival_ns: int) -> None:
-        """Take a message of the recording, in order of arrival.
+        """Process a message of the recording; messages must come in the order of arrival.
 
         Args:
-            topic: its name, relative to the namespace of the suite.
-            message: with the fields of its type as attributes.
-            arrival_ns: when it came.
+            topic: name of its topic, relative to the namespace of the suite.
+            message: the message, with the fields of its type as attributes.
+            arrival_ns: time of its arrival, ns.
         """
         while self._due_ns is not None and self._due_ns <= arrival_ns:
             self._sample(self._due_ns)
@@ -104,7 +104,7 @@ class AvailabilityRecord:
         self._watch.take(topic, message, arrival_ns)
 
     def availability(self, quantity: str) -> Availability | None:
-        """Return the expected availability of a quantity; None where no limit decides at any time."""
+        """Return the expected availability of a quantity; None if the limit is never decisive."""
         samples = self._samples[quantity]
         decided = [sample for sample in samples if sample.is_decided]
         if not decided:
@@ -132,7 +132,7 @@ class AvailabilityRecord:
                 before.append(_Sample(time_ns, is_start, tuple(angles[name] for name in names)))
 
     def _share(self, quantity: str, limit_arcsec: float) -> float:
-        """Return the share of the time in which the limit decides for which the quantity is SAFE with it."""
+        """Return the fraction with a SAFE quantity of the time in which the limit is decisive."""
         words = [HeldWord(self._limits.better_after_s) for _ in QUANTITIES[quantity]]
         safe: list[bool] = []
         for sample in self._samples[quantity]:
@@ -143,14 +143,14 @@ class AvailabilityRecord:
         return sum(safe) / len(safe)
 
     def _angle_word(self, angle: AngleShown, limit: float) -> AngleWord:
-        """Return the word of an angle with another limit of its accuracy."""
+        """Return the safety of an angle with another limit of its accuracy, rad."""
         by_accuracy, by_margin = words_by_accuracy(angle.accuracy_95, limit, self._limits.unsafe_factor)
         word, reason = angle.now or (angle.safety, angle.reason)
         return AngleWord(max(word, by_accuracy), reason, by_accuracy, by_margin)
 
 
 def _round_limits(least_arcsec: float) -> Iterator[float]:
-    """Yield round limits, upward from the first that is not below an accuracy."""
+    """Yield round limits in rising order, from the first that is not below an accuracy, arcsec."""
     exponent = math.floor(math.log10(max(least_arcsec, 0.1)))
     while True:
         for first in _ROUND:
@@ -160,6 +160,6 @@ def _round_limits(least_arcsec: float) -> Iterator[float]:
 
 
 def _reason(angles: Sequence[AngleShown]) -> str:
-    """Return why a quantity is not SAFE whatever its limit is, without figures that change."""
+    """Return why a quantity is not SAFE with any limit, without changing figures."""
     worst = max(angles, key=lambda angle: angle.safety)
-    return "a better word waits" if worst.is_good_again else still(worst.reason)
+    return "hold time" if worst.is_good_again else still(worst.reason)

@@ -1,7 +1,7 @@
-"""Nodes that cannot keep up with their inputs: what they publish of it, and which sources are out because of it.
+"""Overloaded nodes, which cannot keep up with their inputs, and the sources that are OUT because of them.
 
-A node that is behind cuts what waits for it. Measurements of good sources then lack what they are compared with, there
-and in the nodes after it: none of these sources is at fault.
+An overloaded node drops waiting messages. Measurements of good sources then lack their counterparts, in that node and
+in the nodes that read its output: none of these sources is faulty.
 """
 
 from collections.abc import Sequence
@@ -11,17 +11,17 @@ from typing import Any
 from ship_watch.picture import Presence, SourceStanding
 
 FRESH_NS = 5_000_000_000
-"""Age of the last report of a node that is behind, ns: an older one says nothing of now. Reports come once a second,
-and less often where the node hardly runs."""
+"""Maximum age of an overload report for the node to count as overloaded, ns. Reports come once a second, and less often
+if the node hardly runs."""
 
 _APART_NS = 2 * FRESH_NS
-"""Time without a report after which a node that is behind is newly behind, ns."""
+"""Time without a report after which the next report starts a new overload, ns."""
 
 _BEFORE_NS = FRESH_NS
-"""Time before the first report of a node in which sources may have gone out because it was nearly behind, ns."""
+"""Time before the first report within which a source that goes OUT is attributed to the overload, ns."""
 
 _NODES = ("ship_attitude", "star_attitude", "optical_axis")
-"""The nodes that report it, in the order in which their texts are preferred."""
+"""Nodes that report an overload, in the order in which their texts are preferred."""
 
 _ATTITUDE_NODES = _NODES[:2]
 
@@ -34,7 +34,7 @@ class _Behind:
 
 
 class BehindBook:
-    """The nodes that are behind, by the refusals with the reason BEHIND."""
+    """Overloaded nodes, from innovations with the reason BEHIND."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, _Behind] = {}
@@ -42,7 +42,7 @@ class BehindBook:
         self._causes: dict[str, str] = {}
 
     def note(self, message: Any, now_ns: int) -> None:
-        """Take an Innovation with the reason BEHIND: of a node, or of messages that it cut, which adds nothing."""
+        """Record an Innovation with the reason BEHIND; those of dropped messages are ignored, only nodes count."""
         node = str(message.source)
         if node not in _NODES:
             return
@@ -51,25 +51,25 @@ class BehindBook:
         self._nodes[node] = _Behind(str(message.reason_text), since_ns, now_ns)
 
     def text(self, now_ns: int, is_pointing: bool, by_attitude: bool) -> str:
-        """Return why an output is worse than it could be, where a node that it rests on is behind.
+        """Return the overload text of the first overloaded node on which an output depends; empty without one.
 
         Args:
-            now_ns: the caller's time.
+            now_ns: caller's time, ns.
             is_pointing: True for the pointing, False for the attitude.
-            by_attitude: True where the pointing rests on the attitude that the suite publishes.
+            by_attitude: True if the pointing uses the attitude that the suite publishes.
         """
         own = ("optical_axis",) if is_pointing else ()
         nodes = (*own, *(_ATTITUDE_NODES if by_attitude or not is_pointing else ()))
         return next((self._nodes[node].text for node in nodes if self._is_behind(node, now_ns)), "")
 
     def attributed(self, sources: Sequence[SourceStanding], now_ns: int) -> list[SourceStanding]:
-        """Return how the sources stand; those that went out since a node is behind are out because of that node.
+        """Return the sources; for those that went OUT during an overload, the node is their cause.
 
-        A source stays so until it is in again: it must be accepted some times for that.
+        The cause stays until the source is IN again.
 
         Args:
-            sources: as their measurements say.
-            now_ns: the caller's time.
+            sources: states from the measurements.
+            now_ns: caller's time, ns.
         """
         node = next((node for node in _NODES if self._is_behind(node, now_ns)), "")
         return [self._with_cause(source, node, now_ns) for source in sources]

@@ -1,7 +1,7 @@
-"""How much of the variance of each angle comes from each source of error.
+"""Variance of each displayed angle by source of error.
 
-An error budget tells covariances of a small rotation vector about East, North and Up. An officer asks about heading,
-pitch and roll, or about azimuth and elevation of a line of sight.
+An error budget contains covariances of a small rotation vector about East, North and Up. They are converted to heading,
+pitch and roll, or to azimuth and elevation of a line of sight.
 """
 
 from collections.abc import Mapping
@@ -16,17 +16,18 @@ from ship_geometry.rotations import FloatArray
 def angle_variances(
     covariances: Mapping[str, FloatArray], azimuth: float, elevation: float, is_deck: bool
 ) -> dict[str, dict[str, float]]:
-    """Variance of each shown angle by source.
+    """Return the variance of each displayed angle by source of error.
 
     Args:
-        covariances: by source of error, of a small rotation vector about (East, North, Up), rad², shape (3, 3).
-        azimuth: of the line of sight, or the heading of the deck, rad.
-        elevation: of the line of sight, or the pitch of the deck, rad.
-        is_deck: whether the angles are heading, pitch and roll; else azimuth and elevation.
+        covariances: source of error → covariance of a small rotation vector about (East, North, Up), rad²,
+            shape (3, 3).
+        azimuth: azimuth of the line of sight, or heading of the deck, rad.
+        elevation: elevation of the line of sight, or pitch of the deck, rad.
+        is_deck: True for heading, pitch and roll, False for azimuth and elevation.
 
     Returns:
-        By angle, then by source, rad²; that of the azimuth times the squared cosine of the elevation. NaN where the
-        budget is not known, or where the line points to the zenith.
+        Angle → source → variance, rad²; of the azimuth times the squared cosine of the elevation. NaN if the budget is
+        unknown, or if the line of sight points to the zenith.
 
     Example:
         A tilt about North by 1 mrad is pitch on an eastern course, and roll on a northern:

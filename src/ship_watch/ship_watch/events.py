@@ -1,4 +1,4 @@
-"""What changed, told once: sources that go out and come in, alerts, nodes that start, words and modes."""
+"""Log of changes: sources that go OUT or IN, alerts, nodes that start, safety, status and modes."""
 
 import re
 from collections import deque
@@ -10,34 +10,36 @@ from ship_watch.names import MOST_NAMES
 from ship_watch.picture import AlertShown, Event, Presence, Priority, SourceStanding
 
 EVENTS_KEPT = 200
+"""Number of events that are kept."""
 
 SETTLED_NS = 3 * NS_PER_S
-"""Nodes that were running when the watch began have all reported after this, ns."""
+"""Time after the start of monitoring within which all running nodes have reported, ns."""
 
 _NUMBER = re.compile(r"\d+ ")
 _PRIORITIES = {int(priority) for priority in Priority}
 _ALERT_WORDS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
+"""State of an alert, as in ship_msgs/Alert → its text."""
 
 
 class EventBook:
-    """The events of a picture, the newest first."""
+    """Events of a suite, the newest first."""
 
     def __init__(self) -> None:
         self.events: deque[Event] = deque(maxlen=EVENTS_KEPT)
         self._presence: dict[str, tuple[Presence, str]] = {}
 
     def tell(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
-        """Tell of a change; see :class:`~ship_watch.picture.Event`."""
+        """Add a change; see :class:`~ship_watch.suite_state.Event`."""
         self.events.appendleft(Event(utc_ns, kind, subject, text))
 
     def tell_start(self, node: str, utc_ns: int) -> None:
-        """Tell of the start of a node once, though each of its topics shows it."""
+        """Add the start of a node, once for all of its topics."""
         told = any(event.kind == "node" and utc_ns - event.utc_ns < SETTLED_NS for event in self.events)
         if not told:
             self.tell("node", node, f"{node} started", utc_ns)
 
     def tell_sources(self, sources: Iterable[SourceStanding], utc_ns: int) -> None:
-        """Tell of the sources that went out or came in, and of those of which something else is wrong now."""
+        """Add the sources that went OUT or IN, and those whose reason or correction changed."""
         for source in sources:
             is_out = source.presence is Presence.OUT
             text = source.reason if is_out else source.disagreement
@@ -54,7 +56,7 @@ class EventBook:
                 self.tell("source", source.name, text, utc_ns)
 
     def tell_alerts(self, before: Iterable[AlertShown], now: Iterable[AlertShown], utc_ns: int) -> None:
-        """Tell of the alerts whose state has changed, and of those that are over."""
+        """Add the alerts whose state changed, and those that are over."""
         states = {(alert.id, alert.instance): alert.state for alert in before}
         for alert in now:
             if states.pop((alert.id, alert.instance), None) != alert.state:
@@ -65,7 +67,7 @@ class EventBook:
 
 
 def alerts_shown(message: Any) -> list[AlertShown]:
-    """The alerts of an AlertArray in its order, without those of a priority that nobody knows."""
+    """Return the alerts of an AlertArray in its order, without those of an unknown priority."""
     return [_alert(alert) for alert in message.alerts[:MOST_NAMES] if alert.priority in _PRIORITIES]
 
 

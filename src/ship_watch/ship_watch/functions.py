@@ -1,7 +1,7 @@
-"""What a suite is there for, as functions: the heading, the tilt, the pointing, each within its limit.
+"""Functions of a suite: heading, tilt and pointing, each within its limit.
 
-A function is as good as the worst of its angles. :func:`functions` says of each how it does, which source takes it away
-and how the sources do that it rests on: the tree of `/diagnostics`, and what the alerts are made of.
+A function has the safety of its worst angle. :func:`functions` returns the state of each function, the source that
+causes it and the sources it depends on. The alerts and the tree in `/diagnostics` are made from it.
 """
 
 import math
@@ -15,7 +15,7 @@ from ship_watch.picture import AngleShown, Picture, Presence, Priority, Safety, 
 from ship_watch.states import OVER_THE_LIMIT
 
 ATTITUDE, POINTING = "attitude", "pointing"
-"""The outputs that functions come by."""
+"""Outputs of the functions."""
 
 _ANGLES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
 _SHIP = ("ins", "star", "reference", "gnss", "weather")
@@ -23,23 +23,24 @@ _THEODOLITE = ("encoder", "lights", "baselines", "ship_attitude")
 
 _WORDS = {None: "safe", Priority.ALARM: "lost", Priority.WARNING: "over its limit", Priority.CAUTION: "unchecked"}
 
-_RUNNING = re.compile(r" for \d+ s\b|\b\d+ (?=refused|accepted)|\b[\d.]+ s (?=behind)|, load \d+")
+_RUNNING = re.compile(r" for \d+ s\b|\b\d+ (?=rejected|accepted)|\b[\d.]+ s (?=behind)|, load \d+")
+"""Figures of a reason that change while the situation stays the same."""
 
 
 @dataclass(frozen=True)
 class FunctionShown:
-    """One function of the suite.
+    """State of one function of the suite.
 
     Attributes:
         name: "heading", "tilt" or "pointing".
         output: :data:`ATTITUDE` or :data:`POINTING`.
-        safety: the worst word of its angles; None where the suite was never asked for it.
+        safety: the worst safety of its angles; None if the suite does not provide this function.
         angle: the worst of its angles.
-        because_of: the source that is to blame where it is not SAFE, or "attitude" for a pointing that is lost with the
-            attitude; empty where nobody is known.
-        is_silent: whether its output does not come any more, or never came.
-        over_s: for how long the accuracy of one of its angles has been over its limit; 0 where none is.
-        sources: those that it rests on, as in the picture.
+        because_of: the source that causes a safety other than SAFE, or "attitude" for a pointing that is lost with the
+            attitude; empty if no cause is known.
+        is_output_missing: True if its output is no longer received, or never was.
+        over_limit_s: time for which the accuracy of one of its angles has been over its limit, s; 0 if none is.
+        sources: the sources it depends on, in the order of the suite state.
     """
 
     name: str
@@ -53,22 +54,22 @@ class FunctionShown:
 
     @property
     def accuracy_arcsec(self) -> float:
-        """95 % of the worst angle, arcsec."""
+        """Accuracy (95 %) of the worst angle, arcsec."""
         return float(np.degrees(self.angle.accuracy_95)) * 3600.0
 
     @property
     def limit_arcsec(self) -> float:
-        """Limit of that, arcsec."""
+        """Limit of the accuracy of the worst angle, arcsec."""
         return float(np.degrees(self.angle.limit)) * 3600.0
 
     @property
     def is_over(self) -> bool:
-        """Whether the accuracy is not within the limit, or there is no angle at all."""
+        """True if the accuracy is not within the limit, or the angle is UNSAFE."""
         return self.safety is Safety.UNSAFE or not self.angle.accuracy_95 <= self.angle.limit
 
     @property
     def priority(self) -> Priority | None:
-        """How urgent its state is: lost is an alarm, over its limit a warning, unchecked a caution; None for SAFE."""
+        """Priority of its state: alarm if lost, warning if over its limit, caution if unchecked, None if SAFE."""
         if not self.safety:
             return None
         if self.safety is Safety.UNSAFE:
@@ -77,7 +78,7 @@ class FunctionShown:
 
     @property
     def text(self) -> str:
-        """What it has lost, in words that stay the same as long as the situation does."""
+        """Name and state of the function, the same as long as the situation is."""
         if self.safety is None:
             return f"{self.name} off"
         if self.angle.is_good_again:
@@ -86,17 +87,17 @@ class FunctionShown:
 
     @property
     def reason(self) -> str:
-        """Why, without figures that run; where only the accuracy is to blame, where to look for its causes."""
+        """Reason of the worst angle without changing figures; for an accuracy over its limit, where to find causes."""
         return "see its error budget" if self.angle.reason == OVER_THE_LIMIT else still(self.angle.reason)
 
 
 def still(text: str) -> str:
-    """A text without the figures that change at every look: "81 refused in a row" is "refused in a row"."""
-    return _RUNNING.sub("", text).replace("accepted again", "refused in a row")
+    """Return a text without changing figures: "rejected in a row" for "81 rejected in a row"."""
+    return _RUNNING.sub("", text).replace("accepted again", "rejected in a row")
 
 
 def functions(picture: Picture) -> tuple[FunctionShown, ...]:
-    """The functions of a suite; the pointing only where the suite has a theodolite."""
+    """Return the functions of a suite; the pointing only if the suite has a theodolite."""
     angles = {angle.name: angle for angle in picture.angles}
     is_asked = {
         ATTITUDE: math.isfinite(angles["heading"].age_s) or not math.isfinite(angles["azimuth"].age_s)
@@ -113,7 +114,7 @@ def functions(picture: Picture) -> tuple[FunctionShown, ...]:
         because_of = worst.because_of if safety else ""
         lost_before = [one for one in found if one.safety is Safety.UNSAFE]
         if output == POINTING and safety is Safety.UNSAFE and lost_before:
-            # Without the attitude there is no pointing, whatever else is out.
+            # Without the attitude there is no pointing: it has the cause of the lost attitude.
             because_of = next((one.because_of for one in lost_before if one.because_of), ATTITUDE)
         words = (*_THEODOLITE, *_SHIP) if output == POINTING else _SHIP
         sources = tuple(one for one in picture.sources if one.name.partition(".")[0] in words)
@@ -129,8 +130,8 @@ class Branch:
     """One entry of the tree in `/diagnostics`.
 
     Attributes:
-        path: from the root, parts between slashes: "heading within 5″/ins".
-        level: as in diagnostic_msgs/DiagnosticStatus: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+        path: path from the root, separated by slashes: "heading within 5″/ins".
+        level: level as in diagnostic_msgs/DiagnosticStatus: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
         text: one line for people.
     """
 
@@ -140,7 +141,7 @@ class Branch:
 
 
 def tree(picture: Picture, limits: Limits) -> tuple[Branch, ...]:
-    """The functions with their limits, and under each the sources that it rests on."""
+    """Return the functions with their limits, each followed by the sources it depends on."""
     limit_arcsec = {
         "heading": limits.heading_arcsec, "tilt": limits.tilt_arcsec, "pointing": limits.pointing_arcsec
     }
@@ -159,16 +160,16 @@ def _source_branch(path: str, function: FunctionShown, source: SourceShown) -> B
     parts = [f"out: {source.reason}", source.disagreement]
     is_cause = source.name == function.because_of and function.safety is not None
     if is_cause:
-        parts.append(f"for this {function.text}")
+        parts.append(f"therefore {function.text}")
     level = 2 if is_cause and function.safety is Safety.UNSAFE else 1
     return Branch(f"{path}/{source.name}", level, ", ".join(filter(None, parts)))
 
 
 def _line(function: FunctionShown) -> str:
     if function.safety is None:
-        return "not asked for: no attitude was ever heard, a pointing was"
-    accuracy = f"{function.accuracy_arcsec:.1f}″" if math.isfinite(function.accuracy_arcsec) else "no accuracy"
-    known = "never heard" if math.isinf(function.angle.age_s) else f"{accuracy} of {function.limit_arcsec:g}″ (95 %)"
+        return "not in use: only a pointing was received, no attitude"
+    accuracy = f"{function.accuracy_arcsec:.1f}″ (95 %)" if math.isfinite(function.accuracy_arcsec) else "no accuracy"
+    known = "never received" if math.isinf(function.angle.age_s) else f"{accuracy}, limit {function.limit_arcsec:g}″"
     if function.safety is Safety.SAFE:
         return f"safe: {known}"
     because = f"because of {function.because_of}" if function.because_of else ""

@@ -1,7 +1,6 @@
-"""What plots show: ring buffers of the last minutes, filled by :class:`ship_watch.watch.Watch`.
+"""Data of the plots: ring buffers of the last minutes, filled by :class:`ship_watch.suite_monitor.SuiteMonitor`.
 
-Every series is a bounded queue of points in the order of their times. A plot takes from it what is newer than the last
-point that it has.
+Every series is a bounded queue of points in the order of their times. A plot reads the points after its last one.
 """
 
 import math
@@ -24,17 +23,26 @@ KEPT_S = 600.0
 _KEPT_NS = round(KEPT_S * 1e9)
 
 MOST_KEPT = 30_000
-"""Points of a buffer, whatever their times: 50 a second."""
+"""Maximum number of points of a buffer: 50 a second."""
 
 
 @dataclass(frozen=True)
 class InnovationPoint:
-    """One measurement of a source: the mean of its residuals along each axis, rad or m, and whether it was accepted.
+    """Innovation of one measurement of a source.
 
-    ``sigma`` is the root mean square of the stated sigmas of what the mean is over: parts share much of their error, so
-    that it is not divided by the root of their number. ``parts`` are the residuals of its single stars or lights along
-    the same axes, shape (n, axes), ``part_names`` what its components call them ("HIP 85355", "a"); of an attitude or
-    an encoder there is one part, without a name.
+    Attributes:
+        utc_ns: time of the measurement, UTC as POSIX time.
+        axes: names of its axes.
+        mean: mean of its residuals along each axis, rad or m, shape (axes,).
+        sigma: root mean square of their stated sigmas, shape (axes,). It is not divided by the root of their number,
+            since the residuals share much of their error.
+        object_residuals: residuals of its single stars or lights along the same axes, shape (n, axes); one row for an
+            attitude or an encoder.
+        nis: normalised innovation squared.
+        gate: limit of ``nis``.
+        is_accepted: True if it was accepted.
+        reason: reason of the rejection; empty without one.
+        object_names: names of the stars or lights ("HIP 85355", "a"); empty for an attitude or an encoder.
     """
 
     utc_ns: int
@@ -51,7 +59,7 @@ class InnovationPoint:
 
 @dataclass(frozen=True)
 class ErrorPoint:
-    """Error against truth (NaN without) and sigma of each channel of an ``error_arcsec`` topic, arcsec."""
+    """Error against truth (NaN without truth) and sigma of each channel of an ``error_arcsec`` topic, arcsec."""
 
     utc_ns: int
     error: Mapping[str, float]
@@ -60,11 +68,14 @@ class ErrorPoint:
 
 @dataclass(frozen=True)
 class BudgetPoint:
-    """Variance of each source of error about East, North and Up, rad², shape (3,) each; ``total`` of all.
+    """Error budget at one time.
 
-    ``by_angle`` are the variances of the same sources in each angle that is shown, rad², as
-    :func:`ship_watch.budget.angle_variances` makes them: heading, pitch and roll, or azimuth times the cosine of the
-    elevation, and elevation.
+    Attributes:
+        utc_ns: its time, UTC as POSIX time.
+        variances: source of error → variance about East, North and Up, rad², shape (3,).
+        total: variance of all sources, rad², shape (3,).
+        by_angle: angle → source of error → variance, rad², from :func:`ship_watch.budget.angle_variances`: heading,
+            pitch and roll, or azimuth times the cosine of the elevation, and elevation.
     """
 
     utc_ns: int
@@ -75,7 +86,7 @@ class BudgetPoint:
 
 @dataclass(frozen=True)
 class SafetyPoint:
-    """The worst word of each angle within one second; None where the angle was not told."""
+    """Worst safety of each angle within one second; None if the angle was not published."""
 
     utc_ns: int
     words: Mapping[str, Safety | None]
@@ -83,7 +94,7 @@ class SafetyPoint:
 
 @dataclass(frozen=True)
 class LightPoint:
-    """A light on the detector, m along right and up, and its residual on the sky, rad, NaN where unknown."""
+    """A light on the detector, m along right and up, and its residual on the sky, rad, NaN if unknown."""
 
     utc_ns: int
     x: float
@@ -95,19 +106,20 @@ class LightPoint:
 
 @dataclass(frozen=True)
 class StarsSeen:
-    """The last exposure of a star sensor, as (n,) arrays.
+    """Last exposure of a star sensor, with arrays of shape (n,) for its stars.
 
     Attributes:
-        utc_ns: middle of the exposure.
+        utc_ns: middle of the exposure, UTC as POSIX time.
         u: columns, pixel.
         v: rows, pixel.
-        is_accepted: whether the filter took the solution.
-        star_count: stars used; ``rejected_count``: left out.
-        azimuth: of the sensor's boresight in the horizon frame, rad; NaN where no solution is told.
-        elevation: likewise, rad.
-        residual_right: measured minus predicted place of each star along the sensor's right, rad, in the order of
-            ``u``; NaN where none is told for a star, which was then not used; empty where none is told at all.
-        residual_up: likewise along its up.
+        is_accepted: True if the filter accepted the solution.
+        star_count: number of used stars.
+        rejected_count: number of rejected stars.
+        azimuth: azimuth of the sensor's boresight in the horizon frame, rad; NaN without a solution.
+        elevation: elevation of the boresight, rad; NaN without a solution.
+        residual_right: measured minus predicted position of each star along the sensor's right axis, rad, in the order
+            of ``u``. NaN for a star that was not used; empty if the innovation contains no stars.
+        residual_up: the same along the sensor's up axis.
     """
 
     utc_ns: int
@@ -124,10 +136,10 @@ class StarsSeen:
 
 @dataclass(frozen=True)
 class ParameterShown:
-    """An alignment or calibration state, its sigma and its nominal value, in ``unit`` (rad, s, m, px, 1).
+    """An estimated alignment or calibration state, its sigma and its nominal value, in ``unit`` (rad, s, m, px, 1).
 
-    States that are errors are nominally zero. Of installation angles and of a focal length the nominal value stands in
-    the configuration, which no topic tells: then it is the value that was heard first; NaN where none was.
+    States that are errors are nominally zero. The nominal values of installation angles and of a focal length are in
+    the configuration, which is not published: the first received value is used, NaN without one.
     """
 
     name: str
@@ -140,17 +152,17 @@ class ParameterShown:
 
 @dataclass
 class History:
-    """All that plots draw.
+    """Data of all plots.
 
     Attributes:
         innovations: by source, as ``star.bow``.
-        errors: by the topic that tells them, as ``ship/error_arcsec``, though they may be made here.
+        errors: by topic, as ``ship/error_arcsec``, also if they are computed here.
         budgets: by topic, as ``ship/error_budget``.
-        ribbons: one point a second.
-        lights: by beacon.
-        stars: by source, as ``star.bow``.
-        alignment: the states of ``ship/alignment``, as told last.
-        calibration: the parameters of ``theodolite/calibration``, as told last.
+        safety: worst safety of each angle, one point a second.
+        beacons: by beacon.
+        star_exposures: by source, as ``star.bow``.
+        alignment: the states of the last ``ship/alignment``.
+        calibration: the parameters of the last ``theodolite/calibration``.
         position: geodetic latitude and longitude of the last fix, rad; None before the first.
     """
 
@@ -170,7 +182,7 @@ class Timed(Protocol):
 
     @property
     def utc_ns(self) -> int:
-        """Its time."""
+        """Time of the point, UTC as POSIX time."""
         ...
 
 
@@ -178,7 +190,7 @@ Point = TypeVar("Point", bound=Timed)
 
 
 def append(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
-    """Add a point to the buffer of a name; one that is older than the last takes its place among them."""
+    """Add a point to the buffer of a name, in the order of times."""
     buffer = buffers.get(name)
     if buffer is None:
         if not has_room(buffers, name, "plotted name"):
@@ -188,7 +200,7 @@ def append(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
 
 
 def append_point(buffer: deque[Point], point: Point) -> None:
-    """Add a point to a buffer, in the order of times, and forget those that are too old."""
+    """Add a point to a buffer, in the order of times, and remove points that are too old."""
     place = len(buffer)
     while place and buffer[place - 1].utc_ns > point.utc_ns:
         place -= 1
@@ -201,7 +213,7 @@ def append_point(buffer: deque[Point], point: Point) -> None:
 
 
 def place_in_order(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
-    """Put a point in the place of the one of the same time, where there is one; add it otherwise."""
+    """Replace the point of the same time; add the point if there is none."""
     buffer = buffers.get(name, deque())
     for place in range(len(buffer) - 1, -1, -1):
         if buffer[place].utc_ns == point.utc_ns:
@@ -213,25 +225,25 @@ def place_in_order(buffers: dict[str, deque[Point]], name: str, point: Point) ->
 
 
 def newer(points: Sequence[Point], taken_ns: int | None) -> list[Point]:
-    """The points after a time, in their order; all where it is None.
+    """Return the points after a time, in their order; all points for None.
 
     Args:
-        points: in the order of their times.
-        taken_ns: time of the last one that a plot has, ns.
+        points: points in the order of their times.
+        after_ns: time of the last point that a plot has, ns.
     """
     if taken_ns is None:
         return list(points)
-    # From the end, since a buffer holds ten minutes of which little is new.
+    # From the end: few of the points of ten minutes are new.
     return list(takewhile(lambda point: point.utc_ns > taken_ns, reversed(points)))[::-1]
 
 
 def extremes(values: FloatArray, starts: Sequence[int]) -> NDArray[np.intp]:
-    """Rows that a line of few points keeps: of each stretch the least and the largest of each column, in their order.
+    """Return the rows with the minimum and maximum of each column in each section, for a line of few points.
 
     Args:
-        values: shape (n, columns); what is not finite is neither, but a stretch of nothing else keeps its first row, so
-            that a gap stays.
-        starts: first rows of the stretches, rising from 0; the last ends with the rows.
+        values: shape (n, columns); values that are not finite are ignored, but a section without finite values keeps
+            its first row, so that a gap stays.
+        starts: first rows of the sections, rising from 0; the last section ends with the rows.
     """
     kept: list[int] = []
     for start, end in pairwise([*starts, len(values)]):

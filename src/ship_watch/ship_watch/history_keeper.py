@@ -1,4 +1,4 @@
-"""Fills the buffers that plots draw: from innovations, budgets, errors, states and what instruments saw."""
+"""Recorder of the plot buffers: innovations, budgets, errors, safety, detected stars and lights."""
 
 import math
 from collections import deque
@@ -32,22 +32,23 @@ from ship_watch.topics import source_of_name, source_of_topic
 
 _TRUTH_GAP_NS = NS_PER_S
 _LEAST_BETWEEN_ERRORS_NS = NS_PER_S // 2
-"""Errors against truth are drawn no more often, ns."""
+"""Minimum interval between errors against truth, ns."""
 
 _WAITING = 20
-"""So many outputs wait for the truth at their stamps."""
+"""Number of outputs that wait for the truth at their stamps."""
 
 _INSTALLED = ("star.", "reference.", "focal_length", "telescope_")
+"""Prefixes of parameters that are no errors."""
+
 _ERRORS = ".time_offset", ".focal_length", ".principal_u", ".principal_v", ".distortion_k1"
-"""Ends of names of a device's states that are errors."""
-"""What parameters that are no errors begin with; their time offsets are errors all the same."""
+"""Endings of a device's states that are errors in spite of their prefix."""
 
 
 class ErrorsBeside:
-    """Errors of an output: as its topic tells them, or against a truth that is played beside it.
+    """Errors of an output, from its error topic or computed against a truth that is played with it.
 
-    An estimator never sees the truth, so that live its topic tells NaN. Then the outputs that were heard are compared
-    with the truth between whose samples their stamps lie.
+    An estimator has no truth, so that live its error topic contains NaN. The outputs are then compared with the truth
+    interpolated to their stamps.
     """
 
     def __init__(self, orientation: Orientation, history: History) -> None:
@@ -58,7 +59,7 @@ class ErrorsBeside:
         self._topic_knows = False
 
     def note_told(self, message: Any) -> None:
-        """Take a message of the output's own error topic."""
+        """Record a message of the output's own error topic."""
         channels = self._orientation.channels
         error = {name: float(getattr(message, f"error_{name}")) for name in channels}
         knows = any(math.isfinite(value) for value in error.values())
@@ -68,7 +69,7 @@ class ErrorsBeside:
             self._append(ErrorPoint(ns_from_stamp(message.header.stamp), error, sigma))
 
     def note_output(self, message: Any, stamp_ns: int) -> None:
-        """Take an output, to be compared with the truth."""
+        """Record an output for the comparison with the truth."""
         if self._topic_knows or len(self._truth) == 0 or message.status == Status.INVALID:
             return
         if stamp_ns - self._last_ns >= _LEAST_BETWEEN_ERRORS_NS:
@@ -79,7 +80,7 @@ class ErrorsBeside:
                 self._waiting.append((stamp_ns, angles, variances))
 
     def note_truth(self, message: Any) -> None:
-        """Take a sample of the truth, and tell the errors of the outputs before it."""
+        """Record a sample of the truth, and add the errors of the outputs before it."""
         sample = self._orientation.sample(message)
         if sample is not None:
             self._truth.insert(sample)
@@ -103,10 +104,10 @@ class ErrorsBeside:
 
 
 class HistoryKeeper:
-    """Takes the messages that plots draw.
+    """Records the messages for the plots.
 
     Attributes:
-        history: what they fill.
+        history: the recorded data.
     """
 
     def __init__(self) -> None:
@@ -121,7 +122,7 @@ class HistoryKeeper:
         self._words: dict[str, Safety | None] = {}
 
     def note_output(self, topic: str, message: Any, stamp_ns: int) -> None:
-        """Take a ShipAttitude or an OpticalAxisPointing."""
+        """Record a ShipAttitude or an OpticalAxisPointing."""
         if message.status != Status.INVALID:
             is_ship = topic == SHIP_ATTITUDE.topic
             fields = ("heading", "pitch") if is_ship else ("azimuth", "elevation")
@@ -129,17 +130,17 @@ class HistoryKeeper:
         self._errors[topic].note_output(message, stamp_ns)
 
     def note_truth(self, topic: str, message: Any) -> None:
-        """Take a message of truth/attitude or truth/pointing."""
+        """Record a message of truth/attitude or truth/pointing."""
         orientation = SHIP_ATTITUDE if topic == SHIP_ATTITUDE.truth_topic else POINTING
         self._errors[orientation.topic].note_truth(message)
 
     def note_error(self, topic: str, message: Any) -> None:
-        """Take a message of ship/error_arcsec or theodolite/error_arcsec."""
+        """Record a message of ship/error_arcsec or theodolite/error_arcsec."""
         orientation = SHIP_ATTITUDE if topic == SHIP_ATTITUDE.error_topic else POINTING
         self._errors[orientation.topic].note_told(message)
 
     def note_innovation(self, source: str, message: Any, now_ns: int) -> None:
-        """Take an Innovation of a source; refusals of what was not compared are not drawn."""
+        """Record an Innovation of a source; rejections without a residual are not plotted."""
         if not len(message.components):
             return
         point = innovation_point(message)
@@ -153,7 +154,7 @@ class HistoryKeeper:
             self._lights.note_verdict(message, now_ns)
 
     def note_seen(self, topic: str, message: Any, now_ns: int) -> None:
-        """Take what an instrument saw: stars, a solution of them, lights, a fix."""
+        """Record stars, a star solution, lights or a GNSS fix."""
         source = source_of_topic(topic)
         if topic == "theodolite/beacons":
             self._lights.note_image(message, now_ns)
@@ -166,7 +167,7 @@ class HistoryKeeper:
             self._stars.note_solution(source, message)
 
     def note_budget(self, topic: str, message: Any) -> None:
-        """Take an ErrorBudget."""
+        """Record an ErrorBudget."""
         if len(message.sources) > MOST_NAMES:
             return
         names = [str(name)[:LONGEST_NAME] for name in message.sources]
@@ -185,7 +186,7 @@ class HistoryKeeper:
         append(self.history.budgets, topic, point)
 
     def note_parameters(self, topic: str, message: Any) -> None:
-        """Take an AlignmentState or a TheodoliteCalibration."""
+        """Record an AlignmentState or a TheodoliteCalibration."""
         if len(message.names) > MOST_NAMES:
             return
         unobservable = {name for told in getattr(message, "unobservable", ()) for name in str(told).split()}
@@ -204,7 +205,7 @@ class HistoryKeeper:
             self.history.calibration = tuple(shown)
 
     def note_words(self, utc_ns: int, words: Mapping[str, Safety | None]) -> None:
-        """Take the words of a moment; a ribbon has the worst of each second, told when the second is over."""
+        """Record the safety of each angle; the worst of each second is added when the second is over."""
         second = utc_ns // NS_PER_S
         if second != self._second:
             if self._words and second > self._second:
@@ -216,7 +217,7 @@ class HistoryKeeper:
                 self._words[name] = word
 
     def _nominal_of(self, name: str, value: float) -> float:
-        """Zero of an error; of an installed angle or length the value that was heard first."""
+        """Return the nominal value of a state: zero for an error, else the first received value."""
         if not name.startswith(_INSTALLED) or name.endswith(_ERRORS):
             return 0.0
         if math.isnan(value):
@@ -225,7 +226,7 @@ class HistoryKeeper:
 
 
 def innovation_point(message: Any) -> InnovationPoint:
-    """An Innovation as plots draw it: a component's last word is its axis, what stands before it a star or a light."""
+    """Return an Innovation for the plots: the last word of a component's name is its axis, the rest a star or light."""
     split = [str(name).rpartition(" ") for name in message.components]
     axes = tuple(dict.fromkeys(axis for _, _, axis in split))
     names = tuple(dict.fromkeys(part for part, _, _ in split))
@@ -248,7 +249,7 @@ def innovation_point(message: Any) -> InnovationPoint:
 
 
 def _mean(values: FloatArray) -> FloatArray:
-    """Mean of each column over what is finite; NaN of a column without any."""
+    """Return the mean of the finite values of each column; NaN for a column without any."""
     finite = np.isfinite(values)
     if len(values) == 1:
         return np.where(finite[0], values[0], math.nan)

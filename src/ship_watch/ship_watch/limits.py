@@ -1,13 +1,13 @@
-"""The limits of a ship: how good its angles must be, how old and how rare its inputs may be, when people are told.
+"""Limits of a ship: accuracy of its angles, age and rate of its inputs, delays of its alerts.
 
-A ship has a YAML file of its own with the limits that differ from the defaults, read by :func:`read_limits`:
+A ship has a YAML file with the limits that differ from the defaults, read by :func:`read_limits`:
 
     heading_arcsec: 8.0
     every_input: {refusals: 10}
     inputs:
       star_bow: {rate_hz: 2.0}
 
-The alerts, the page, the terminal and the report hold the same values against the same limits.
+The alerts, the page, the terminal and the report use the same limits.
 """
 
 import difflib
@@ -22,124 +22,126 @@ from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError, build
 
 INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
-"""What sources are called: alone, or before the id of one of several, as in ``star.bow``."""
+"""Kinds of sources: the name of a source, or its part before the id, as in ``star.bow``."""
 
 _NO_SHORT_ID = re.compile(r"(star|reference)_.+")
 
 
 @dataclass(frozen=True)
 class InputLimits:
-    """What is expected of one source of measurements."""
+    """Limits of one source of measurements."""
 
     rate_hz: float = parameter(
-        0.0, doc="least rate of arrival; 0 for no limit", unit="Hz", minimum=0.0, maximum=1e4
+        0.0, doc="minimum rate of arrival; 0 for no limit", unit="Hz", minimum=0.0, maximum=1e4
     )
     age_s: float = parameter(
         0.0,
-        doc="longest time without a message; 0 for three periods of the rate at which it comes, 2 s at least",
+        doc="maximum time without a message; 0 for three periods of its rate, at least 2 s",
         unit="s", minimum=0.0, maximum=1e6,
     )
     refusals: int = parameter(
-        5, doc="measurements refused in a row after which the source is out", minimum=1, maximum=1_000_000
+        5, doc="rejected measurements in a row after which the source is OUT", minimum=1, maximum=1_000_000
     )
     accepted: int = parameter(
-        10, doc="measurements accepted in a row after which the source is in again", minimum=1, maximum=1_000_000
+        10, doc="accepted measurements in a row after which the source is IN again", minimum=1, maximum=1_000_000
     )
 
 
 @dataclass(frozen=True)
 class AlertTimes:
-    """How long a situation lasts before it is told, and how long people have to answer."""
+    """Delays until a situation is raised, cleared and escalated."""
 
     raise_after_s: float = parameter(
-        0.2, doc="a situation is told when it has lasted so long", unit="s", minimum=0.0, maximum=60.0
+        0.2, doc="duration of a situation after which its alert is raised", unit="s", minimum=0.0, maximum=60.0
     )
     over_after_s: float = parameter(
         5.0,
-        doc="an accuracy over its limit that no source explains is told when it has lasted so long: in a seaway it is "
-        "over for moments",
+        doc="duration of an accuracy over its limit, without a source that explains it, after which an alert is "
+        "raised: in a seaway it is briefly over",
         unit="s", minimum=0.0, maximum=600.0,
     )
     start_s: float = parameter(
-        10.0, doc="what was never heard is told so long after the start", unit="s", minimum=0.0, maximum=600.0
+        10.0,
+        doc="time from the start after which an output that was never received raises an alert",
+        unit="s", minimum=0.0, maximum=600.0
     )
     clear_after_s: float = parameter(
-        5.0, doc="a situation is over when it has been gone so long", unit="s", minimum=0.0, maximum=600.0
+        5.0, doc="time without the situation after which its alert is over", unit="s", minimum=0.0, maximum=600.0
     )
     escalate_after_s: float = parameter(
         60.0,
-        doc="a warning that nobody has acknowledged is repeated, or becomes an alarm, after this time",
+        doc="time after which an unacknowledged warning is repeated, or becomes an alarm",
         unit="s", minimum=1.0, maximum=300.0,
     )
     silence_s: float = parameter(
-        30.0, doc="the sound of an alert stays off so long after it was silenced", unit="s", minimum=0.0, maximum=30.0
+        30.0, doc="time for which a silenced alert makes no sound", unit="s", minimum=0.0, maximum=30.0
     )
 
 
 @dataclass(frozen=True)
 class MachineLimits:
-    """What is expected of the computer on which the suite runs."""
+    """Limits of the computer on which the suite runs."""
 
-    disk_path: str = parameter("", doc="a folder on the disk that recordings go to; empty for none")
+    disk_path: str = parameter("", doc="a folder on the disk for recordings; empty for none")
     disk_free_gb: float = parameter(
-        10.0, doc="least free space of that disk", unit="GB", minimum=0.0, maximum=1e6
+        10.0, doc="minimum free space of that disk", unit="GB", minimum=0.0, maximum=1e6
     )
     box_lost: int = parameter(
-        0, doc="entries that a black box may lose without a word", minimum=0, maximum=1_000_000_000
+        0, doc="entries that a black box may lose without an alert", minimum=0, maximum=1_000_000_000
     )
     clock_offset_s: float = parameter(
-        0.05, doc="largest distance of stamps into the future of the computer's clock", unit="s",
+        0.05, doc="maximum offset of stamps into the future of the computer's clock", unit="s",
         minimum=0.001, maximum=1e6,
     )
     require_security: bool = parameter(
-        False, doc="whether a suite is not to start without DDS security, enforced, with the ship's own keystore"
+        False, doc="true: a suite starts only with DDS security, enforced, with the ship's own keystore"
     )
     authority_sha256: str = parameter(
         "",
         doc="SHA-256 of the certificate of the authority that signs the identities of this ship's keystore, in "
-        "hexadecimal, as openssl x509 -fingerprint -sha256 tells it; empty for any",
+        "hexadecimal, as printed by openssl x509 -fingerprint -sha256; empty for any",
     )
 
 
 @dataclass(frozen=True)
 class Limits:
-    """All limits of a ship. Limits of angles are held against 1.96 sigma (95 %).
+    """All limits of a ship. Limits of angles apply to 1.96 sigma (95 %).
 
-    Limits of angles are those of the task. Their defaults are of no task: the suites and bags that come with this
-    software are within them for 95 % of the time.
+    Set the limits of angles for your task. The defaults are of no task: the suites and bags of this software are within
+    them for 95 % of the time.
     """
 
     heading_arcsec: float = parameter(
-        6.0, doc="of the heading, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
+        6.0, doc="limit of the heading, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
     )
     tilt_arcsec: float = parameter(
-        4.0, doc="of pitch and roll, each, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
+        4.0, doc="limit of pitch and roll, each, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
     )
     pointing_arcsec: float = parameter(
         12.0,
-        doc="of the pointing's azimuth times the cosine of its elevation, and of its elevation, each, 95 %",
+        doc="limit of the pointing's azimuth times the cosine of its elevation, and of its elevation, each, 95 %",
         unit="arcsec", minimum=0.1, maximum=360_000.0,
     )
     unsafe_factor: float = parameter(
-        3.0, doc="an angle is unsafe where its accuracy is over so many times its limit", minimum=1.0, maximum=1000.0
+        3.0, doc="ratio of accuracy to limit above which an angle is UNSAFE", minimum=1.0, maximum=1000.0
     )
     better_after_s: float = parameter(
         5.0,
-        doc="an angle is called better when it has been so for this time; where its accuracy was over its limit, when "
-        "that has been 10 % below it for this time, or below it for six times as long",
+        doc="hold time before the safety of an angle gets better; an accuracy that was over its limit must be 10 % "
+        "below it for this time, or below it for six times as long",
         unit="s", minimum=0.0, maximum=600.0
     )
     attitude_age_s: float = parameter(
-        1.0, doc="longest time without a message of ship/attitude", unit="s", minimum=0.05, maximum=3600.0
+        1.0, doc="maximum time without a message of ship/attitude", unit="s", minimum=0.05, maximum=3600.0
     )
     pointing_age_s: float = parameter(
-        1.0, doc="longest time without a message of theodolite/pointing", unit="s", minimum=0.05, maximum=3600.0
+        1.0, doc="maximum time without a message of theodolite/pointing", unit="s", minimum=0.05, maximum=3600.0
     )
     stars_age_s: float = parameter(
-        30.0, doc="longest time without stars that were used", unit="s", minimum=0.1, maximum=1e6
+        30.0, doc="maximum time without used stars", unit="s", minimum=0.1, maximum=1e6
     )
     lights_age_s: float = parameter(
-        30.0, doc="longest time without lights that were used", unit="s", minimum=0.1, maximum=1e6
+        30.0, doc="maximum time without used lights", unit="s", minimum=0.1, maximum=1e6
     )
     every_input: InputLimits = section(InputLimits)
     inputs: dict[str, InputLimits] = mapping_of(
@@ -154,13 +156,13 @@ class Limits:
                 near = difflib.get_close_matches(name.partition("_")[0], INPUT_KINDS, n=1)
                 meant = f"; did you mean '{near[0]}'?" if near else ""
                 raise ParameterError(
-                    f"parameter 'inputs.{name}' is no source: expected one of {', '.join(INPUT_KINDS)}, star_ID or "
+                    f"parameter 'inputs.{name}' is not a source: expected one of {', '.join(INPUT_KINDS)}, star_ID or "
                     f"reference_ID{meant}",
                     f"inputs.{name}", value=name,
                 )
 
     def of_angle(self, angle: str) -> float:
-        """Limit of one of :data:`ship_watch.picture.ANGLES`, rad.
+        """Return the limit of one of :data:`ship_watch.suite_state.ANGLES`, rad.
 
         Raises:
             KeyError: there is no such angle.
@@ -172,20 +174,20 @@ class Limits:
         return float(np.radians(limits_arcsec[angle] / 3600.0))
 
     def of_input(self, source: str) -> InputLimits:
-        """Limits of a source, by its name in a picture: its own, else those of its kind, else those of every input."""
+        """Return the limits of a source by its name: its own, else those of its kind, else those of every input."""
         own = self.inputs.get(source.replace(".", "_"))
         return own or self.inputs.get(source.partition(".")[0], self.every_input)
 
 
 def read_limits(source: Path | str) -> Limits:
-    """The limits of a ship out of a YAML file.
+    """Read the limits of a ship from YAML.
 
     Args:
-        source: a path; a ``str`` is the text itself, whatever it holds.
+        source: path of a file; a ``str`` is the text itself.
 
     Raises:
-        BadInput: the file cannot be read, or has an unknown key or a value out of its range; it names file, line, key
-            and what was expected.
+        BadInput: the file cannot be read, or has an unknown key or a value out of range; the error contains file, line,
+            key and the expected value.
     """
     file = read_plain(source)
     try:

@@ -1,4 +1,4 @@
-"""Mounting shifts: how far the installation angles of a device moved between its exclusion and its reinstatement."""
+"""Mounting shifts: change of a device's installation angles between its exclusion and its reinstatement."""
 
 import math
 from collections import deque
@@ -19,21 +19,21 @@ SHOWN_NS = 600 * NS_PER_S
 """Time for which a shift is shown after the reinstatement, ns."""
 
 _ANGLES = {"star": ("azimuth", "elevation", "roll"), "reference": ("heading", "pitch", "roll")}
-"""First word of a device's name → its installation angles in ``ship/alignment``, azimuth first."""
+"""Kind of a device → names of its installation angles in ``ship/alignment``, azimuth first."""
 
 _THRESHOLD = 16.27
-"""Squared shift over its covariance that is significant: χ² of three degrees of freedom, 99.9 %."""
+"""Threshold of the squared shift normalised by its covariance: χ² of three degrees of freedom, 99.9 %."""
 
 _PERIOD_NS = NS_PER_S
 _KEPT = 10
 _BEFORE_NS = 2 * NS_PER_S
-"""The mounting before a fault is the one estimated this long before the first rejection: the fault may have pulled the
-estimate by then."""
+"""Time before the first rejection of the estimate that counts as the mounting before the fault, ns: later estimates may
+contain the fault."""
 
 
 @dataclass(frozen=True)
 class Mounting:
-    """Installation of a device as the filter estimated it at one time: azimuth, elevation, roll (rad), covariance."""
+    """Estimated installation angles of a device at one time: azimuth, elevation, roll, rad, and covariance, rad²."""
 
     utc_ns: int
     angles: FloatArray
@@ -41,7 +41,7 @@ class Mounting:
 
 
 class MountingShifts:
-    """The mounting shifts of all devices, from ``ship/alignment`` and from which sources are out."""
+    """Mounting shifts of all devices, from ``ship/alignment`` and the presence of the sources."""
 
     def __init__(self) -> None:
         self._estimates: dict[str, deque[Mounting]] = {}
@@ -50,7 +50,7 @@ class MountingShifts:
         self._shifts: dict[str, tuple[float, int]] = {}
 
     def note_alignment(self, message: Any) -> None:
-        """Store the mountings that an AlignmentState contains, one a second."""
+        """Record the installation angles in an AlignmentState, once a second."""
         count = len(message.names)
         covariance = np.asarray(message.covariance, dtype=float)
         if count > MOST_NAMES or covariance.size != count**2:
@@ -68,7 +68,7 @@ class MountingShifts:
                     kept.append(Mounting(utc_ns, angles, covariance[np.ix_(rows, rows)]))
 
     def note_sources(self, sources: Iterable[SourceStanding], utc_ns: int) -> list[tuple[str, str]]:
-        """Take which sources are out now; return the name and a text for each that came back with a shifted mounting.
+        """Record the presence of the sources; return name and text of each device reinstated with a shifted mounting.
 
         The shift of a reinstated device is computed from the first alignment estimated after its reinstatement.
         """
@@ -96,7 +96,7 @@ class MountingShifts:
 
 
 def significant_shift(before: Mounting, after: Mounting) -> float:
-    """Return the angle between two mountings, rad; 0 where their covariances explain it, or one of them is unknown."""
+    """Return the angle between two mountings, rad; 0 if it is not significant, or a covariance is unknown."""
     rotation = rotation_from_angles(*after.angles.tolist()) @ rotation_from_angles(*before.angles.tolist()).T
     shift_v = log_rotation(rotation)
     covariance = sum(rotation_vector_covariance(each.covariance, *each.angles[:2].tolist()) for each in (before, after))
@@ -108,5 +108,5 @@ def significant_shift(before: Mounting, after: Mounting) -> float:
 
 
 def _estimated_before(kept: deque[Mounting], out_since_ns: int) -> Mounting:
-    """Return the newest mounting that was estimated well before a source went out; the oldest where none was."""
+    """Return the newest mounting estimated before the fault of a source; the oldest one if there is none."""
     return next((each for each in reversed(kept) if each.utc_ns <= out_since_ns - _BEFORE_NS), kept[0])

@@ -1,6 +1,6 @@
-"""The bound of what is kept by name: names come from the network, where anybody can invent more without end.
+"""Bound of the entries stored by name: names come from the network, which can deliver any number of them.
 
-Those that come first are kept, so that no flood of names displaces a source that is known.
+The first names are kept, so that further names never displace a known source.
 """
 
 import logging
@@ -9,23 +9,23 @@ from collections.abc import Collection
 from typing import Any
 
 MOST_NAMES = 256
-"""Names of one kind that are kept; a large suite has some tens."""
+"""Maximum number of names of one kind; a large suite has some tens."""
 
 LONGEST_NAME = 256
-"""Letters of a name."""
+"""Maximum length of a name, characters."""
 
 _LINE_PERIOD_S = 600.0
 _logged_s: dict[str, float] = {}
 
 
 def has_room(names: Collection[Any], name: Any, kind: str, most: int = MOST_NAMES) -> bool:
-    """True if a name is kept already, or may be; if not, one line in ten minutes says so.
+    """True if a name is stored already or may be added; otherwise a warning is logged, at most once in ten minutes.
 
     Args:
-        names: those that are kept.
+        names: stored names.
         name: a text, or a tuple of texts.
-        kind: of the names, for the line.
-        most: names that are kept.
+        kind: kind of the names, for the warning.
+        max_names: maximum number of names.
     """
     if name in names:
         return True
@@ -35,6 +35,6 @@ def has_room(names: Collection[Any], name: Any, kind: str, most: int = MOST_NAME
     now_s = time.monotonic()
     if now_s - _logged_s.get(kind, -_LINE_PERIOD_S) >= _LINE_PERIOD_S:
         _logged_s[kind] = now_s
-        why = f"{len(names)} are known, the most that are kept" if len(names) >= most else f"it has {length} letters"
+        why = f"limit of {len(names)} names reached" if len(names) >= most else f"name too long ({length} characters)"
         logging.getLogger(__name__).warning(f"{kind} {str(name)[:60]!r} and others are not shown: {why}")
     return False

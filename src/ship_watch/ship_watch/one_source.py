@@ -1,4 +1,4 @@
-"""One source: what was told of it, why it is out, and who is to blame for that."""
+"""State of one source: its measurement decisions, why it is OUT, and which other source is the cause."""
 
 import math
 from dataclasses import dataclass, replace
@@ -20,21 +20,24 @@ _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
     Reason.NO_FIX: {"star": ("gnss",)},
     Reason.NOT_FIXED: {"lights": ("baselines",)},
 }
-"""Reason of a refusal → first word of the source that was refused → the sources one of which is to blame for it."""
+"""Reason of a rejection → kind of the rejected source → the sources that may be its cause."""
 
 _SAYS_SO_ITSELF = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
-"""Reason and source where the device itself says that it has no value."""
+"""Reason and source for which the device itself reports that it has no value."""
 
 _PUT_RIGHT = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
-"""Reason of a measurement that was used → what was put right in it."""
+"""Reason of an accepted measurement → text of what was corrected in it."""
 
 _NOTHING_USABLE = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
+"""Kind of source → reason while it sends data of which none can be used."""
+
 _UNUSABLE_PERIODS = 5.0
+"""Number of periods without usable data after which a source is OUT; 2 s at least."""
 
 
 @dataclass(frozen=True)
 class SourceFault:
-    """Why a source is out, since when (UTC), and who is to blame where it is not the source itself."""
+    """Reason why a source is OUT, its time (UTC, ns), and the source that causes it; empty for a fault of its own."""
 
     reason: str
     since_ns: int = 0
@@ -42,12 +45,23 @@ class SourceFault:
 
 
 class HeardSource:
-    """All that was told of one source.
+    """Reports and measurement decisions of one source.
 
     Attributes:
-        first_word: what its name begins with: "star" of all star sensors.
-        period_ns: the usual time between its messages, ns; NaN where unknown.
-        used: how many of its messages were used so far, by the node that has used most of them.
+        name: name of the source.
+        first_word: kind of the source, the first part of its name: "star" for all star sensors.
+        period_ns: usual time between its messages, ns; NaN if unknown.
+        used: number of its messages used so far, by the node that has used most of them.
+        topics: topic → reports on it, in the order of their names.
+        decisions: (innovation topic, name in it) → measurement decisions.
+        used_at_rejection: the same keys → value of ``used`` at the last rejection.
+        nis_window: accepted innovations of the last minute.
+        excluded_since: integrity topic → time of the exclusion, UTC, ns.
+        evaluated_ns: arrival of the last innovation with components; None before the first.
+        used_ns: arrival of the last accepted innovation; None before the first.
+        corrected_ns: arrival of the last accepted measurement that had to be corrected; None before the first.
+        correction: text of that correction.
+        last_cause: source that was the cause of the last fault; empty without one.
     """
 
     def __init__(self, name: str) -> None:
@@ -67,21 +81,21 @@ class HeardSource:
         self._well = SourceStanding(name, Presence.IN, "", "", math.nan, 0, "")
 
     def add(self, reports: TopicReports) -> None:
-        """Take a further topic that it comes by; they are kept in the order of their names."""
+        """Add a topic on which the source publishes."""
         self.topics = dict(sorted({**self.topics, reports.topic: reports}.items()))
 
     def note_reports(self) -> None:
-        """Take note that there is a new report on one of its topics."""
+        """Update period and count of used messages from the reports on its topics."""
         periods = [topic.period_ns for topic in self.topics.values() if not math.isnan(topic.period_ns)]
         self.period_ns = min(periods, default=math.nan)
         self.used = max(topic.used for topic in self.topics.values())
 
     def age_s(self, now_ns: int) -> float:
-        """Time since anything of it arrived, s; infinite where nothing did."""
+        """Return the time since the last message of the source, s; infinite before the first."""
         return min((topic.age_s(now_ns) for topic in self.topics.values()), default=math.inf)
 
     def note_use(self, topic: str, stamp_ns: int, message: Any, now_ns: int) -> None:
-        """Take an Innovation of what was used: of an exposure also each light that its components name."""
+        """Record an accepted Innovation; of lights also for each light named in its components."""
         degrees = sum(1 for residual in message.residual if math.isfinite(residual))
         if message.reason != Reason.REVISED:
             self.window.add(now_ns, float(message.nis), degrees)
@@ -94,26 +108,28 @@ class HeardSource:
                     streak.note_whole(stamp_ns, True, now_ns)
 
     def fault(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
-        """What puts it out; None where it is in. What it says itself stands before what is said of it.
+        """Return the reason why the source is OUT; None if it is IN.
+
+        Missing data are reported before an exclusion, an exclusion before rejections.
 
         Args:
-            now_ns: the caller's time.
-            utc_offset_ns: UTC minus the caller's time.
+            now_ns: caller's time, ns.
+            utc_offset_ns: UTC minus caller's time, ns.
         """
         topics = list(self.topics.values())
         if missed := [topic for topic in topics if topic.is_expected]:
-            return SourceFault(_with_members("never heard", missed, topics))
+            return SourceFault(_with_members("never received", missed, topics))
         if silent := [topic for topic in topics if topic.is_silent(now_ns)]:
             since_ns = min(topic.arrived_ns or 0 for topic in silent) + utc_offset_ns
             if all(topic.is_untold(now_ns) for topic in silent):
                 return SourceFault("not reported", since_ns, ITS_NODE)
-            return SourceFault(_with_members("silent", silent, topics), since_ns)
+            return SourceFault(_with_members("no data", silent, topics), since_ns)
         worst: tuple[str, Streak] | None = None
         for key, streak in self.streaks.items():
             streak.used_silently(now_ns, self.period_ns, self.used - self.used_at_refusal.get(key, 0))
             if streak.is_out and (worst is None or streak.refused > worst[1].refused):
                 worst = key[1], streak
-        since_ns = min(worst[1].out_since_ns, now_ns + utc_offset_ns) if worst else 0  # stamps may be of the future
+        since_ns = min(worst[1].out_since_ns, now_ns + utc_offset_ns) if worst else 0  # stamps may lie in the future
         if self.excluded_since:
             return SourceFault("excluded", since_ns or min(self.excluded_since.values()))
         if worst is not None:
@@ -121,7 +137,7 @@ class HeardSource:
         return self._unusable(now_ns, utc_offset_ns)
 
     def _unusable(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
-        """It is judged, arrives as reports tell, and has given nothing that could be judged for some time."""
+        """Return the fault of a source that sends data but none that can be evaluated; None otherwise."""
         word = _NOTHING_USABLE.get(self.first_word)
         if word is None or self.judged_ns is None or math.isnan(self.period_ns):
             return None
@@ -132,23 +148,28 @@ class HeardSource:
         return SourceFault(word, self.judged_ns + utc_offset_ns)
 
     def blamed(self, fault: SourceFault, guilty: set[str]) -> SourceFault:
-        """The same fault, with the source that it comes from where that is known to be out itself."""
+        """Return the fault with the source that causes it, if a source that this one needs is OUT.
+
+        Args:
+            fault: fault of this source.
+            faulty_names: names of the sources that are OUT by a fault of their own.
+        """
         reasons = {
             streak.reason
             for key, streak in self.streaks.items()
             if streak.is_out and fault.reason == _refusal_text(self.name, key[1], streak)
         }
         if fault.reason == _NOTHING_USABLE.get(self.first_word):
-            reasons = {Reason.GAP}  # what waits for another source is refused only when that has been missed for long
+            reasons = {Reason.GAP}  # measurements that wait for another source are rejected only after a long wait
         needed = [name for reason in reasons for name in _NEEDS.get(reason, {}).get(self.first_word, ())]
         blamed = next((name for name in needed if name in guilty), "")
         if not blamed and self.blamed_on in needed:
-            blamed = self.blamed_on  # that one is back, and this has not been accepted often enough since
+            blamed = self.blamed_on  # the needed source is IN again, this one not yet accepted often enough
         self.blamed_on = blamed
         return replace(fault, reason=f"needs {blamed}", because_of=blamed) if blamed else fault
 
     def standing(self, fault: SourceFault | None, now_ns: int) -> SourceStanding:
-        """How it stands with this fault; in where it has none, unless nothing was ever heard of it."""
+        """Return the state of the source with this fault: IN without one, OFF if nothing was ever received."""
         if fault is None:
             if not self.streaks and all(topic.arrived_ns is None for topic in self.topics.values()):
                 return standing_off(self.name)
@@ -161,7 +182,7 @@ class HeardSource:
         )
 
     def shown(self, standing: SourceStanding, now_ns: int) -> SourceShown:
-        """What is shown of it where it stands so."""
+        """Return the displayed data of the source in this state."""
         streaks = self.streaks.values()
         rates = [topic.rate_hz for topic in self.topics.values() if not math.isnan(topic.rate_hz)]
         judged = any(streak.is_judged for streak in streaks)
@@ -176,22 +197,22 @@ class HeardSource:
 
 
 def standing_off(name: str) -> SourceStanding:
-    """How a source stands that is not configured."""
+    """Return the state of a source that is not configured."""
     return SourceStanding(name, Presence.OFF, "", "", math.nan, 0, "")
 
 
 def _refusal_text(source: str, name: str, streak: Streak) -> str:
-    """Words for a run of refusals: that the gate refuses need not be said."""
+    """Return the text of a run of rejections; a rejection by the gate is not named."""
     if (streak.reason, source) in _SAYS_SO_ITSELF:
         return "invalid"
     if streak.reason is Reason.EXCLUDED:
         return "excluded"
     if streak.reason is Reason.OFF:
-        return "taken out"
+        return "switched off"
     if not streak.refused:
         return _with_member(f"{streak.accepted_again} accepted again", name)
     told = streak.reason not in (Reason.GATE, Reason.NONE)
-    text = f"{streak.refused} refused in a row" + (f": {streak.reason.word.replace('_', ' ')}" if told else "")
+    text = f"{streak.refused} rejected in a row" + (f": {streak.reason.word.replace('_', ' ')}" if told else "")
     return _with_member(text, name)
 
 
@@ -201,6 +222,6 @@ def _with_member(text: str, name: str) -> str:
 
 
 def _with_members(text: str, topics: list[TopicReports], all_topics: list[TopicReports]) -> str:
-    """The text, and of which of its parts, where it does not hold of the whole source."""
+    """Return the text, with the names of the members if it does not apply to the whole source."""
     members = sorted({member_of(topic.topic) for topic in topics} - {""})
     return f"{', '.join(members)} {text}" if members and len(topics) < len(all_topics) else text

@@ -1,4 +1,4 @@
-"""The orientations that a suite publishes and a simulated bag knows the truth of, and their errors against it."""
+"""Orientations that a suite publishes, their truth in simulated bags, and their errors against it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,16 +19,16 @@ _RATE = "angular_velocity"
 
 @dataclass(frozen=True)
 class Orientation:
-    """A quantity with three angles in the horizon frame: where it is published, where its truth and its errors are.
+    """An orientation with three angles in the horizon frame, and the topics of its values, truth and errors.
 
     Attributes:
-        label: name of the published one in an evaluation.
-        topic: where it is published.
-        truth_topic: where a simulated bag has the truth, messages of the same type.
-        error_topic: where the errors go.
-        angles: fields of the three angles: azimuth, elevation, roll, whatever they are called.
+        label: name of the published orientation in an evaluation.
+        topic: topic of the orientation.
+        truth_topic: topic of its truth in a simulated bag, with messages of the same type.
+        error_topic: topic of its errors.
+        angles: message fields of the three angles, in the order azimuth, elevation, roll.
         channels: names of the three errors.
-        on_sky: whether the first error, times the cosine of the elevation, is to be an angle on the sky.
+        on_sky: True if the first error is multiplied by the cosine of the elevation (angle on the sky).
     """
 
     label: str
@@ -40,15 +40,15 @@ class Orientation:
     on_sky: bool
 
     def angles_of(self, message: Any) -> FloatArray:
-        """The three angles of a message, rad, shape (3,)."""
+        """Return the three angles of a message, rad, shape (3,)."""
         return np.array([getattr(message, name) for name in self.angles])
 
     def angles_of_rows(self, numbers: np.ndarray) -> FloatArray:
-        """The same of messages that are rows (:class:`ship_bags.cdr_template.CdrRows`), shape (N, 3)."""
+        """Return the angles of messages as rows (:class:`ship_bags.cdr_template.CdrRows`), rad, shape (N, 3)."""
         return np.stack([numbers[name] for name in self.angles], axis=1)
 
     def sample(self, message: Any) -> AttitudeSample | None:
-        """The orientation of a message, with its rate where that is given and finite; None without finite angles."""
+        """Return the orientation of a message, with its rate if given and finite; None without finite angles."""
         angles = self.angles_of(message)
         if not np.all(np.isfinite(angles)):
             return None
@@ -63,7 +63,7 @@ class Orientation:
         )
 
     def samples(self, messages: CdrRows) -> list[AttitudeSample | None]:
-        """The same of messages that are rows, to the last bit."""
+        """Return the orientations of messages as rows, identical to those of :meth:`sample`."""
         numbers = messages.numbers
         angles, times_ns = self.angles_of_rows(numbers), stamps_of_rows(numbers).tolist()
         rates_d: Sequence[FloatArray | None] = [None] * len(times_ns)
@@ -74,20 +74,25 @@ class Orientation:
         return [sample if known else None for sample, known in zip(samples, _finite(angles), strict=True)]
 
     def scale(self, angles: FloatArray) -> FloatArray:
-        """The factors that turn errors of angles into errors of the channels, shape (..., 3)."""
+        """Return the factors from errors of the angles to errors of the channels, shape (..., 3)."""
         scale = np.ones_like(angles)
         if self.on_sky:
             scale[..., 0] = np.cos(angles[..., 1])
         return scale
 
     def errors_arcsec(self, angles: FloatArray, truth_nd: FloatArray) -> FloatArray:
-        """Estimate minus truth of each channel, shape (..., 3)."""
+        """Return estimate minus truth of each channel, arcsec, shape (..., 3).
+
+        Args:
+            angles: estimated angles, rad, shape (..., 3).
+            truth_nd: true rotations from device to horizon frame, shape (..., 3, 3).
+        """
         errors = wrap_pi(angles - angles_from_rotation(truth_nd))
         return self.scale(angles) * errors / ARCSEC
 
 
 def _finite(rows: FloatArray) -> list[bool]:
-    """Of each row whether all its numbers are finite."""
+    """Return for each row True if all its numbers are finite."""
     finite: list[bool] = np.logical_and.reduce(np.isfinite(rows), axis=1).tolist()
     return finite
 
@@ -116,5 +121,5 @@ ORIENTATIONS = (SHIP_ATTITUDE, POINTING)
 
 
 def channel_name(channel: str) -> str:
-    """A channel for people: "heading", "azimuth · cos E"."""
+    """Return the name of a channel for people: "heading", "azimuth · cos E"."""
     return channel.replace("_cos_elevation", " · cos E").replace("_", " ")

@@ -1,4 +1,4 @@
-"""The two outputs that carry angles, ``ship/attitude`` and ``theodolite/pointing``, as heard last."""
+"""Last messages of the two outputs with angles, ``ship/attitude`` and ``theodolite/pointing``."""
 
 import math
 from typing import Any, ClassVar
@@ -11,9 +11,10 @@ from ship_watch.limits import Limits
 from ship_watch.states import Protection
 
 INTEGRITY_AGE_NS = 3_000_000_000
-"""An Integrity that is older than this, or than three of its periods, says nothing any more, ns."""
+"""Maximum age of an Integrity, ns; three of its periods if these are longer."""
 
 _INVALID_PERIOD_NS = 1_000_000_000
+"""Period at which an output is published while it is INVALID, ns."""
 
 _STATUSES = {int(status): status for status in Status}
 _INTEGRITY_STATES = {int(state): state for state in IntegrityState}
@@ -23,18 +24,21 @@ _STARS, _STARS_AND_LIGHTS = 3, 4
 
 
 class OutputHeard:
-    """The last message of an output, and the last Integrity beside it.
+    """Last message of an output, with its last Integrity.
+
+    Args:
+        max_age_s: age above which the output is old, s.
 
     Attributes:
         values: angle → value, rad.
         accuracies_95: angle → 1.96 sigma, rad.
-        status: None before the first, and where its number is unknown.
-        stamp_ns: UTC of the last; 0 before the first.
+        status: status of the last message; None before the first, and if its number is unknown.
+        stamp_ns: UTC of the last message; 0 before the first.
     """
 
     topic: ClassVar[str]
     quantities: ClassVar[dict[str, str]]
-    """Angle → what Integrity messages call it."""
+    """Angle → its name in Integrity messages."""
 
     def __init__(self, longest_age_s: float) -> None:
         self._longest_age_ns = round(longest_age_s * 1e9)
@@ -49,30 +53,30 @@ class OutputHeard:
 
     @property
     def is_heard(self) -> bool:
-        """Whether it ever came."""
+        """True if the output was received at least once."""
         return self._arrived_ns is not None
 
     def age_s(self, now_ns: int) -> float:
-        """Time since the last came, s; infinite before the first."""
+        """Return the time since the last message, s; infinite before the first."""
         return math.inf if self._arrived_ns is None else max(0, now_ns - self._arrived_ns) * 1e-9
 
     def is_old(self, now_ns: int) -> bool:
-        """Whether it has not come for too long. That there is none is said once a second only."""
+        """True if the last message is older than its limit; one second is added while INVALID, sent once a second."""
         longest_ns = self._longest_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
         return self._arrived_ns is None or now_ns - self._arrived_ns >= longest_ns
 
     def is_claimed(self, now_ns: int) -> bool:
-        """Whether there is an output at all: it is not old, and not INVALID."""
+        """True if the output is neither old nor INVALID."""
         return self.status not in (None, Status.INVALID) and not self.is_old(now_ns)
 
     def protection(self, angle: str, now_ns: int) -> Protection:
-        """What the last Integrity says of an angle; nothing where that is too old."""
+        """Return the protection level of an angle from the last Integrity; empty if that is too old."""
         if self._integrity_ns is None or now_ns - self._integrity_ns > self._integrity_age_ns:
             return Protection(None)
         return self._protection.get(angle, Protection(None))
 
     def note_integrity(self, message: Any, now_ns: int) -> None:
-        """Take an Integrity message."""
+        """Record an Integrity message."""
         if self._integrity_ns is not None:
             self._integrity_age_ns = max(INTEGRITY_AGE_NS, 3 * (now_ns - self._integrity_ns))
         self._integrity_ns = now_ns
@@ -86,20 +90,20 @@ class OutputHeard:
         }
 
     def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
-        """Take a message of the output; the answer is what changed: kind of event and text."""
+        """Record a message of the output; return the changes: kind of event and text."""
         raise NotImplementedError
 
     def hint(self, now_ns: int, beacon_count: int) -> str:
-        """Why the output itself is not better, where it lets that know."""
+        """Return the cause of a reduced quality that the output itself states; empty without one."""
         raise NotImplementedError
 
     def is_lessened(self, beacon_count: int) -> bool:
-        """Whether the output is VALID and yet has less than it should have."""
+        """True if the output is VALID but uses fewer lights than there are."""
         return False
 
     def _note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
-        """Take what both outputs have; the answer is as that of :meth:`note`."""
-        # The same output once more is no newer: only what is claimed anew has arrived now.
+        """Record the fields common to both outputs; return the changes as :meth:`record` does."""
+        # A repeated message is no newer: the arrival counts only with a new stamp or status.
         status = _STATUSES.get(int(message.status))
         if stamp_ns != self.stamp_ns or status is not self.status:
             self._arrived_ns = now_ns
@@ -123,7 +127,7 @@ class AttitudeHeard(OutputHeard):
         self._rests_on_ins = False
 
     def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
-        """Take a ShipAttitude; the answer is what changed."""
+        """Record a ShipAttitude; return the changes."""
         covariance = message.covariance
         self.values = {name: float(getattr(message, name)) for name in self.quantities}
         self.accuracies_95 = {name: _accuracy_95(covariance[4 * i]) for i, name in enumerate(self.quantities)}
@@ -138,18 +142,18 @@ class AttitudeHeard(OutputHeard):
         return changes
 
     def star_age_s(self, now_ns: int) -> float:
-        """Time since the last star attitude that was used, s; infinite where there was none."""
+        """Return the time since the last used star attitude, s; infinite before the first."""
         return self._star_age_s + (self.age_s(now_ns) if self.is_heard else 0.0)
 
     def ins_age_s(self, reported_s: float, now_ns: int) -> float:
-        """Time since the last INS sample, s: an attitude that rests on the INS comes with each of its samples."""
+        """Return the time since the last INS sample, s: an attitude from the INS is published at each sample."""
         return min(reported_s, self.age_s(now_ns)) if self._rests_on_ins else reported_s
 
     def hint(self, now_ns: int, beacon_count: int) -> str:
-        """No stars, and since when."""
+        """Return the time without stars; empty if stars are used."""
         age_s = self.star_age_s(now_ns)
         if math.isinf(age_s):
-            return "no star yet"
+            return "no stars yet"
         return f"no stars for {age_s:.0f} s" if self.status is Status.COASTING else ""
 
 
@@ -165,7 +169,7 @@ class PointingHeard(OutputHeard):
 
     @property
     def by(self) -> str:
-        """What it was found by, for people; empty before the first."""
+        """Method of the pointing, for people: "2 lights", "encoder"; empty before the first."""
         if not self.is_heard:
             return ""
         if self.status is Status.INVALID:
@@ -175,7 +179,7 @@ class PointingHeard(OutputHeard):
         return words.get(self._mode, lights)
 
     def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
-        """Take an OpticalAxisPointing; the answer is what changed."""
+        """Record an OpticalAxisPointing; return the changes."""
         azimuth, elevation = float(message.azimuth), float(message.elevation)
         self.values = {"azimuth": azimuth, "elevation": elevation}
         self.accuracies_95 = {
@@ -190,13 +194,13 @@ class PointingHeard(OutputHeard):
         return changes
 
     def hint(self, now_ns: int, beacon_count: int) -> str:
-        """Too few lights."""
+        """Return the number of used lights if it is too low; empty otherwise."""
         if self.is_lessened(beacon_count):
             return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights"
         return "no lights" if self._mode == _ENCODER else ""
 
     def is_lessened(self, beacon_count: int) -> bool:
-        """Whether one light is used where there are several."""
+        """True if one light is used although there are several."""
         return self._mode == _ONE_LIGHT and beacon_count > 1
 
 
@@ -204,7 +208,7 @@ _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def _accuracy_95(variance: float) -> float:
-    """1.96 sigma; NaN of what is no variance. Zero says that none is given, as in all messages of ROS."""
+    """Return 1.96 sigma; NaN for an invalid variance. Zero means that none is given, as in all ROS messages."""
     return NORMAL_95 * math.sqrt(variance) if variance > 0.0 else math.nan
 
 

@@ -1,8 +1,8 @@
-"""What a watch officer is shown at one moment: the contract between what is judged and what is drawn.
+"""State of a suite at one time, as page, terminal, alerts and report use it.
 
-:class:`Picture` is made by :meth:`ship_watch.watch.Watch.look` from the messages of a suite. The live page, the
-terminal view, the alerts and the report read it; none of them judges anew. Angles are in radians, ages in seconds,
-times in integer ns. NaN means that there is no value; an infinite age, that nothing was ever heard.
+:class:`SuiteState` is made by :meth:`ship_watch.suite_monitor.SuiteMonitor.current_state` from the messages of a suite.
+Nothing that displays it evaluates the messages again. Angles are in radians, ages in seconds, times in integer ns. NaN
+means no value, an infinite age that nothing was received.
 """
 
 import enum
@@ -14,14 +14,14 @@ from typing import Protocol
 from ship_watch.alert_advice import advice_for
 
 ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
-"""The angles of a picture, in the order in which they are shown."""
+"""Names of the angles, in the order in which they are displayed."""
 
 ITS_NODE = "its node"
-"""What a source is out because of where the node that reads it has ended: nothing is known of the source itself."""
+"""Cause of a source that is OUT because the node that reads it has stopped reporting."""
 
 
 class Safety(enum.IntEnum):
-    """How far an angle may be relied on, in the words of IMO MSC.1/Circ.1575; the worse the larger."""
+    """Safety of an angle, in the terms of IMO MSC.1/Circ.1575; a worse one is larger."""
 
     SAFE = 0
     CAUTION = 1
@@ -29,16 +29,16 @@ class Safety(enum.IntEnum):
 
 
 class Presence(enum.Enum):
-    """Whether a source takes part."""
+    """Presence of a source: used (IN), not used (OUT), not configured (OFF)."""
 
     IN = "IN"
     OUT = "OUT"
     OFF = "OFF"
-    """It is not configured: no topic of it was ever named."""
+    """Not configured: no node has reported a topic of it."""
 
 
 class Priority(enum.IntEnum):
-    """Urgency of an alert, as in ship_msgs/Alert."""
+    """Priority of an alert, as in ship_msgs/Alert."""
 
     CAUTION = 0
     WARNING = 1
@@ -47,25 +47,25 @@ class Priority(enum.IntEnum):
 
 @dataclass(frozen=True)
 class AngleShown:
-    """One angle as a tile or a line shows it.
+    """State of one angle.
 
     Attributes:
         name: one of :data:`ANGLES`.
         value: the angle, rad: heading and azimuth from north to the right, pitch bow up, roll port up, elevation up.
         accuracy_95: 1.96 sigma, rad; of the azimuth times the cosine of the elevation.
         limit: the ship's limit of ``accuracy_95``, rad.
-        protection_level: bound under any single fault, rad; NaN where none is told.
-        safety: the word.
-        reason: why it is not SAFE, a few words, true now: where only the patience holds the word, when a better one
-            comes: "within 3″ again; SAFE in 4 s"; empty where it is SAFE.
-        age_s: time since the last value arrived.
-        is_old: whether that is too long: the value is then shown greyed, with its age.
+        protection_level: bound of the error under any single fault, rad; NaN without one.
+        safety: the displayed safety.
+        reason: why it is not SAFE, in a few words; during a hold with the time until the safety gets better, as in
+            "within 3″ again; SAFE in 4 s". Empty if SAFE.
+        age_s: time since the last value arrived, s.
+        is_old: True if the age is over its limit; the value is then greyed, with its age.
         stamp_ns: time of the value, UTC as POSIX time; 0 before the first.
-        since_ns: UTC since which the word stands; 0 before the first.
-        because_of: the source that is to blame for a word that is not SAFE; empty where none is known.
-        over_s: for how long the accuracy has been over its limit; 0 where it is not.
-        now: word and reason of this moment, which the shown ones follow at once where they get worse and after some
-            time where they get better; None where they are those that are shown.
+        since_ns: UTC of the last change of ``safety``; 0 before the first.
+        because_of: the source that causes a safety other than SAFE; empty if none is known.
+        over_limit_s: time for which the accuracy has been over its limit, s; 0 if it is not.
+        unheld_safety: current safety and reason without hold; None if they are the displayed ones. The displayed ones
+            follow at once if they are worse, after the hold time if they are better.
     """
 
     name: str
@@ -85,12 +85,12 @@ class AngleShown:
 
     @property
     def is_good_again(self) -> bool:
-        """True if the word of this moment is SAFE and the shown one is not yet."""
+        """True if the safety without hold is SAFE and the displayed one is not yet."""
         return self.now is not None and self.now[0] is Safety.SAFE and self.safety is not Safety.SAFE
 
     @property
     def held_by_nothing(self) -> "AngleShown":
-        """The angle with the word of this moment, for whom has a patience of his own."""
+        """The angle with its safety without hold, for users with a hold of their own."""
         if self.now is None:
             return self
         safety, reason = self.now
@@ -99,13 +99,13 @@ class AngleShown:
 
 @dataclass(frozen=True)
 class NisVerdict:
-    """Whether the stated sigma of a source fits its innovations of the last minute.
+    """Consistency of a source's stated sigma with its innovations of the last minute (NIS test).
 
     Attributes:
-        ratio: √(mean NIS / degrees of freedom); NaN where nothing was accepted.
-        degrees: degrees of freedom in all.
-        text: "σ as stated (1.01)", "σ optimistic by 1.6", "σ pessimistic by 1.3", or empty with too few.
-        is_as_stated: whether the ratio lies within 1 ± 3.3/√(2·degrees).
+        ratio: √(mean NIS / degrees of freedom); NaN if nothing was accepted.
+        degrees_of_freedom: sum of the degrees of freedom.
+        text: "σ as stated (1.01)", "σ optimistic by 1.6", "σ pessimistic by 1.3"; empty with too few innovations.
+        is_consistent: True if the ratio is within 1 ± 3.3/√(2·degrees_of_freedom).
     """
 
     ratio: float
@@ -116,18 +116,18 @@ class NisVerdict:
 
 @dataclass(frozen=True)
 class SourceStanding:
-    """Whether a source takes part, and what is wrong with it: by this words and events are judged.
+    """Presence and fault of a source. The safety of angles and the events are derived from it.
 
     Attributes:
         name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
         presence: IN, OUT or OFF.
-        reason: why it is OUT: "81 refused in a row", "silent", "invalid", "excluded"; empty where it is IN.
-        disagreement: how it disagrees, "right +49″"; of one that is IN what is put right in it, "names exchanged" of
-            lights; empty where nothing is known.
-        residual: mean of its last residuals over its sigma where it disagrees, NaN elsewhere.
-        out_since_ns: UTC of the first refusal or of the silence; 0 where it is IN.
-        because_of: the source that is to blame where this one is OUT only because it needs that one, or "its node"
-            where the node that reads it says nothing any more; empty where it is to blame itself.
+        reason: why it is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
+        disagreement: the component that is furthest off, "right +49″". Of a source that is IN: what is corrected in its
+            data, "names exchanged" of lights. Empty if unknown.
+        residual: mean of its last rejected residuals over their sigma; NaN without one.
+        out_since_ns: UTC of the first rejection or of the last message; 0 if IN.
+        because_of: cause of a source that is OUT without a fault of its own: another source that it needs, or
+            :data:`CAUSE_NODE`. Empty if the fault is its own.
     """
 
     name: str
@@ -141,16 +141,16 @@ class SourceStanding:
 
 @dataclass(frozen=True)
 class SourceShown(SourceStanding):
-    """One source: an instrument, or what belongs together of one.
+    """State of a source with its ages, rates and NIS consistency.
 
     Attributes:
-        verdict: of its sigma; None where it has no innovations.
-        age_s: time since the last message arrived.
-        rate_hz: mean rate of arrival; NaN before two messages.
-        refused: messages refused in a row, in input or filter.
-        topics: relative topics it comes by.
+        nis_consistency: consistency of its sigma; None if it has no accepted innovations.
+        age_s: time since the last message arrived, s.
+        rate_hz: mean rate of arrival, Hz; NaN before two messages.
+        rejected_in_a_row: messages rejected in a row, at the input or by the filter.
+        topics: relative topics on which it publishes.
         mounting_shift: angle between its mounting before an exclusion and after its reinstatement, rad, for ten minutes
-            after that; NaN otherwise.
+            after the reinstatement; NaN otherwise.
     """
 
     verdict: NisVerdict | None
@@ -163,7 +163,7 @@ class SourceShown(SourceStanding):
 
 @dataclass(frozen=True)
 class AlertShown:
-    """One alert as the alert node published it; ``state`` as in ship_msgs/Alert."""
+    """One alert as published by the alert node; ``state`` as in ship_msgs/Alert, times UTC as POSIX time."""
 
     id: str
     instance: int
@@ -179,32 +179,29 @@ class AlertShown:
 
     @property
     def is_acknowledged(self) -> bool:
-        """Whether nobody needs to acknowledge it any more."""
+        """True if it needs no acknowledgement: it is acknowledged or NORMAL."""
         return self.state in (0, 3)
 
     @property
     def is_over(self) -> bool:
-        """Whether its situation is gone, and nobody acknowledged it."""
+        """True if its situation is over and it is not acknowledged."""
         return self.state == 4
 
     @property
     def advice(self) -> str:
-        """Advice for people, one line; empty for an alert that this suite does not know."""
+        """Advice for people, one line; empty for an unknown alert id."""
         return advice_for(self.id)
 
     @property
     def urgency(self) -> tuple[int, int, int, int, str]:
-        """Its place: unacknowledged, over but unacknowledged, acknowledged; in each by priority, newest first.
-
-        The newest is the one that changed last: raised, graver, repeated, over or acknowledged.
-        """
+        """Sort key: unacknowledged, over but unacknowledged, acknowledged; in each by priority, last change first."""
         tier = 2 if self.is_acknowledged else int(self.is_over)
         return tier, -self.priority, -self.changed_ns, -self.raised_ns, self.id
 
 
 @dataclass(frozen=True)
 class InputShown:
-    """One input topic, with what its node and what the filter behind it refused."""
+    """State of one input topic, with the rejections of the nodes that read it in the last 60 s."""
 
     topic: str
     rate_hz: float
@@ -217,13 +214,13 @@ class InputShown:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that changed.
+    """One change in the suite.
 
     Attributes:
-        utc_ns: when, UTC as POSIX time.
+        utc_ns: its time, UTC as POSIX time.
         kind: "state", "status", "mode", "source", "alert" or "node".
         subject: the angle, source, alert or node.
-        text: what changed, for people: "roll SAFE → CAUTION, over the limit".
+        text: the change, for people: "roll SAFE → CAUTION, over the limit".
     """
 
     utc_ns: int
@@ -234,12 +231,11 @@ class Event:
 
 @dataclass(frozen=True)
 class OverallState:
-    """One word for the whole suite.
+    """Safety of the whole suite.
 
     Attributes:
-        safety: the worst word of all angles; UNSAFE where there is no angle.
-        text: the shortest of the reasons for it, and behind it the angles that have it, unless all have; empty where
-            all are SAFE.
+        safety: the worst safety of all angles; UNSAFE without an angle.
+        text: the shortest reason, followed by the angles that have it unless all have; empty if all are SAFE.
     """
 
     safety: Safety
@@ -248,20 +244,20 @@ class OverallState:
 
 @dataclass(frozen=True)
 class Picture:
-    """All of one moment.
+    """State of a suite at one time.
 
     Attributes:
-        utc_ns: the suite's time now, UTC as POSIX time: newest stamp plus the time since it came; 0 before the first.
-        angles: in the order of :data:`ANGLES`; those of a theodolite only where one was ever heard.
-        ages_s: age of stars, lights and INS, keys "stars", "lights", "ins": of the newest such source that is IN, as
-            ``sources`` has it; where all are OUT the time since one was used.
+        utc_ns: time of the suite, UTC as POSIX time: newest stamp plus the time since its arrival; 0 before the first.
+        angles: angles in the order of :data:`ANGLES`; those of a theodolite only if one was received.
+        ages_s: age of stars, lights and INS, keys "stars", "lights", "ins": of the newest source of the kind that is
+            IN; if all are OUT, the time since one was used.
         pointing_by: "2 lights", "1 light", "encoder", "no pointing"; empty without a theodolite.
         horizon: "geodetic", "gravity"; empty before the first attitude.
-        sources: OUT first, each followed by those that are out because of it, then in a fixed order.
-        alerts: as last published, the most urgent first; None where no alert node was heard.
+        sources: OUT first, each followed by those that are OUT because of it, then in a fixed order.
+        alerts: as last published, the most urgent first; None without an alert node.
         inputs: in the order of their topics.
         events: the newest first, at most 200.
-        waiting_for: what was never heard and is needed, "ship/attitude"; empty where nothing is missing.
+        waiting_for: the required output that was never received, "ship/attitude"; empty if none is missing.
     """
 
     utc_ns: int
@@ -277,12 +273,12 @@ class Picture:
 
     @property
     def is_old(self) -> bool:
-        """True if no output comes any more: no tick, age or count of the picture is then of now."""
+        """True if no output is received any more: no tick, age or count of this state is then current."""
         return all(angle.is_old for angle in self.angles)
 
     @property
     def overall(self) -> OverallState:
-        """Worst word of all angles, with the shortest reason that names a source, else the shortest."""
+        """Worst safety of all angles, with the shortest reason that names a source, else the shortest."""
         worst = max((angle.safety for angle in self.angles), default=Safety.UNSAFE)
         if worst is Safety.SAFE:
             return OverallState(worst, "")
@@ -295,23 +291,23 @@ class Picture:
 
 
 class Pictures(Protocol):
-    """Where whoever draws has pictures from: a running suite or a bag."""
+    """Source of suite states for a display: a running suite or a bag."""
 
     @property
     def label(self) -> str:
-        """Where the data are from: "LIVE", "BAG" or "SIMULATED", and what is to be added."""
+        """Origin of the data: "LIVE", "BAG" or "SIMULATED", with an addition."""
         ...
 
     @property
     def name(self) -> str:
-        """The ship: its namespace without slashes, or the name of the bag."""
+        """Name of the ship: its namespace without slashes, or the name of the bag."""
         ...
 
     @property
     def place(self) -> str:
-        """Where it looks, in words, for who waits: namespace and domain."""
+        """Namespace and domain, or bag, for the display while it waits for data."""
         ...
 
     def look(self) -> Picture:
-        """The picture now. Who draws asks twice a second: a source that serves several keeps the last one."""
+        """Return the current state. Displays call it twice a second; a source for several displays caches it."""
         ...

@@ -1,6 +1,7 @@
-"""The state of a suite as a message: the node ``alerts`` computes it once, page and terminal show the same.
+"""State of a suite as a message: the node ``alerts`` computes it once, page and terminal display the same.
 
-:func:`state_fields` makes a SuiteState of a picture, :func:`published_state` reads a received one.
+:func:`suite_state_fields` converts a state to the fields of a SuiteState message, :func:`published_state` reads a
+received message.
 """
 
 import math
@@ -20,14 +21,14 @@ PERIOD_NS = 500_000_000
 """Time between two messages while nothing changes, ns."""
 
 LONGEST_AGE_NS = 4 * PERIOD_NS
-"""A state older than this is not shown: its node has ended, or the network holds it up."""
+"""Maximum age of a state that is displayed, ns: an older one means that its node or the network has failed."""
 
 _PRESENCES = tuple(Presence)
 _LONGEST_TEXT = 4 * LONGEST_NAME
 
 
 def state_fields(picture: Picture) -> dict[str, Any]:
-    """Return the fields of a SuiteState for :meth:`ship_bags.message_factory.MessageFactory.make`."""
+    """Return the fields of a SuiteState message for :meth:`ship_bags.message_factory.MessageFactory.make`."""
     return {
         "header": {"stamp": picture.utc_ns, "frame_id": ""},
         "angles": [_angle_fields(angle) for angle in picture.angles],
@@ -40,14 +41,14 @@ def state_fields(picture: Picture) -> dict[str, Any]:
 
 
 def change_of_state(picture: Picture) -> tuple[Any, ...]:
-    """Return what is published at once where it changes: safety of the angles, presence of the sources, their order."""
+    """Return the part of a state whose change is published at once: safety of angles, presence and order of sources."""
     angles = tuple((angle.name, angle.safety, angle.is_old) for angle in picture.angles)
     return angles, tuple((source.name, source.presence, source.because_of) for source in picture.sources)
 
 
 @dataclass(frozen=True)
 class PublishedState:
-    """Content of a SuiteState, with its time of arrival by the caller's clock."""
+    """Content of a SuiteState message, with its time of arrival by the caller's clock."""
 
     angles: tuple[AngleShown, ...]
     ages_s: Mapping[str, float]
@@ -62,7 +63,7 @@ class PublishedState:
         return now_ns - self.arrived_ns <= LONGEST_AGE_NS
 
     def shown_in(self, picture: Picture, now_ns: int) -> Picture:
-        """Return a picture with this state in it. While messages arrive in time ages stand as published."""
+        """Return a state with this published one in it. Ages grow only if the next message is overdue."""
         overdue_s = max(0, now_ns - self.arrived_ns - PERIOD_NS) * 1e-9
         return replace(
             picture,
@@ -74,10 +75,10 @@ class PublishedState:
 
 
 def published_state(message: Any, arrived_ns: int) -> PublishedState:
-    """Return what a SuiteState contains.
+    """Return the content of a SuiteState message.
 
     Raises:
-        ValueError: it contains a safety or a presence that does not exist.
+        ValueError: the message contains a safety or a presence that does not exist.
     """
     return PublishedState(
         angles=tuple(_angle(each) for each in islice(message.angles, MOST_NAMES)),

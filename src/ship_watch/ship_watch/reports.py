@@ -1,4 +1,4 @@
-"""What ``input_health`` says of one topic, by one node or by several that read it."""
+"""Reports on one input topic in ``input_health``, from one or several nodes that read it."""
 
 import math
 from collections import deque
@@ -11,32 +11,33 @@ from ship_watch.names import LONGEST_NAME, MOST_NAMES
 from ship_watch.picture import InputShown
 
 WINDOW_NS = 60_000_000_000
-"""Refusals of so long are counted, ns."""
+"""Time over which rejections are counted, ns."""
 
 LEAST_SILENCE_NS = 2_000_000_000
-"""Nothing shorter is silence, ns."""
+"""Minimum timeout of a topic, ns."""
 
 SILENT_PERIODS = 3.0
+"""Timeout of a topic in its periods."""
 
 UNKNOWN_PERIOD_NS = 5_000_000_000
-"""So long may a topic be silent whose rate is not known yet, ns."""
+"""Timeout of a topic whose rate is not known yet, ns."""
 
 _FORGOTTEN_NS = 10_000_000_000
-"""A node that has not reported for so long reports no more, ns."""
+"""Time without a report after which a node no longer counts as reporting, ns."""
 
 _MOST_REPORTERS = 16
-"""Nodes that report on one topic."""
+"""Maximum number of nodes that report on one topic."""
 
 _MOST_REPORTS = 1000
-"""Reports with refusals that are kept: those of a minute, of sixteen nodes, once a second."""
+"""Maximum number of reports with rejections that are kept: one a second from sixteen nodes for a minute."""
 
 _REPORT_PERIOD_NS = 1_000_000_000.0
-"""How often a node reports, as long as that is not known from its reports, ns."""
+"""Report period of a node until it is known from its reports, ns."""
 
 
 @dataclass
 class _Reporter:
-    """One of the nodes that report on the topic: its last report. The message does not name the node."""
+    """Last report of one node on the topic. The message does not contain the node's name."""
 
     number: int
     stamp_ns: int
@@ -47,7 +48,7 @@ class _Reporter:
     reasons: dict[str, int]
 
     def may_go_on_with(self, other: "_Reporter") -> bool:
-        """Whether this may be the same node's next report: its counters never go back."""
+        """True if ``other`` may be the next report of the same node: its counters never decrease."""
         return (
             other.stamp_ns > self.stamp_ns
             and other.received >= self.received
@@ -61,16 +62,16 @@ class TopicReports:
     """All reports on one topic.
 
     Args:
-        topic: its name.
-        longest_s: it is silent when it has not come for so long, s; 0 for three periods, 2 s at least.
+        topic: name of the topic.
+        timeout_s: time without a message after which the topic is timed out, s; 0 for three periods, at least 2 s.
 
     Attributes:
-        topic: its name.
-        arrived_ns: when its last message arrived, by the caller's time; None where none was ever told.
-        reported_ns: when the last report came.
-        rate_hz: mean rate of arrival; NaN before it is known.
-        period_ns: the usual time between two messages, ns; NaN where unknown.
-        used: messages used so far, by the node that has used most of them.
+        topic: name of the topic.
+        arrived_ns: arrival of its last message, caller's time, ns; None before the first.
+        reported_ns: arrival of the last report, caller's time, ns; None before the first.
+        rate_hz: mean rate of arrival, Hz; NaN until it is known.
+        period_ns: usual time between two messages, ns; NaN if unknown.
+        used: number of messages used so far, by the node that has used most of them.
     """
 
     def __init__(self, topic: str, longest_s: float = 0.0) -> None:
@@ -91,7 +92,7 @@ class TopicReports:
         self._refused: deque[tuple[int, int, int, dict[str, int]]] = deque(maxlen=_MOST_REPORTS)
 
     def note(self, message: Any, now_ns: int) -> bool:
-        """Take a report; the answer is whether it comes from a node that has started since the last one."""
+        """Record a report; return True if it comes from a node that has started since the last one."""
         reasons = zip(message.reasons, message.reason_counts, strict=False)
         report = _Reporter(
             0,
@@ -112,18 +113,18 @@ class TopicReports:
         return is_new
 
     def heard(self, now_ns: int) -> None:
-        """Take note that a message of the topic itself came, or a word on one."""
+        """Record the arrival of a message of the topic, ns."""
         self.arrived_ns = now_ns if self.arrived_ns is None else max(self.arrived_ns, now_ns)
 
     @property
     def is_expected(self) -> bool:
-        """Whether a node misses the topic and nothing of it ever came to that node, whoever else may hear it."""
+        """True if a node reports the topic as missing and no reporting node has ever received it."""
         return self._level > 0 and bool(self._reporters) and not any(one.received for one in self._reporters)
 
     def age_s(self, now_ns: int) -> float:
-        """Time since the last message arrived, s; infinite where none did.
+        """Return the time since the last message arrived, s; infinite before the first.
 
-        Between two reports it stands as long as messages came until the last: they are not told one by one.
+        Between two reports it stays constant if messages arrived until the last one: single arrivals are not reported.
         """
         if self.arrived_ns is None:
             return math.inf
@@ -132,19 +133,19 @@ class TopicReports:
         return max(0, now_ns - self.arrived_ns) * 1e-9
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether it has not come for too long.
+        """True if no message arrived within the timeout.
 
-        After a report that messages came, only the next report can tell that they ceased. A report that is late, as on
-        a busy computer, is no silence. Reports that have ceased, too, are (:meth:`is_untold`).
+        After a report with new messages, only the next report can show that they have stopped. A late report, as on a
+        busy computer, is no timeout of the topic; an overdue one is (:meth:`is_report_overdue`).
         """
         if self.arrived_ns is None or (self._has_come and not self.is_untold(now_ns)):
             return False
         return now_ns - self.arrived_ns >= self._silence_ns
 
     def _silence(self) -> float:
-        """After how long it is silent, ns.
+        """Return the timeout of the topic, ns.
 
-        A report says nothing of a message that came after it, so that reports that are rare lengthen this.
+        A report does not include messages that arrive after it, so that a long report period lengthens the timeout.
         """
         is_unknown = math.isnan(self.period_ns)
         period_ns = 0.0 if is_unknown else self.period_ns
@@ -153,18 +154,18 @@ class TopicReports:
         return max(limit_ns, 1.5 * self._report_period_ns + period_ns)
 
     def is_untold(self, now_ns: int) -> bool:
-        """Whether the node that reads it has not reported for three of its periods."""
+        """True if the node that reads the topic has not reported for three report periods."""
         return self.reported_ns is not None and now_ns - self.reported_ns > 3.0 * self._report_period_ns
 
     def is_fresh(self, now_ns: int) -> bool:
-        """Whether the last report is no older than reports usually are."""
+        """True if the last report is at most 1.5 report periods old."""
         return self.reported_ns is not None and now_ns - self.reported_ns <= 1.5 * self._report_period_ns
 
     def shown(self, now_ns: int) -> InputShown:
-        """What is shown of the topic."""
+        """Return the displayed state of the topic."""
         while self._refused and now_ns - self._refused[0][0] > WINDOW_NS:
             self._refused.popleft()
-        # Nodes that read the same messages refuse the same: of each number the largest of any node.
+        # Nodes that read the same messages reject the same ones: the largest count of any node is taken.
         refused_by: dict[int, int] = {}
         reasons_by: dict[tuple[int, str], int] = {}
         for _, number, count, grown in self._refused:
@@ -179,10 +180,10 @@ class TopicReports:
         return InputShown(self.topic, self.rate_hz, self._latency_s, age_s, int(self._level), refused, reasons)
 
     def _note_arrival(self, message: Any, report: _Reporter, before: _Reporter | None) -> None:
-        """When the last message came: as long ago as its stamp is older than stamps are at arrival in the mean.
+        """Compute the arrival of the last message: the report minus its age beyond the mean latency.
 
-        Of refused messages the report tells no stamp. They came after the last report, a period apart. While nothing
-        comes the mean rate sinks, and tells no longer what is usual.
+        A report contains no stamp of rejected messages: they are assumed to arrive after the report before, one period
+        apart. Without new messages the mean rate decreases; the period is then not updated.
         """
         come = report.received - (before.received if before else 0)
         self._has_come = come > 0
@@ -196,10 +197,10 @@ class TopicReports:
             self.heard(min(report.heard_ns, before.heard_ns + round(passed_ns)))
 
     def _assign(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
-        """Put the report in the place of the one before it; of several that it may follow, of the oldest.
+        """Replace the report that this one follows; if it may follow several, the oldest.
 
         Returns:
-            Whether a node has started since; the report before it, None where there is none.
+            True if it comes from a new node, and the report before it, None without one.
         """
         before = min(
             (known for known in self._reporters if known.may_go_on_with(report)),

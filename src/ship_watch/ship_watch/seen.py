@@ -1,6 +1,6 @@
-"""What instruments saw, joined with what became of it: stars of an exposure, lights of an image.
+"""Detected stars and lights, joined with their innovations.
 
-The points come with one message, the verdict and the residuals with another of the same stamp, in any order.
+The detections arrive in one message, decision and residuals in another of the same stamp, in any order.
 """
 
 import math
@@ -15,16 +15,16 @@ from ship_geometry.rotations import FloatArray
 from ship_watch.history import History, LightPoint, StarsSeen, append
 
 _REMEMBERED = 8
-"""So many messages wait for their counterpart."""
+"""Number of messages that wait for their counterpart."""
 
 _PATIENCE_NS = 3_000_000_000
-"""Lights of which nothing was told for so long are shown without a residual, ns."""
+"""Time without an innovation after which lights are shown without residuals, ns."""
 
 _NOWHERE = np.empty(0)
 
 
 class StarsSeenBook:
-    """The last exposure of each star sensor, in :attr:`ship_watch.history.History.stars`, by source."""
+    """Last exposure of each star sensor, stored in :attr:`ship_watch.history.History.star_exposures` by source."""
 
     def __init__(self, history: History) -> None:
         self._history = history
@@ -33,21 +33,21 @@ class StarsSeenBook:
         self._solutions: dict[str, Any] = {}
 
     def note_exposure(self, source: str, message: Any) -> None:
-        """Take a StarObservationArray."""
+        """Add a StarObservationArray."""
         self._exposures.setdefault(source, deque(maxlen=_REMEMBERED)).append(message)
         self._join(source)
 
     def note_solution(self, source: str, message: Any) -> None:
-        """Take a StarHorizonAttitude."""
+        """Add a StarHorizonAttitude."""
         self._solutions[source] = message
 
     def note_verdict(self, source: str, message: Any) -> None:
-        """Take the Innovation of a measurement of a star sensor."""
+        """Add the Innovation of a measurement of a star sensor."""
         self._verdicts.setdefault(source, deque(maxlen=_REMEMBERED)).append(message)
         self._join(source)
 
     def _join(self, source: str) -> None:
-        """Show the newest exposure of which a verdict is known; of a sensor that tells no stars the newest verdict."""
+        """Store the newest exposure with an innovation; for a sensor without star messages the newest innovation."""
         verdicts, exposures = self._verdicts.get(source, ()), self._exposures.get(source)
         if not verdicts:
             return
@@ -87,7 +87,7 @@ class StarsSeenBook:
 
 
 class LightsSeenBook:
-    """The lights of each image on the detector, in :attr:`ship_watch.history.History.lights`, by beacon."""
+    """Lights of each image on the detector, stored in :attr:`ship_watch.history.History.beacons` by beacon."""
 
     def __init__(self, history: History) -> None:
         self._history = history
@@ -95,12 +95,12 @@ class LightsSeenBook:
         self._verdicts: deque[tuple[int, Any]] = deque(maxlen=_REMEMBERED)
 
     def note_image(self, message: Any, now_ns: int) -> None:
-        """Take a BeaconImage."""
+        """Add a BeaconImage."""
         self._images.append((ns_from_stamp(message.header.stamp), now_ns, message))
         self._join(now_ns)
 
     def note_verdict(self, message: Any, now_ns: int) -> None:
-        """Take the Innovation of the lights of an image."""
+        """Add the Innovation of the lights of an image."""
         self._verdicts.append((ns_from_stamp(message.header.stamp), message))
         self._join(now_ns)
 
@@ -129,7 +129,7 @@ class LightsSeenBook:
 
 
 def _by_part(verdict: Any) -> Mapping[str, dict[str, float]]:
-    """Star or light → axis → residual; a component's last word is its axis."""
+    """Return star or light → axis → residual, rad; the last word of a component's name is its axis."""
     found: dict[str, dict[str, float]] = {}
     for name, residual in zip(verdict.components, verdict.residual, strict=False):
         part, _, axis = str(name).rpartition(" ")
@@ -138,7 +138,7 @@ def _by_part(verdict: Any) -> Mapping[str, dict[str, float]]:
 
 
 def _of_stars(names: list[str], residuals: Mapping[str, dict[str, float]], axis: str) -> FloatArray:
-    """The residuals of stars along an axis, NaN of those that have none; empty where none has."""
+    """Return the residuals of stars along an axis, rad, NaN for stars without one; empty if no star has one."""
     if not any(name in residuals for name in names):
         return _NOWHERE
     return np.array([residuals.get(name, {}).get(axis, math.nan) for name in names])

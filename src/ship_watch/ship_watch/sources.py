@@ -1,8 +1,8 @@
-"""Which sources take part, which are out and why, and in which direction the guilty one is off.
+"""Presence of all sources, the reasons of those that are OUT, and the direction in which a faulty one is off.
 
-A source is OUT when a node excludes it, when five of its measurements in a row were refused (until ten in a row were
-accepted; the ship's limits may say otherwise), when it is silent, or when it says itself that it is invalid. What
-cannot be used only because another source is out is OUT as well, and says which one it needs.
+A source is OUT if a node excludes it, if five of its measurements in a row were rejected, if it sends no data, or if it
+reports itself invalid. After rejections it is IN again when ten in a row were accepted; both numbers are limits of the
+ship. A source that cannot be used because another one is OUT is OUT as well, with that one as its cause.
 """
 
 import math
@@ -19,7 +19,7 @@ from ship_watch.streak import Streak
 from ship_watch.topics import place_of, source_of_name, source_of_topic
 
 STAR_INNOVATION = "star/innovation"
-"""There a star sensor is compared with itself, along other axes than by the filter."""
+"""Innovations of single stars against the solution of their own sensor, along its own axes."""
 
 _STAR_INVALID = 3
 """Status of a StarHorizonAttitude without an attitude."""
@@ -27,15 +27,15 @@ _STAR_INVALID = 3
 _NS = 1e-9
 
 _UNUSED_S = 5.0
-"""A source that arrives and was last used so much longer ago is not being used, s."""
+"""Difference between time since last use and age from which an arriving source counts as unused, s."""
 
 
 class SourceBook:
-    """What innovations, health and integrity tell of the sources, held against the limits of the ship.
+    """Records of all sources, from innovations, input health and integrity, with the limits of the ship.
 
     Attributes:
-        has_theodolite: whether a node reads the encoders or the lights of a theodolite.
-        beacon_count: how many lights have a baseline.
+        has_theodolite: True if a node reads the encoders or the lights of a theodolite.
+        beacon_count: number of lights with a baseline.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -46,27 +46,27 @@ class SourceBook:
 
     @property
     def inputs(self) -> list[TopicReports]:
-        """The topics on which nodes report, in the order of their names."""
+        """Reports on input topics, in the order of the topics' names."""
         return [self._reports[topic] for topic in sorted(self._reports)]
 
     def reads(self, topic: str) -> bool:
-        """Return True if a node reports on that input topic."""
+        """True if a node reports on an input topic."""
         return topic in self._reports
 
     def used_age_s(self, name: str, now_ns: int) -> float:
-        """Time since a measurement of a source was used, as told by innovations, s; infinite where none was."""
+        """Return the time since an innovation of a source was accepted, s; infinite before the first."""
         source = self._sources.get(name)
         return math.inf if source is None or source.used_ns is None else max(0, now_ns - source.used_ns) * _NS
 
     def age_s(self, name: str, now_ns: int) -> float:
-        """Time since anything of a source arrived, s; infinite where nothing did."""
+        """Return the time since the last message of a source, s; infinite before the first."""
         source = self._sources.get(name)
         return math.inf if source is None else source.age_s(now_ns)
 
-    # -- what is told ---------------------------------------------------------------------------------------
+    # -- messages -------------------------------------------------------------------------------------------
 
     def note_health(self, message: Any, now_ns: int) -> bool:
-        """Take an InputHealth; the answer is whether the node that tells it has started since the last one."""
+        """Record an InputHealth; return True if its node has started since the last one."""
         topic = str(message.topic)
         if not has_room(self._reports, topic, "input topic"):
             return False
@@ -83,12 +83,12 @@ class SourceBook:
         return has_started
 
     def heard(self, topic: str, now_ns: int) -> None:
-        """Take note that a message of an input topic came."""
+        """Record the arrival of a message of an input topic."""
         if topic in self._reports:
             self._reports[topic].heard(now_ns)
 
     def note_innovation(self, topic: str, message: Any, now_ns: int) -> str:
-        """Take an Innovation that came on a topic; the answer is the source, empty where it speaks of none."""
+        """Record an Innovation received on a topic; return the name of its source, empty if it has none."""
         name, key = self._who(str(message.source)), (topic, str(message.source))
         if not name or not has_room(self._sources, name, "source"):
             return ""
@@ -106,14 +106,14 @@ class SourceBook:
         return name
 
     def note_solution(self, name: str, message: Any, now_ns: int) -> None:
-        """Take the solution of a star sensor: the innovations of the node that made it tell of refused stars alone."""
+        """Record the solution of a star sensor: `star/innovation` contains only rejected stars, not accepted ones."""
         if name and has_room(self._sources, name, "source"):
             streak = self._streak(self._source(name), (STAR_INNOVATION, name))
             is_used = message.status != _STAR_INVALID
             streak.note_whole(ns_from_stamp(message.header.stamp), is_used, now_ns)
 
     def note_integrity(self, topic: str, message: Any, utc_ns: int) -> None:
-        """Take an Integrity: the sources that it excludes are out, those that it excluded before are not."""
+        """Record the excluded sources of an Integrity; sources no longer excluded are cleared."""
         excluded = {self._who(str(name)) for name in message.excluded[:MOST_NAMES]} - {""}
         excluded = {name for name in excluded if has_room(self._sources, name, "source")}
         for name in excluded:
@@ -122,14 +122,14 @@ class SourceBook:
             if name not in excluded:
                 source.excluded_since.pop(topic, None)
 
-    # -- what it comes to -----------------------------------------------------------------------------------
+    # -- results --------------------------------------------------------------------------------------------
 
     def standings(self, now_ns: int, utc_offset_ns: int) -> list[SourceStanding]:
-        """Return how all sources stand: OUT first, each cause directly before its consequences, in a fixed order.
+        """Return the states of all sources: OUT first, each cause directly before its consequences, in a fixed order.
 
         Args:
-            now_ns: the caller's time.
-            utc_offset_ns: UTC minus the caller's time.
+            now_ns: caller's time, ns.
+            utc_offset_ns: UTC minus caller's time, ns.
         """
         faults: dict[str, SourceFault] = {}
         for name, source in self._sources.items():
@@ -143,11 +143,11 @@ class SourceBook:
         return _causes_first(sorted(standings, key=_order))
 
     def shown(self, standings: Iterable[SourceStanding], now_ns: int) -> list[SourceShown]:
-        """Return all sources with all that is known of them, as they stand by :meth:`standings`."""
+        """Return the displayed data of all sources, for states from :meth:`source_states`."""
         return [(self._sources.get(each.name) or HeardSource(each.name)).shown(each, now_ns) for each in standings]
 
     def _not_configured(self) -> list[str]:
-        """The instruments that a ship usually has, of which no topic was ever named."""
+        """Return the usual instruments of a ship for which no node has reported a topic."""
         usual = ["ins", "gnss", "weather"] if "ins" in self._sources else []
         usual += ["lights", "encoder", "baselines"] if self.has_theodolite else []
         return [name for name in usual if name not in self._sources]
@@ -160,7 +160,7 @@ class SourceBook:
         return streak
 
     def _who(self, name: str) -> str:
-        """The source of a name; the ship of a theodolite that reads no attitude of the ship is her INS."""
+        """Return the source of a name in a message; "ship_attitude" is the INS for a theodolite that reads the INS."""
         source = source_of_name(name)
         is_ins = source == "ship_attitude" and "ship/attitude" not in self._reports and "ins/imu" in self._reports
         return "ins" if is_ins else source
@@ -172,7 +172,7 @@ class SourceBook:
 
 
 def blamed(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceStanding | None:
-    """The first source that is out by a fault of its own, among those whose name begins with one of some words."""
+    """Return the first source of some kinds that is OUT by a fault of its own; None if there is none."""
     for source in sources:
         if source.presence is Presence.OUT and not source.because_of and source.name.partition(".")[0] in words:
             return source
@@ -180,12 +180,12 @@ def blamed(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceS
 
 
 def newest_age_s(first_word: str, sources: Iterable[SourceShown], used_age_s: float) -> float:
-    """Return the age of a kind of source, s: of its newest that is IN, as the list of sources shows it.
+    """Return the age of a kind of source, s: the age of its newest source that is IN.
 
     Args:
-        first_word: what the names of the kind begin with, as "star".
-        sources: all.
-        used_age_s: time since one of the kind was used, s. It is returned where all of them are OUT, and where they
+        kind: first part of the names of the kind, as "star".
+        sources: all sources.
+        used_age_s: time since one of the kind was used, s. It is returned if all of them are OUT, and if they
             arrive without being used.
     """
     is_in = (each for each in sources if each.presence is Presence.IN and each.name.partition(".")[0] == first_word)
@@ -199,7 +199,7 @@ def _order(source: SourceStanding) -> tuple[bool, bool, bool, tuple[int, str]]:
 
 
 def _causes_first(sources: list[SourceStanding]) -> list[SourceStanding]:
-    """Return the sources with those that are out because of another one that is out directly after that one."""
+    """Return the sources with each consequence directly after the source that causes it."""
     causes = {source.name for source in sources if source.presence is Presence.OUT and not source.because_of}
     consequences: dict[str, list[SourceStanding]] = {}
     for source in sources:

@@ -1,12 +1,12 @@
-"""SAFE, CAUTION or UNSAFE: how far an angle may be relied on, and why not, in a few words.
+"""Safety of an angle (SAFE, CAUTION or UNSAFE) and a short reason where it is not SAFE.
 
-The words are those of IMO MSC.1/Circ.1575. An angle is SAFE where its output is VALID and fresh, its 95 % accuracy is
-within the ship's limit and the protection levels are met. CAUTION: the accuracy is known and not over three times the
+The terms are those of IMO MSC.1/Circ.1575. An angle is SAFE if its output is VALID and recent, its 95 % accuracy is
+within the ship's limit and the protection levels are met. It is CAUTION if the accuracy is at most three times the
 limit, but integrity is unavailable, the output is COASTING or DEGRADED, or the accuracy is over its limit. All else is
 UNSAFE: every comparison is written so that NaN fails it.
 
-A word gets worse at once. It gets better after a time without a reason for it, with hysteresis: an accuracy that was
-over its limit must be below it by a margin for that time, or below it for several times as long.
+The safety gets worse at once and better after a hold time, with hysteresis. An accuracy that was over its limit must be
+below the limit by a margin for the hold time, or below the limit for several hold times.
 """
 
 import math
@@ -21,28 +21,28 @@ from ship_watch import words
 from ship_watch.picture import Safety, SourceStanding
 
 MARGIN = 0.1
-"""Share of its limit by which an accuracy that was over it must be below it for a better word."""
+"""Margin below the limit, as a fraction of it, that ends the hold of an accuracy that was over the limit."""
 
 WITHIN_MARGIN_TIMES = 6
-"""An accuracy that stays below its limit by less than the margin has a better word after so many times the time."""
+"""Number of hold times after which an accuracy within the limit, but not within the margin, counts as better."""
 
 BRIEF_NS = 1_000_000_000
-"""An accuracy that was below its limit for less time than this was over it all the while, ns."""
+"""Time below the limit that does not end a period over the limit, ns."""
 
 OVER_THE_LIMIT = "over the limit"
-"""Reason of a CAUTION where only the accuracy is to blame, and no source."""
+"""Reason of a CAUTION that is caused by the accuracy alone, with no faulty source."""
 COUNTDOWN = "; "
-"""What stands in a reason before the time at which a better word comes."""
+"""Separator in a reason before the time until the safety gets better."""
 
 
 @dataclass(frozen=True)
 class Protection:
-    """What an Integrity message says of one angle.
+    """Protection level of one angle from an Integrity message.
 
     Attributes:
-        state: of the whole message; None where none was told or the last is too old.
-        level: protection level, rad; NaN where there is none.
-        alert_limit: rad; NaN where none is configured.
+        state: state of the whole message; None without a message, or if the last one is too old.
+        level: protection level, rad; NaN if there is none.
+        alert_limit: alert limit, rad; NaN if none is configured.
     """
 
     state: IntegrityState | None
@@ -52,22 +52,22 @@ class Protection:
 
 @dataclass(frozen=True)
 class AngleClaim:
-    """What an output claims of one angle at one moment, and what speaks against it.
+    """Data of one angle at one time from which its safety is determined.
 
     Attributes:
-        topic: of the output.
-        is_heard: whether it ever came.
-        is_old: whether it has not come for too long.
+        topic: topic of the output.
+        is_received: True if the output was received at least once.
+        is_old: True if the last output is older than its limit.
         value: the angle, rad.
         accuracy_95: 1.96 sigma, rad.
-        limit: the ship's limit of that, rad.
-        unsafe_factor: over so many times the limit the angle is UNSAFE.
-        status: of the output; None where its number is unknown.
-        hint: why it is not better, as the output itself lets know: "no stars for 31 s", "1 light".
-        is_lessened: whether the hint alone makes it a CAUTION: one of two lights.
-        protection: what the integrity says.
-        guilty: the source that is out by a fault of its own; None where none is known.
-        behind: that a node which the angle rests on cannot keep up with its inputs; empty where all can.
+        limit: the ship's limit of ``accuracy_95``, rad.
+        unsafe_factor: ratio of accuracy to limit above which the angle is UNSAFE.
+        status: status of the output; None if its number is unknown.
+        diagnosis_hint: cause of a reduced quality, from the output itself: "no stars for 31 s", "no lights".
+        has_reduced_input: True if the hint alone makes the angle a CAUTION: one of two lights.
+        protection: protection level of the angle.
+        faulty_source: the source that is OUT by a fault of its own; None if there is none.
+        overload: text of a node in the chain of this angle that cannot keep up with its inputs; empty without one.
     """
 
     topic: str
@@ -86,7 +86,7 @@ class AngleClaim:
 
 
 def word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
-    """Return the word of an angle, and the reason why it is not SAFE."""
+    """Return the safety of an angle and the reason why it is not SAFE, empty if it is."""
     word, reason = _word_and_reason(claim)
     return word, (claim.behind or reason) if word else ""
 
@@ -96,7 +96,7 @@ def _word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
         return Safety.UNSAFE, f"waiting for {claim.topic}"
     guilty = _guilty(claim.guilty)
     if claim.is_old:
-        return Safety.UNSAFE, guilty or f"{claim.topic} silent"
+        return Safety.UNSAFE, guilty or f"no data on {claim.topic}"
     if claim.status is None or claim.status is Status.INVALID or not math.isfinite(claim.value):
         return Safety.UNSAFE, guilty or "invalid"
     if not claim.accuracy_95 <= claim.unsafe_factor * claim.limit:
@@ -110,33 +110,33 @@ def _word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
     if not claim.accuracy_95 <= claim.limit:
         return Safety.CAUTION, guilty or OVER_THE_LIMIT
     if state is None:
-        return Safety.CAUTION, "integrity not told"
+        return Safety.CAUTION, "no integrity data"
     if state is IntegrityState.UNAVAILABLE or not math.isfinite(protection.level):
-        return Safety.CAUTION, guilty or claim.hint or "nothing checks it"
+        return Safety.CAUTION, guilty or claim.hint or "no independent check"
     return (Safety.CAUTION, guilty or claim.hint) if claim.is_lessened else (Safety.SAFE, "")
 
 
 def _is_within(protection: Protection) -> bool:
-    """Whether the level of this angle itself is within its limit, or has none while others have."""
+    """True if the protection level of this angle is within its alert limit, or no alert limit is configured."""
     return protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
 
 
 def _guilty(source: SourceStanding | None) -> str:
-    """Few words for a source that is out; how many were refused is told where sources are listed."""
-    return "" if source is None else f"{source.name} {_RUN.sub('refused', source.reason)}"
+    """Return name and reason of a source that is OUT, without the count of rejections; empty for None."""
+    return "" if source is None else f"{source.name} {_RUN.sub('rejected', source.reason)}"
 
 
-_RUN = re.compile(r"\d+ refused in a row")
+_RUN = re.compile(r"\d+ rejected in a row")
 
 
 class AngleWord(NamedTuple):
-    """Word of an angle at one time.
+    """Safety of an angle at one time, without hold.
 
     Attributes:
-        word: the word.
-        reason: why it is not SAFE; empty where it is.
-        by_accuracy: the word by its accuracy alone.
-        by_margin: the word by its accuracy alone, were the limit lower by :data:`MARGIN`.
+        safety: the safety.
+        reason: why it is not SAFE; empty if it is.
+        by_accuracy: safety from the accuracy alone.
+        by_margin: safety from the accuracy alone with the limit reduced by :data:`HYSTERESIS_MARGIN`.
     """
 
     word: Safety
@@ -146,33 +146,39 @@ class AngleWord(NamedTuple):
 
 
 def angle_word(claim: AngleClaim) -> AngleWord:
-    """Return the word of an angle, with the words by its accuracy alone."""
+    """Return the safety of an angle, with the safety from its accuracy alone."""
     return AngleWord(
         *word_and_reason(claim), *words_by_accuracy(claim.accuracy_95, claim.limit, claim.unsafe_factor)
     )
 
 
 def words_by_accuracy(accuracy_95: float, limit: float, unsafe_factor: float) -> tuple[Safety, Safety]:
-    """Return the word by an accuracy alone, and the word were the limit lower by :data:`MARGIN`."""
+    """Return the safety from an accuracy alone, with the limit and with the limit reduced by the margin.
+
+    Args:
+        accuracy_95: 1.96 sigma, rad.
+        limit: limit of the accuracy, rad.
+        unsafe_factor: ratio of accuracy to limit above which the angle is UNSAFE.
+    """
     lower = (1.0 - MARGIN) * limit
     return _accuracy_word(accuracy_95, limit, unsafe_factor), _accuracy_word(accuracy_95, lower, unsafe_factor)
 
 
 def _accuracy_word(accuracy_95: float, limit: float, unsafe_factor: float) -> Safety:
-    """Return the word by an accuracy alone; UNSAFE for NaN."""
+    """Return the safety from an accuracy alone; UNSAFE for NaN."""
     if not accuracy_95 <= unsafe_factor * limit:
         return Safety.UNSAFE
     return Safety.SAFE if accuracy_95 <= limit else Safety.CAUTION
 
 
 class ShownWord(NamedTuple):
-    """Word of an angle as it is shown.
+    """Safety of an angle as displayed, with hold.
 
     Attributes:
-        word: the worst of the last seconds.
-        cause: the last reason for a word as bad as this.
-        better: the word that follows where nothing changes; None where the shown word is that of now.
-        better_in_ns: time until then, ns.
+        safety: the worst safety within the hold time.
+        cause: the last reason for a safety this bad.
+        next_safety: the safety that follows if nothing changes; None if there is no hold.
+        next_in_ns: time until ``next_safety``, ns.
     """
 
     word: Safety
@@ -181,10 +187,10 @@ class ShownWord(NamedTuple):
     better_in_ns: int = 0
 
     def reason(self, now: AngleWord, limit: float) -> str:
-        """Return the reason as it is true now: that of now, and when the better word comes.
+        """Return the current reason, with the time until the safety gets better.
 
         Args:
-            now: the word of the angle now.
+            now: current safety of the angle, without hold.
             limit: limit of the accuracy, rad.
         """
         if self.better is None:
@@ -194,11 +200,14 @@ class ShownWord(NamedTuple):
 
 
 class HeldWord:
-    """The word of one angle as it is shown: worse at once, better after some time.
+    """Hysteresis of the displayed safety of one angle: worse at once, better after a hold time.
+
+    Args:
+        hold_s: hold time, s.
 
     Attributes:
-        word: as shown last; None before the first.
-        since_ns: since when it stands, by the caller's time.
+        safety: last displayed safety; None before the first update.
+        since_ns: time of its last change, caller's time, ns.
     """
 
     def __init__(self, better_after_s: float) -> None:
@@ -208,7 +217,7 @@ class HeldWord:
         self.since_ns = 0
 
     def note(self, now: AngleWord, now_ns: int) -> bool:
-        """Take the word of now; return True if the shown word changed."""
+        """Update with the current safety; return True if the displayed safety changed."""
         for level in (Safety.CAUTION, Safety.UNSAFE):
             held = self._held.get(level)
             if now.word >= level:
@@ -225,7 +234,7 @@ class HeldWord:
         return changed
 
     def shown_word(self, now: AngleWord, now_ns: int) -> ShownWord:
-        """Return the word that is shown where ``now`` is the word of now: the worst of the last seconds."""
+        """Return the displayed safety for the current one: the worst within the hold time."""
         for level in (Safety.UNSAFE, Safety.CAUTION):
             if now.word >= level:
                 return ShownWord(now.word, now.reason)
@@ -237,7 +246,7 @@ class HeldWord:
         return ShownWord(Safety.SAFE, "")
 
     def _end_ns(self, level: Safety, now: AngleWord, now_ns: int) -> int:
-        """Return until when a level is held where nothing changes; now where it is not."""
+        """Return the time at which the hold of a level ends if nothing changes; ``now_ns`` without a hold."""
         held = self._held.get(level)
         if held is None:
             return now_ns
@@ -248,12 +257,12 @@ class HeldWord:
 
 
 class _HeldLevel(NamedTuple):
-    """A word as bad as a level, while it is held.
+    """Hold of one safety level.
 
     Attributes:
-        last_ns: when the word was last as bad.
-        near_ns: when it was last as bad, or the accuracy was not below its limit by the margin.
-        was_over: whether the accuracy was over its limit in this time.
+        last_ns: last time at which the safety was this bad.
+        last_near_ns: last time at which the safety was this bad, or the accuracy was not within the margin.
+        was_over: True if the accuracy was over its limit during the hold.
         cause: the last reason.
     """
 
@@ -264,18 +273,18 @@ class _HeldLevel(NamedTuple):
 
 
 class TimeOver:
-    """For how long an accuracy has been over its limit, moments below it not counted as an end."""
+    """Duration for which an accuracy has been over its limit; a dip below it of less than a second is ignored."""
 
     def __init__(self) -> None:
         self._first_ns = self._last_ns = -BRIEF_NS
 
     def note(self, claim: AngleClaim, now_ns: int) -> None:
-        """Take what is claimed now."""
+        """Update with the current accuracy and limit."""
         if not claim.accuracy_95 <= claim.limit:
             if now_ns - self._last_ns >= BRIEF_NS:
                 self._first_ns = now_ns
             self._last_ns = now_ns
 
     def lasted_s(self, now_ns: int) -> float:
-        """Time between its first moment over the limit and its last, s; 0 where it has been below for a second."""
+        """Return the time from the first to the last sample over the limit, s; 0 after a second below it."""
         return (self._last_ns - self._first_ns) * 1e-9 if now_ns - self._last_ns < BRIEF_NS else 0.0

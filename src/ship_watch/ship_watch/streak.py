@@ -1,4 +1,4 @@
-"""What became of the last measurements of one source at one node: used or refused, how many in a row, how far off."""
+"""Decisions on the last measurements of one source at one node: accepted or rejected, and the rejected residuals."""
 
 import math
 from collections import deque
@@ -11,23 +11,23 @@ from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 
 _LOOKED_AT = 5
-"""So many of the last refused ones tell how a source is off."""
+"""Number of rejected messages from which the disagreement of a source is computed."""
 
 SHOWN_NS = 2_000_000_000
-"""What is wrong is shown for at least so long after it was told last, so that people see it, ns."""
+"""Minimum time for which a fault is displayed after its last report, ns."""
 
 _KEPT = 24
-"""Verdicts that are kept, at least: later ones may revise them."""
+"""Minimum number of decisions that are kept: later messages may revise them."""
 
 _IN_A_ROW_PERIODS = 1.5
-"""Refusals further apart than this have messages between them that were used without a word."""
+"""Interval between rejections, in periods, above which messages between them were accepted without a report."""
 
 _DEGREE_FROM_ARCSEC = 3600.0
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """The component in which a source is furthest off: words for people, and the mean of residual over sigma."""
+    """Component in which a source is furthest off: text for people, and mean of residual over sigma."""
 
     text: str
     sigmas: float
@@ -37,21 +37,21 @@ NO_DISAGREEMENT = Disagreement("", math.nan)
 
 
 class Streak:
-    """The measurements of one source at one node, in the order in which they were told.
+    """Measurement decisions on one source at one node, in the order of their messages.
 
-    Of some sources (star sensors, lights) each measurement is told; of others (the INS, encoders) only those refused.
+    For some sources (star sensors, lights) each measurement is reported, for others (INS, encoders) rejected ones only.
 
     Args:
-        out_after: so many refused in a row put the source out.
-        in_after: so many accepted in a row bring it in again.
+        rejections_until_out: number of rejections in a row after which the source is OUT.
+        acceptances_until_in: number of acceptances in a row after which it is IN again.
 
     Attributes:
-        is_out: so many were refused in a row, and not yet enough accepted since.
-        refused: how many were refused in a row until now.
-        out_since_ns: stamp of the first of those that put it out; 0 where it is in.
-        refused_at_ns: arrival of the last refusal; None before the first.
-        reason: of the last refusal.
-        is_judged: whether accepted ones are told, too.
+        is_out: True after enough rejections in a row, until enough acceptances in a row.
+        rejected_in_a_row: current number of rejections in a row.
+        out_since_ns: stamp of the first rejection of the run that put it OUT; 0 if IN.
+        last_rejection_ns: arrival of the last rejection; None before the first.
+        reason: reason of the last rejection.
+        has_acceptances: True if accepted measurements are reported too.
     """
 
     def __init__(self, out_after: int, in_after: int) -> None:
@@ -65,21 +65,21 @@ class Streak:
         self.is_judged = False
 
     def note(self, stamp_ns: int, message: Any, now_ns: int, period_ns: float) -> None:
-        """Take an innovation message; ``period_ns`` is the usual time between measurements, NaN where unknown."""
+        """Record an Innovation; ``period_ns`` is the usual time between measurements, NaN if unknown."""
         accepted, revised = bool(message.accepted), message.reason == Reason.REVISED
         self.is_judged = self.is_judged or accepted
         if not accepted:
             self.refused_at_ns = now_ns
             if not revised:
                 self.reason = Reason(message.reason) if message.reason in _REASONS else Reason.NONE
-            # What is excluded is learnt anew and soon looks right: only what the gate refuses tells how it is off.
+            # An excluded source is estimated again and soon fits: only rejections by the gate show how it is off.
             if len(message.residual) and not message.nis <= message.gate:
                 self._off.append(message)
         self._insert(stamp_ns, accepted, revised, period_ns)
         self._decide()
 
     def note_whole(self, stamp_ns: int, is_used: bool, now_ns: int) -> None:
-        """Take note of what became of an exposure of which the refusals of some stars or lights were told."""
+        """Record the decision on a whole exposure, after rejections of single stars or lights in it."""
         self.is_judged = self.is_judged or is_used
         if not is_used:
             self.refused_at_ns, self.reason = now_ns, Reason.TOO_FEW_STARS
@@ -87,7 +87,13 @@ class Streak:
         self._decide()
 
     def used_silently(self, now_ns: int, period_ns: float, used_since: int) -> None:
-        """Bring a source in of which only refusals are told: none for some periods, and as many were used since."""
+        """Set a source IN of which only rejections are reported: none for some periods, and enough used since.
+
+        Args:
+            now_ns: caller's time, ns.
+            period_ns: usual time between measurements, ns; NaN if unknown.
+            used_since: number of measurements used since the last rejection.
+        """
         if self.is_judged or self.refused_at_ns is None:
             return
         least_ns = SHOWN_NS if math.isnan(period_ns) else max(SHOWN_NS, self._in_after * period_ns)
@@ -98,16 +104,16 @@ class Streak:
 
     @property
     def accepted_again(self) -> int:
-        """How many were accepted in a row until now."""
+        """Current number of acceptances in a row."""
         return self._last_in_a_row(True)
 
     @property
     def disagreement(self) -> Disagreement:
-        """In which direction, and by how much, the last refused ones were off."""
+        """Component and size of the last rejected residuals."""
         return disagreement(self._off) if self._off else NO_DISAGREEMENT
 
     def _insert(self, stamp_ns: int, accepted: bool, revised: bool, period_ns: float) -> None:
-        """Put a verdict behind those that were told before, whatever its stamp: that may be what is wrong."""
+        """Append a decision in the order of arrival, whatever its stamp, or revise the one with the same stamp."""
         verdicts = self._verdicts
         known = next((place for place in range(len(verdicts) - 1, -1, -1) if verdicts[place][0] == stamp_ns), None)
         if known is not None:
@@ -118,7 +124,7 @@ class Streak:
         if accepted:
             self.refused = 0
         else:
-            # NaN, an unknown period, leaves them in a row.
+            # With NaN, an unknown period, the rejections count as a run.
             apart = verdicts and stamp_ns - verdicts[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.is_judged
             self.refused = 1 if apart else self.refused + 1
             if apart:
@@ -128,7 +134,7 @@ class Streak:
             del verdicts[0]
 
     def _correct(self, place: int, accepted: bool, revised: bool) -> None:
-        """A further word on a stamp: a measurement was used if any part of it was, unless it is judged anew."""
+        """Update a decision: a measurement is accepted if any part of it is, unless the message revises it."""
         verdicts = self._verdicts
         stamp_ns, known = verdicts[place]
         verdicts[place] = (stamp_ns, accepted if revised else accepted or known)
@@ -159,13 +165,14 @@ _REASONS = {int(reason) for reason in Reason}
 
 
 def disagreement(messages: "deque[Any]") -> Disagreement:
-    """The component in which measurements are furthest off in their sigmas, in the mean over all of them.
+    """Return the component with the largest mean of residual over sigma.
 
-    The last word of a component's name is its axis, what stands before it a star or a light. Parts that are all off
-    alike are one turn of the device: then the mean over them is told. Otherwise the one part that is furthest off is.
+    The last word of a component's name is its axis, the words before it are a star or a light. Equal residuals of all
+    stars along an axis are a rotation of the device: their mean is returned. Otherwise the star or light that is
+    furthest off is returned.
 
     Args:
-        messages: innovations with residuals, rad, and their sigmas.
+        messages: innovations with residuals and sigmas, rad.
     """
     parts: dict[str, list[tuple[float, float]]] = {}
     for message in messages:
@@ -184,7 +191,7 @@ def disagreement(messages: "deque[Any]") -> Disagreement:
 
 
 def angle_text(angle: float) -> str:
-    """A signed angle, rad, for people: seconds of arc, or degrees from one degree on."""
+    """Return a signed angle, rad, as text: in seconds of arc, from one degree on in degrees."""
     arcsec = angle / ARCSEC
     size = abs(arcsec)
     text = f"{size / _DEGREE_FROM_ARCSEC:.1f}°" if size >= _DEGREE_FROM_ARCSEC else f"{size:.0f}″"

@@ -1,4 +1,4 @@
-"""Which topics are watched, and which source a topic, a refusal or a hypothesis speaks of.
+"""Monitored topics, and the source of a topic or of a name in a message.
 
 Names of topics are relative to the namespace of the suite, as in the reference of topics.
 """
@@ -12,12 +12,12 @@ MESSAGES = "ship_msgs/msg/"
 
 @dataclass(frozen=True)
 class WatchedTopic:
-    """A topic that is watched.
+    """A monitored topic.
 
     Attributes:
         pattern: its name; ``<id>`` stands for one word.
         type_name: its type.
-        every: whether each message counts. Of the others the newest one, a few times a second, says all.
+        keeps_every_message: True if each message is needed; otherwise the newest one, a few times a second, is enough.
     """
 
     pattern: str
@@ -25,7 +25,7 @@ class WatchedTopic:
     every: bool
 
     def fits(self, topic: str) -> bool:
-        """Whether this is the topic."""
+        """True if a topic's name matches the pattern."""
         return re.fullmatch(self.pattern.replace("<id>", "[^/]+"), topic) is not None
 
 
@@ -53,11 +53,11 @@ TOPICS = (
     WatchedTopic("truth/attitude", MESSAGES + "ShipAttitude", True),
     WatchedTopic("truth/pointing", MESSAGES + "OpticalAxisPointing", True),
 )
-"""All that is watched. Inputs at a high rate are not: ``input_health`` tells how they do."""
+"""All monitored topics. Inputs at a high rate are not among them: ``input_health`` reports their state."""
 
 
 def watched_topic(topic: str, type_name: str | None = None) -> WatchedTopic | None:
-    """The row of a topic; None where it is not watched, or where its messages are of another type."""
+    """Return the entry of a topic; None if it is not monitored, or if its messages have another type."""
     for row in TOPICS:
         if row.fits(topic):
             return row if type_name in (None, row.type_name) else None
@@ -65,7 +65,7 @@ def watched_topic(topic: str, type_name: str | None = None) -> WatchedTopic | No
 
 
 def source_of_topic(topic: str) -> str:
-    """The source that an input topic comes from; empty where it belongs to none."""
+    """Return the source of an input topic; empty if it has none."""
     first, _, rest = topic.partition("/")
     if first in ("star", "reference") and "/" in rest:
         name = rest.partition("/")[0]
@@ -77,12 +77,12 @@ def source_of_topic(topic: str) -> str:
 
 
 def source_of_name(name: str) -> str:
-    """The source that an innovation or a hypothesis calls by this name; empty where it is none."""
+    """Return the source of a name in an innovation or a list of excluded sources; empty if it is none."""
     first, _, rest = name.partition(".")
     if first in ("star", "reference") and rest:
-        return "" if rest == "joint" else name  # the sensors together are no instrument
+        return "" if rest == "joint" else name  # the joint solution of all sensors is no source
     if "/" in name:
-        return source_of_topic(name) if name != "ship/attitude" else ""  # an output that failed bears its topic's name
+        return source_of_topic(name) if name != "ship/attitude" else ""  # a failed output is named by its topic
     whole = {
         "ins": "ins",
         "lights": "lights",
@@ -99,7 +99,7 @@ def source_of_name(name: str) -> str:
 
 
 def node_of(topic: str) -> str:
-    """The node that reads an input topic, for people; several nodes may read some."""
+    """Return the node that reads an input topic, for people; some topics have several readers."""
     if topic.startswith(("theodolite/", "beacon/", "ship/")):
         return "optical_axis"
     if topic.startswith("reference/") or topic.endswith(("/solution", "/horizon_attitude", "/inertial_attitude")):
@@ -108,7 +108,7 @@ def node_of(topic: str) -> str:
 
 
 def member_of(name: str) -> str:
-    """Which part of a source a name or a topic speaks of: "a" of "baseline.a" and "beacon/a/imu"; empty for all."""
+    """Return the member of a source in a name or topic: "a" of "baseline.a" and "beacon/a/imu"; empty for all."""
     if "/" in name:
         words = name.split("/")
         if words[0] == "beacon" and len(words) > 2:
@@ -123,6 +123,6 @@ _PLACES = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_a
 
 @functools.lru_cache(256)
 def place_of(source: str) -> tuple[int, str]:
-    """Where a source stands in the fixed order of all."""
+    """Return the sort key of a source in the fixed order of all sources."""
     first = source.partition(".")[0]
     return (_PLACES.index(first) if first in _PLACES else len(_PLACES), source)

@@ -1,4 +1,4 @@
-"""Whether the stated sigma of a source fits its innovations of the last minute."""
+"""Consistency of the stated sigma of a source with its innovations of the last minute (NIS test)."""
 
 import math
 from collections import deque
@@ -6,17 +6,17 @@ from collections import deque
 from ship_watch.picture import NisVerdict
 
 WINDOW_NS = 60_000_000_000
-"""Innovations of so long are looked at, ns."""
+"""Length of the window of innovations, ns."""
 
 BAND_SIGMAS = 3.3
-"""Half width of the band in which the ratio counts as stated, in its own sigmas: 99.9 % of all, both sides together."""
+"""Half width of the band in which the sigma is consistent, in sigmas of the ratio: two-sided probability 99.9 %."""
 
 WIDEST_BAND = 0.5
-"""A band wider than this tells nothing: fewer than 22 degrees of freedom."""
+"""Largest half width of the band for which a text is given: at least 22 degrees of freedom."""
 
 
 class NisWindow:
-    """Accepted innovations of one source over the last minute: their normalised squares and degrees of freedom."""
+    """Accepted innovations of one source in the last minute: sum of their NIS and of their degrees of freedom."""
 
     def __init__(self) -> None:
         self._entries: deque[tuple[int, float, int]] = deque()
@@ -24,7 +24,13 @@ class NisWindow:
         self._verdict: NisVerdict | None = None
 
     def add(self, now_ns: int, nis: float, degrees: int) -> None:
-        """Take the innovation of an accepted measurement; what is not finite is left out."""
+        """Add the innovation of an accepted measurement; a NIS that is not finite is ignored.
+
+        Args:
+            now_ns: caller's time, ns.
+            nis: normalised innovation squared.
+            degrees_of_freedom: number of its residuals.
+        """
         if degrees > 0 and math.isfinite(nis):
             self._entries.append((now_ns, nis, degrees))
             self._nis += nis
@@ -33,13 +39,12 @@ class NisWindow:
         self._forget(now_ns)
 
     def verdict(self, now_ns: int) -> NisVerdict:
-        """What the last minute says: r = √(mean NIS / degrees), within 1 ± 3.3/√(2 N) of N degrees in all as stated.
+        """Return the consistency of the last minute: r = √(NIS / N) of N degrees of freedom within 1 ± 3.3/√(2 N).
 
-        The sum of N squares of unit normals has the mean N and the variance 2 N, and its root over √N the sigma
-        1/√(2 N).
+        The sum of N squares of unit normals has mean N and variance 2 N, so that r has the sigma 1/√(2 N).
         """
         self._forget(now_ns)
-        if self._verdict is None:  # it is asked for more often than something comes
+        if self._verdict is None:  # called more often than innovations arrive
             self._verdict = self._judged()
         return self._verdict
 
@@ -62,16 +67,16 @@ class NisWindow:
             self._degrees -= degrees
             self._verdict = None
         if not entries:
-            self._nis = 0.0  # what rounding left
+            self._nis = 0.0  # remove rounding errors
 
 
 def as_stated(ratio: float) -> str:
-    """Words for a ratio of real to stated sigma that fits: "as stated (1.01)"."""
+    """Return the text of a consistent ratio of real to stated sigma: "as stated (1.01)"."""
     return f"as stated ({ratio:.2f})"
 
 
 def misfit(ratio: float) -> str:
-    """Words for one that does not: "optimistic by 1.6" where errors are larger than stated, "pessimistic by 2.0"."""
+    """Return the text of an inconsistent ratio: "optimistic by 1.6" if errors exceed the stated sigma."""
     factor = ratio if ratio > 1.0 else 1.0 / ratio
-    # As many digits as tell it from one.
+    # Two digits if one would round to 1.0.
     return f"{'optimistic' if ratio > 1.0 else 'pessimistic'} by {factor:.{2 if factor < 1.05 else 1}f}"

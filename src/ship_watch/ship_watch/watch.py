@@ -1,9 +1,9 @@
-"""The outputs of a suite, taken message by message, and what they come to at any moment.
+"""State of a suite at any time, from its messages.
 
-Whoever watches gives each message that it hears to :meth:`Watch.take`, and asks :meth:`Watch.look` for the picture. It
-needs no clock: times of arrival are the caller's, live a steady clock, of a bag the log times. Words and events are
-judged ten times a second of that time, whenever somebody looks, so that a bag read at once gives the same events as
-the same messages heard live.
+The caller passes each message to :meth:`SuiteMonitor.process_message` and gets the state from
+:meth:`SuiteMonitor.current_state`. Times of arrival are the caller's: live those of a steady clock, for a bag the log
+times. Safety and events are evaluated ten times a second of that time, however often the state is requested, so that a
+bag gives the same events as the live messages.
 """
 
 import functools
@@ -41,31 +41,33 @@ from ship_watch.states import COUNTDOWN, AngleClaim, HeldWord, TimeOver, angle_w
 from ship_watch.topics import node_of, source_of_topic, watched_topic
 
 STEP_NS = 100_000_000
-"""How often words and events are judged, ns."""
+"""Period at which safety and events are evaluated, ns."""
 
 LONGEST_GAP_NS = 120 * NS_PER_S
-"""In a gap longer than this nothing is judged any more: all that can become old has."""
+"""Longest gap without messages that is evaluated, ns: after it all ages are over their limits."""
 
 CLOCK_MET_NS = NS_PER_S // 10
+"""Distance of an output's stamp from the suite's time that confirms this time, ns."""
+
 CLOCK_DOUBT_NS = 5 * NS_PER_S
-"""The time of the suite is set anew where no output came within a tenth of a second of it for so long, ns."""
+"""Time without a confirming output after which the suite's time is set again, ns."""
 
 BACK_NS = NS_PER_S
-"""An output that is so much older than the one before it begins anew: a bag in a loop, ns."""
+"""Step back of an output's stamp that resets the history, ns: a bag is played in a loop."""
 
 _SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
 _POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
 _SHIP_NEEDS = ("ins", "star", "reference")
 _POINTING_NEEDS = ("encoder", "ship_attitude")
-"""Without these there is no output at all; without the others it is only worse."""
+"""Sources without which there is no output; without the others its quality is only reduced."""
 
 
 class Watch:
-    """What a suite puts out, judged against the limits of the ship.
+    """Evaluates the outputs of a suite against the limits of the ship.
 
     Args:
-        limits: of the ship.
-        keeper: makes what fills the history; for whom not all of it is drawn, one that fills less.
+        limits: limits of the ship.
+        make_recorder: makes the recorder of the history; a user that plots less passes one that records less.
     """
 
     def __init__(self, limits: Limits | None = None, keeper: Callable[[], HistoryKeeper] = HistoryKeeper) -> None:
@@ -78,15 +80,15 @@ class Watch:
 
     @property
     def history(self) -> History:
-        """What plots draw; another one after the data began anew."""
+        """History for plots; a new object after a reset."""
         return self._keeper.history
 
     def start_anew(self) -> None:
-        """Forget all that was heard but alerts: the data begin anew, as when a bag is played in a loop."""
+        """Reset everything except the alerts, as when a bag is played in a loop."""
         self._forget()
 
     def forget_alerts(self) -> None:
-        """There is no alert node any more: neither its alerts nor its state hold now."""
+        """Clear alerts and published state after the end of the alert node."""
         self._alerts, self._published = None, None
 
     def _forget(self) -> None:
@@ -105,34 +107,34 @@ class Watch:
         self._first_ns: int | None = None
         self._judged_ns: int | None = None
 
-    # -- what is heard --------------------------------------------------------------------------------------
+    # -- messages -------------------------------------------------------------------------------------------
 
     def take(self, topic: str, message: Any, arrival_ns: int) -> None:
-        """Take one message; topics that are not watched are passed over.
+        """Process one message; topics that are not monitored are ignored.
 
         Args:
-            topic: its name, relative to the namespace of the suite.
-            message: with the fields of its type as attributes.
-            arrival_ns: when it came, by the caller's steady time.
+            topic: name of its topic, relative to the namespace of the suite.
+            message: the message, with the fields of its type as attributes.
+            arrival_ns: time of its arrival, caller's steady time, ns.
         """
         taker = self._takers.get(topic) or self._taker(topic)
         if taker is not None:
             self._takers[topic] = taker
             self._judge_until(arrival_ns)
-            with np.errstate(all="ignore"):  # what makes no sense becomes NaN, which no gate lets through
+            with np.errstate(all="ignore"):  # invalid values become NaN, which fails every comparison
                 taker(message, arrival_ns)
 
     def take_state(self, message: Any, arrival_ns: int) -> None:
-        """Take a SuiteState: while such messages come, angles and sources are shown as they contain them.
+        """Process a SuiteState message: while such messages arrive, angles and sources are taken from them.
 
         Raises:
-            ValueError: it contains a safety or a presence that does not exist.
+            ValueError: the message contains a safety or a presence that does not exist.
         """
         self._judge_until(arrival_ns)
         self._published = published_state(message, arrival_ns)
 
     def _taker(self, topic: str) -> Callable[[Any, int], None] | None:
-        """What takes the messages of a topic; None where it is not watched."""
+        """Return the handler of a topic's messages; None if it is not monitored."""
         if watched_topic(topic) is None or not has_room(self._takers, topic, "topic"):
             return None
         keeper = self._keeper
@@ -157,7 +159,7 @@ class Watch:
         stamp_ns = ns_from_stamp(message.header.stamp)
         if message.status != Status.INVALID and stamp_ns < output.stamp_ns - BACK_NS:
             self._forget()
-            self._events.tell("node", "time", "time went back: the data begin anew", stamp_ns)
+            self._events.tell("node", "time", "time went back: history cleared", stamp_ns)
             output = self._attitude if output.topic == self._attitude.topic else self._pointing
         self._note_time(stamp_ns, now_ns)
         changes = output.note(message, stamp_ns, now_ns)
@@ -200,9 +202,9 @@ class Watch:
         self._alerts = tuple(sorted(alerts, key=lambda alert: alert.urgency))
 
     def _note_time(self, stamp_ns: int, now_ns: int) -> None:
-        """The suite's time is that of the output with the least delay, plus what has passed since.
+        """Update the suite's time: the stamp of the output with the least delay, plus the time since its arrival.
 
-        Where all outputs are behind that for some seconds, one stamp was wrong, or the clock was set.
+        If all outputs are older for some seconds, that stamp was wrong or the clock was set: the time is set again.
         """
         offset_ns = stamp_ns - now_ns
         if offset_ns > self._utc_offset_ns or not self._newest_ns or now_ns - self._offset_met_ns > CLOCK_DOUBT_NS:
@@ -211,10 +213,10 @@ class Watch:
             self._offset_met_ns = now_ns
         self._newest_ns = max(self._newest_ns, stamp_ns)
 
-    # -- what it comes to -----------------------------------------------------------------------------------
+    # -- state ----------------------------------------------------------------------------------------------
 
     def look(self, now_ns: int) -> Picture:
-        """The picture of this moment, by the caller's time; it is the same however often somebody looks."""
+        """Return the state at the caller's time; it does not depend on how often it is requested."""
         self._judge_until(now_ns)
         utc_ns = now_ns + self._utc_offset_ns
         sources = [self._with_own_news(each, now_ns) for each in self._book.shown(self._standings(now_ns), now_ns)]
@@ -239,18 +241,18 @@ class Watch:
         return picture if published is None else published.shown_in(picture, now_ns)
 
     def _current_state(self, now_ns: int) -> PublishedState | None:
-        """Return the published state that is shown now; None where there is no alert node, or it is late."""
+        """Return the published state if it is current; None without an alert node, or if its last state is too old."""
         published = self._published
         return published if published is not None and published.is_current(now_ns) else None
 
     def _with_own_news(self, source: SourceShown, now_ns: int) -> SourceShown:
-        """Return a source with what outputs show of it: a shifted mounting; of the INS an age newer than reports."""
+        """Return a source with data from the outputs: its mounting shift, and the age of the INS."""
         shift = self._mountings.shift_of(source.name, now_ns + self._utc_offset_ns)
         age_s = self._attitude.ins_age_s(source.age_s, now_ns) if source.name == "ins" else source.age_s
         return replace(source, mounting_shift=shift, age_s=age_s)
 
     def _judge_until(self, now_ns: int) -> None:
-        """Judge at each step of time until now; messages that came before are judged with what came before them."""
+        """Evaluate at each step of time until now, before a message that arrives now is processed."""
         if self._judged_ns is None:
             self._judged_ns = self._first_ns = now_ns - now_ns % STEP_NS
         if now_ns - self._judged_ns > LONGEST_GAP_NS:
@@ -263,7 +265,7 @@ class Watch:
         return self._behind.attributed(self._book.standings(now_ns, self._utc_offset_ns), now_ns)
 
     def _judge(self, now_ns: int) -> None:
-        """Judge sources and angles, and tell the events: of the published state where there is a current one."""
+        """Evaluate sources and angles and record their events; a current published state takes their place."""
         sources, utc_ns = self._standings(now_ns), now_ns + self._utc_offset_ns
         words: dict[str, tuple[Safety, str]] = {}
         for name, claim in self._claims(sources, now_ns).items():
@@ -293,7 +295,7 @@ class Watch:
             self._keeper.note_words(utc_ns, told)
 
     def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, AngleClaim]:
-        """Return what is claimed of each angle; of those of a theodolite where there is one.
+        """Return the data for the safety of each angle; those of a theodolite only if there is one.
 
         An output that is old while a node has stopped reporting has stopped with that node: no source is its cause.
         """

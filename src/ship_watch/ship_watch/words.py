@@ -1,6 +1,6 @@
-"""Numbers of a picture as people read them: the page, the terminal, the report and the log say them alike.
+"""Values as texts for people, the same on page, terminal, report and log.
 
-Minus is "−" (U+2212), a minute of arc never appears, and no sign stands where a word can: "bow up", "port down".
+Minus is "−" (U+2212). Minutes of arc are not used. Words replace signs where possible: "bow up", "port down".
 """
 
 import math
@@ -12,23 +12,23 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch.picture import AngleShown
 
 NO_VALUE = "—"
-"""What stands where there is no number."""
+"""Text for a missing number."""
 
 DASHES_AFTER_S = 60.0
-"""After so long an old value is not shown any more, only its age, s."""
+"""Age from which an old value is replaced by dashes, s."""
 
 _SENSES = {"pitch": ("bow up", "bow down"), "roll": ("port up", "port down")}
 
 
 class Reading(NamedTuple):
-    """The number of an angle with its degree sign, and the word that stands for its sign or its north."""
+    """Number of an angle with its degree sign, and the word for its sense or its north."""
 
     number: str
     sense: str
 
 
 def reading(angle: AngleShown) -> Reading:
-    """An angle in degrees: 034.39° true, 0.1° bow down, 359.88°, +68.74°; dashes where it is unknown or too old."""
+    """Return an angle in degrees: 034.39° true, 0.1° bow down, 359.88°, +68.74°; a dash if unknown or too old."""
     if not math.isfinite(angle.value) or (angle.is_old and angle.age_s > DASHES_AFTER_S):
         return Reading(NO_VALUE, "true" if angle.name == "heading" else "")
     degrees = math.degrees(angle.value)
@@ -43,7 +43,7 @@ def reading(angle: AngleShown) -> Reading:
 
 
 def angle_size(value: float) -> str:
-    """A small angle without its sign: 4.2″, 120″, 1.3°; a dash where it is unknown.
+    """Return the size of a small angle: 4.2″, 120″, 1.3°; a dash if unknown.
 
     Args:
         value: the angle, rad.
@@ -57,19 +57,19 @@ def angle_size(value: float) -> str:
 
 
 def limit_size(value: float) -> str:
-    """A limit: 5″, 2.5″; a dash where there is none. ``value`` in rad."""
+    """Return a limit: 5″, 2.5″; a dash without one. ``value`` in rad."""
     return f"{abs(value) / ARCSEC:.6g}″" if math.isfinite(value) else NO_VALUE
 
 
 def accuracy(angle: AngleShown) -> str:
-    """The 95 % accuracy of an angle, ±4.2″; where its value is old, how old it is."""
+    """Return the 95 % accuracy of an angle, ±4.2″; for an old value its age, OLD 12 s."""
     if angle.is_old:
         return f"OLD {age(angle.age_s)}" if math.isfinite(angle.age_s) else NO_VALUE
     return f"±{angle_size(angle.accuracy_95)}" if math.isfinite(angle.accuracy_95) else NO_VALUE
 
 
 def age(seconds: float) -> str:
-    """A time span with one unit: 0.5 s, 12 s, 5 min, 3 h, 2 d; "never" where it is infinite, a dash where unknown."""
+    """Return a time span with one unit: 0.5 s, 12 s, 5 min, 3 h, 2 d; "never" if infinite, a dash if unknown."""
     if math.isnan(seconds):
         return NO_VALUE
     if math.isinf(seconds):
@@ -83,16 +83,16 @@ def age(seconds: float) -> str:
 
 
 def clock(utc_ns: int) -> str:
-    """The time of day, UTC: 12:00:07; dashes before the first. ``utc_ns`` is POSIX time in ns."""
+    """Return the time of day, UTC: 12:00:07; dashes for 0. ``utc_ns`` is POSIX time in ns."""
     return f"{datetime.fromtimestamp(utc_ns // 1_000_000_000, timezone.utc):%H:%M:%S}" if utc_ns > 0 else "--:--:--"
 
 
 def local_clock(utc_ns: int, zone: ZoneInfo | None) -> str:
-    """The local time of day with the name of its offset: 14:00:07 CEST; empty without a zone, dashes before the first.
+    """Return the local time of day with the name of its offset: 14:00:07 CEST; empty without a zone, dashes for 0.
 
     Args:
         utc_ns: POSIX time, ns.
-        zone: time zone of the ship or of the people who watch.
+        zone: time zone of the ship or of the watch officer.
     """
     if zone is None:
         return ""
@@ -104,7 +104,7 @@ def local_clock(utc_ns: int, zone: ZoneInfo | None) -> str:
 
 
 def date_and_clock(utc_ns: int) -> str:
-    """Day and time to the millisecond, UTC: 2026-05-01 12:00:07.250; dashes before the first."""
+    """Return day and time, UTC, to the millisecond: 2026-05-01 12:00:07.250; dashes for 0."""
     if utc_ns <= 0:
         return "--"
     seconds, rest_ns = divmod(utc_ns, 1_000_000_000)

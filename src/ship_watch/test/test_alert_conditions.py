@@ -1,4 +1,4 @@
-"""Which situations are alerts: each row of the table in docs/explanation/alerts.md, and one alert for one situation."""
+"""Situations that are alerts: each row of the table in docs/explanation/alerts.md; one alert for one situation."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -28,13 +28,13 @@ from ship_watch.picture import Picture, Presence, Priority, Safety
 
 S = 1_000_000_000
 PAGE = Path(__file__).parents[3] / "docs/explanation/alerts.md"
-UNCHECKED = {"safety": Safety.CAUTION, "reason": "nothing checks it"}
+UNCHECKED = {"safety": Safety.CAUTION, "reason": "no independent check"}
 LIMITS = replace(Limits(), inputs={"gnss": InputLimits(rate_hz=1.5)})
 
 
 def node(name: str, level: int = 2, **values: str) -> Machine:
-    """One status of a node."""
-    return Machine((NodeStatus("ship_attitude", name, level, "what it says", values),))
+    """Return a computer with one status of a node."""
+    return Machine((NodeStatus("ship_attitude", name, level, "text of the node", values),))
 
 
 ATTITUDE, ANGLES_OF_POINTING = ("heading", "pitch", "roll"), ("azimuth", "elevation")
@@ -50,19 +50,19 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("pointing.degraded", "alarm"): (picture(lost("elevation")), None),
     ("pointing.degraded", "warning"): (picture(over("azimuth")), None),
     ("pointing.degraded", "caution"): (picture(angle("azimuth", **UNCHECKED)), None),
-    ("stars.out", "warning"): (picture(out("star.fore", "silent"), out("star.starboard", "silent")), None),
-    ("ins.out", "warning"): (picture(out("ins", "81 refused in a row")), None),
+    ("stars.out", "warning"): (picture(out("star.fore", "no data"), out("star.starboard", "no data")), None),
+    ("ins.out", "warning"): (picture(out("ins", "81 rejected in a row")), None),
     ("star.ID.out", "warning"): (picture(out("star.fore", "excluded")), None),
     ("star.ID.out", "caution"): (picture(out("star.fore", "no stars")), None),
-    ("reference.ID.out", "warning"): (picture(out("reference.mast", "silent")), None),
+    ("reference.ID.out", "warning"): (picture(out("reference.mast", "no data")), None),
     ("star.ID.remounted", "caution"): (picture(source("star.fore", mounting_shift=51.0 * ARCSEC)), None),
     ("reference.ID.remounted", "caution"): (picture(source("reference.mast", mounting_shift=51.0 * ARCSEC)), None),
-    ("encoder.out", "warning"): (picture(out("encoder", "silent")), None),
-    ("lights.out", "caution"): (picture(out("lights", "7 refused in a row")), None),
-    ("baselines.out", "caution"): (picture(out("baselines", "silent")), None),
+    ("encoder.out", "warning"): (picture(out("encoder", "no data")), None),
+    ("lights.out", "caution"): (picture(out("lights", "7 rejected in a row")), None),
+    ("baselines.out", "caution"): (picture(out("baselines", "no data")), None),
     ("ship_attitude.out", "caution"): (picture(out("ship_attitude", "invalid")), None),
-    ("gnss.out", "caution"): (picture(out("gnss", "silent")), None),
-    ("weather.out", "caution"): (picture(out("weather", "silent")), None),
+    ("gnss.out", "caution"): (picture(out("gnss", "no data")), None),
+    ("weather.out", "caution"): (picture(out("weather", "no data")), None),
     ("SOURCE.unreported", "warning"): (picture(out("star.fore", "not reported", because_of="its node")), None),
     ("SOURCE.mended", "caution"): (picture(source("lights", disagreement="names exchanged")), None),
     ("SOURCE.rate", "caution"): (picture(source("gnss", rate_hz=1.0)), None),
@@ -83,7 +83,7 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
 
 
 def told(shown: Picture, machine: Machine | None = None) -> dict[str, Condition]:
-    """What becomes an alert after a minute, through a book, by id."""
+    """Return id → situation of those that have an alert after 20 s."""
     book = AlertBook(Limits().alerts)
     found = conditions(shown, LIMITS, machine)
     for tenth in range(200):
@@ -94,15 +94,15 @@ def told(shown: Picture, machine: Machine | None = None) -> dict[str, Condition]
 
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_each_row_is_one_alert(case: tuple[str, str]) -> None:
-    """The situation of a row gives one alert, with its id and its priority."""
+    """The situation of a row gives one alert with its id and priority."""
     (found,) = told(*CASES[case]).values()
     assert (kind_of(found.id), found.priority.name.lower()) == case
     assert "\n" not in found.text
     assert len(found.text) < 90
 
 
-def test_table_for_people_is_that_of_the_code() -> None:
-    """docs/explanation/alerts.md names each id with all priorities that it may have by itself, and none besides."""
+def test_documented_table_matches_the_code() -> None:
+    """docs/explanation/alerts.md has each id with exactly its own priorities, and the advice of the code."""
     rows = [line.split("|")[1:-1] for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
     table = {(row[0].strip().strip("`"), word.strip()) for row in rows for word in row[1].split(",")}
     assert table == set(CASES)
@@ -110,21 +110,21 @@ def test_table_for_people_is_that_of_the_code() -> None:
     assert {row[0].strip().strip("`"): row[4].strip() for row in rows} == ADVICE
 
 
-def test_accuracy_over_its_limit_says_where_to_look() -> None:
+def test_accuracy_over_its_limit_refers_to_the_error_budget() -> None:
     (found,) = told(picture(over("roll"))).values()
     assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
 
 
-def test_function_that_is_good_again_says_so_until_its_word_is_better() -> None:
-    """Neither over its limit nor unchecked: the tree says what is true now."""
+def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
+    """The diagnostics of a function within its limit again have the current reason."""
     reason = "within 3″ again; SAFE in 4 s"
     well_again = replace(over("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
     branches = {branch.path: (branch.level, branch.text) for branch in tree(picture(well_again), PICTURED)}
-    assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ of 3″ (95 %)")
+    assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ (95 %), limit 3″")
 
 
-def test_alert_rests_on_the_word_of_this_moment() -> None:
-    """The shown word waits before it gets better; the book of alerts has a patience of its own, and one is enough."""
+def test_alert_uses_the_safety_without_hold() -> None:
+    """The displayed safety has a hold; alerts have a hold of their own and use the safety without hold."""
     well_again = replace(over("roll", "ins", share=0.98), now=(Safety.SAFE, ""))
     assert conditions(picture(well_again), LIMITS) == []
     worse_now = replace(over("roll"), now=(Safety.UNSAFE, "invalid"))
@@ -132,37 +132,37 @@ def test_alert_rests_on_the_word_of_this_moment() -> None:
     assert (found.priority, found.text) == (Priority.ALARM, "Tilt lost: invalid")
 
 
-def test_function_that_is_over_its_limit_for_a_moment_is_no_alert_and_a_lost_one_is() -> None:
-    """The words of an angle tell the moment; where a source takes it away, the source's alert does so at once."""
+def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
+    """A brief excess is no alert of the output, but the alert of a source that causes it names it at once."""
     moment = {"over_s": 4.9}
     assert conditions(picture(replace(over("roll"), **moment)), LIMITS) == []
     assert list(told(picture(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
-    by_ins = conditions(picture(out("ins", "silent"), replace(over("roll", "ins"), **moment)), LIMITS)
+    by_ins = conditions(picture(out("ins", "no data"), replace(over("roll", "ins"), **moment)), LIMITS)
     assert [each.lost for each in by_ins] == [{"tilt"}]
 
 
 def test_all_well_is_no_alert() -> None:
-    """Nothing at all, with good statuses of nodes, too."""
+    """No alert without faults, also with good statuses of nodes."""
     assert conditions(picture(), LIMITS, node("black box", 0)) == []
     assert conditions(picture(), LIMITS, node("callbacks", 1)) == []
 
 
-def test_what_a_source_takes_away_is_told_with_it() -> None:
-    """The INS is silent, heading and tilt and the pointing are lost: one alarm that names the INS and what is lost."""
+def test_alert_of_a_source_names_the_lost_functions() -> None:
+    """INS without data, heading, tilt and pointing lost: one alarm that names the INS and the lost functions."""
     angles = [lost(name, "ins") for name in (*ATTITUDE, "azimuth", "elevation")]
-    found = told(picture(out("ins", "silent", age_s=4.0), *angles))
+    found = told(picture(out("ins", "no data", age_s=4.0), *angles))
     assert list(found) == ["ins.out"]
     alert = found["ins.out"]
     assert (alert.priority, alert.source) == (Priority.ALARM, "ins")
-    assert alert.text == "Heading, tilt and pointing lost: ins silent"
+    assert alert.text == "Heading, tilt and pointing lost: ins no data"
     assert (alert.value, alert.unit) == (4.0, "s")
     assert alert.lost == {"heading", "tilt", "pointing"}
 
 
-def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -> None:
-    """The drones are on deck and the INS stops: the pointing is lost because of the INS, not of the lights."""
+def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None:
+    """Drones on deck and no INS data: the pointing is lost because of the INS, not of the lights."""
     angles = [lost(name, "ins") for name in ATTITUDE] + [lost(name, "lights") for name in ANGLES_OF_POINTING]
-    shown = picture(out("lights", "no lights"), out("ins", "silent"), *angles)
+    shown = picture(out("lights", "no lights"), out("ins", "no data"), *angles)
     found = told(shown)
     assert {id_: one.priority for id_, one in found.items()} == {
         "ins.out": Priority.ALARM,
@@ -172,47 +172,47 @@ def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -
     assert blamed == dict.fromkeys(("heading", "tilt", "pointing"), "ins")
 
 
-def test_all_stars_out_for_one_reason_are_one_situation() -> None:
-    """For two reasons they are two; what they need of others is told with the others."""
+def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
+    """Two reasons are two situations; sensors that need another source are covered by its alert."""
     taken = over("heading", "star.fore")
-    both = told(picture(out("star.fore", "silent"), out("star.starboard", "silent"), taken))
+    both = told(picture(out("star.fore", "no data"), out("star.starboard", "no data"), taken))
     assert list(both) == ["stars.out"]
-    assert both["stars.out"].text == "Heading over its limit: all star sensors silent"
+    assert both["stars.out"].text == "Heading over its limit: all star sensors no data"
     assert both["stars.out"].becomes_alarm
-    two = told(picture(out("star.fore", "silent"), out("star.starboard", "81 refused in a row"), taken))
+    two = told(picture(out("star.fore", "no data"), out("star.starboard", "81 rejected in a row"), taken))
     assert sorted(two) == ["star.fore.out", "star.starboard.out"]
     needs = [out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("fore", "starboard")]
-    assert list(told(picture(out("ins", "silent"), *needs))) == ["ins.out"]
+    assert list(told(picture(out("ins", "no data"), *needs))) == ["ins.out"]
 
 
-def test_node_that_is_gone_is_one_situation() -> None:
-    """No attitude comes, nothing is reported of its sources, the pointing is invalid: one alarm."""
+def test_ended_node_is_one_situation() -> None:
+    """No attitude, no reports of its sources, invalid pointing: one alarm."""
     gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.fore", "star.starboard")]
     angles = [*silent(*ATTITUDE), lost("azimuth"), lost("elevation")]
     assert list(told(picture(*gone, *angles))) == ["attitude.silent"]
 
 
-def test_suite_that_only_points_misses_no_attitude() -> None:
-    """A pointing is heard, an attitude never was: nobody asked for it."""
+def test_suite_with_pointing_only_needs_no_attitude() -> None:
+    """A suite with a pointing that never published an attitude has no attitude functions."""
     shown = picture(*never_heard(*ATTITUDE))
     assert told(shown) == {}
     assert [one.safety for one in functions(shown)] == [None, None, Safety.SAFE]
 
 
-def test_texts_hold_no_figure_that_runs() -> None:
-    """The next look tells of the same situation with the same words."""
+def test_texts_have_no_changing_figures() -> None:
+    """The next update has the same text for the same situation."""
     texts = set()
     for count in (5, 81):
         shown = picture(
-            out("star.fore", f"{count} refused in a row", disagreement=f"right +{count}″", age_s=count),
+            out("star.fore", f"{count} rejected in a row", disagreement=f"right +{count}″", age_s=count),
             angle("heading", **{**UNCHECKED, "reason": f"no stars for {count} s"}),
         )
         texts |= {each.text for each in conditions(shown, LIMITS)}
-    assert texts == {"star.fore out: refused in a row", "Heading unchecked: no stars"}
+    assert texts == {"star.fore out: rejected in a row", "Heading unchecked: no stars"}
 
 
-def test_box_may_lose_what_the_limits_allow() -> None:
-    """Entries within the limit are no alert; a box that ended is one whatever the limit."""
+def test_black_box_may_lose_entries_within_the_limit() -> None:
+    """Lost entries within the limit are no alert; a black box that ended always is one."""
     patient = replace(LIMITS, machine=replace(LIMITS.machine, box_lost=20))
     assert conditions(picture(), patient, node("black box", lost="12")) == []
     assert len(conditions(picture(), patient, node("black box", lost="21"))) == 1
@@ -221,8 +221,8 @@ def test_box_may_lose_what_the_limits_allow() -> None:
 
 
 def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
-    """The pointing is lost because the ship's attitude comes too late: cause and consequence in one alert."""
-    late = out("ship_attitude", "81 refused in a row: late", topics=("ship/attitude",))
+    """Pointing lost because the ship's attitude arrives too late: cause and consequence are one alert."""
+    late = out("ship_attitude", "81 rejected in a row: late", topics=("ship/attitude",))
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
     angles = [lost(name, "ship_attitude") for name in ANGLES_OF_POINTING]
     (found,) = told(picture(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
@@ -231,22 +231,22 @@ def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
     assert alone.text == "ship_attitude out: arrives late"
 
 
-def test_what_is_lost_stands_before_what_is_over_its_limit() -> None:
-    """The worst comes first, whatever the order of the functions."""
-    (found,) = told(picture(out("ins", "silent"), over("heading", "ins"), lost("roll", "ins"))).values()
-    assert found.text == "Tilt lost, heading over its limit: ins silent"
+def test_lost_functions_come_before_those_over_their_limit() -> None:
+    """The worst function comes first in the text, in any order of the functions."""
+    (found,) = told(picture(out("ins", "no data"), over("heading", "ins"), lost("roll", "ins"))).values()
+    assert found.text == "Tilt lost, heading over its limit: ins no data"
 
 
-def test_tree_names_the_input_that_takes_a_function_away() -> None:
-    """Each function with its limit, under it its sources; the guilty one is an error where the function is lost."""
+def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
+    """Each function is listed with its limit and its sources; the source that causes a loss is an error."""
     angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
-    shown = picture(out("ins", "81 refused in a row", disagreement="up +100″"), *angles)
+    shown = picture(out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in tree(shown, PICTURED)}
-    assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy of 5″ (95 %)")
-    assert branches["heading within 5″/ins"] == (2, "out: 81 refused in a row, up +100″, for this heading lost")
-    assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ of 3″ (95 %)")
+    assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy, limit 5″")
+    assert branches["heading within 5″/ins"] == (2, "out: 81 rejected in a row, up +100″, therefore heading lost")
+    assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ (95 %), limit 3″")
     assert branches["tilt within 3″/star.fore"] == (0, "in")
-    assert branches["pointing within 10″"] == (0, "safe: 5.3″ of 10″ (95 %)")
+    assert branches["pointing within 10″"] == (0, "safe: 5.3″ (95 %), limit 10″")
     assert branches["pointing within 10″/ins"][0] == 1
     assert "heading within 5″/lights" not in branches
     off = picture(source("gnss", presence=Presence.OFF))

@@ -1,7 +1,7 @@
-"""The state table of alerts: what each event makes of each state, for warnings, alarms and cautions.
+"""State table of alerts: next state for each event and state, for warnings, alarms and cautions.
 
-The rows are written from IMO MSC.302(87), section 7 (unacknowledged, silenced for a while, acknowledged, rectified
-without acknowledgement), not from the code.
+The rows are from IMO MSC.302(87), section 7 (unacknowledged, silenced for a while, acknowledged, rectified without
+acknowledgement), not from the code.
 """
 
 import itertools
@@ -53,18 +53,18 @@ def test_transition() -> None:
 
 
 def check_transition(priority: Priority, before: str, event: str, after: str) -> None:
-    """One event in one state."""
+    """Check the next state for one event in one state."""
     assert next_state(STATES[before], AlertEvent[event], priority) is STATES[after]
 
 
-def test_table_is_whole() -> None:
-    """Every event is a row, and the numbers of the states are those of the message."""
+def test_table_is_complete() -> None:
+    """Every event is a row; the numbers of the states are those of the message."""
     assert set(WARNING_ROWS) == set(CAUTION_ROWS) == {event.name for event in AlertEvent}
     assert [state.value for state in AlertState] == [0, 1, 2, 3, 4]
 
 
 def test_caution_is_never_unacknowledged() -> None:
-    """From NORMAL, no run of events leads a caution into a third state."""
+    """From NORMAL, no sequence of events leads a caution to a third state."""
     for events in itertools.product(AlertEvent, repeat=3):
         state = AlertState.NORMAL
         for event in events:

@@ -1,4 +1,4 @@
-"""The book of alerts: flapping, escalation, acknowledgement, restart, and one alert for one situation."""
+"""List of alerts: flapping, escalation, acknowledgement, restart, and one alert for one situation."""
 
 import json
 import math
@@ -19,7 +19,7 @@ OUT = Condition("star.bow.out", Priority.WARNING, "star.bow", "star.bow out: ref
 
 
 class Voyage:
-    """A book that is looked at four times a second."""
+    """A list of alerts that is updated four times a second."""
 
     def __init__(self, book: AlertBook | None = None, start_s: float = 0.0) -> None:
         self.book = book or AlertBook(TIMES)
@@ -27,7 +27,7 @@ class Voyage:
         self.changes: list[AlertChange] = []
 
     def go(self, seconds: float, *conditions: Condition) -> list[AlertChange]:
-        """Let these situations last for some time; what changed."""
+        """Update with these situations for some time; return the changes."""
         before = len(self.changes)
         for _ in range(round(4 * seconds)):
             self.now_s += 0.25
@@ -36,16 +36,16 @@ class Voyage:
         return self.changes[before:]
 
     def acknowledge(self, id_: str, instance: int = 1) -> str:
-        """Acknowledge at this moment; what the book says."""
+        """Acknowledge an alert now; return the text of the answer."""
         return self.book.acknowledge(id_, instance, UTC + round(self.now_s * S))[1]
 
     def states(self) -> dict[str, str]:
-        """Priority and state of each alert."""
+        """Return priority and state of each alert."""
         return {alert.id: f"{alert.priority.name} {AlertState(alert.state).name}" for alert in self.book.alerts}
 
 
 def test_situation_is_raised_once_and_over_after_its_hold() -> None:
-    """A warning comes, is acknowledged, and is gone five seconds after its situation."""
+    """A warning is raised, acknowledged, and over five seconds after its situation."""
     voyage = Voyage()
     changes = voyage.go(30.0, OUT)
     assert [change.what for change in changes] == ["raised"]
@@ -56,8 +56,8 @@ def test_situation_is_raised_once_and_over_after_its_hold() -> None:
     assert voyage.book.alerts == ()
 
 
-def test_situation_that_went_stays_until_acknowledged() -> None:
-    """Nobody saw it: it is shown as rectified, and over with the acknowledgement."""
+def test_alert_of_a_past_situation_stays_until_acknowledged() -> None:
+    """An unacknowledged alert becomes rectified, and is over with its acknowledgement."""
     voyage = Voyage()
     voyage.go(1.0, OUT)
     voyage.go(3600.0)
@@ -68,7 +68,7 @@ def test_situation_that_went_stays_until_acknowledged() -> None:
 
 @pytest.mark.parametrize("period_s", [0.5, 1.0, 2.0, 5.0, 9.0])
 def test_flapping_input_gives_one_alert(period_s: float) -> None:
-    """An hour of flapping, half of the time there: one instance, raised once, and one change when acknowledged."""
+    """An hour of flapping with a duty cycle of a half: one instance, raised once."""
     voyage = Voyage()
     for _ in range(round(3600.0 / period_s)):
         voyage.go(period_s / 2.0, OUT)
@@ -84,7 +84,7 @@ def test_flapping_input_gives_one_alert(period_s: float) -> None:
 
 
 def test_slow_flapping_is_held_longer_each_time() -> None:
-    """Half a minute there, half not, acknowledged at once each time: holds of 5, 10, 20, 40 s, then one alert."""
+    """30 s present, 30 s absent, acknowledged each time: holds of 5, 10, 20, 40 s, then a single alert."""
     voyage = Voyage()
     for _ in range(60):
         for change in voyage.go(30.0, OUT):
@@ -95,8 +95,8 @@ def test_slow_flapping_is_held_longer_each_time() -> None:
     assert voyage.book.alerts[0].instance == 4
 
 
-def test_random_flapping_never_shows_two_alerts_of_one_situation() -> None:
-    """Whatever the pattern, one id is one alert, its instances count up by one, and it never goes unacknowledged."""
+def test_random_flapping_never_gives_two_alerts_of_one_situation() -> None:
+    """For any pattern one id has one alert, its instances count up by one, and it never ends unacknowledged."""
     for seed in range(20):
         draws = np.random.default_rng(seed)
         voyage = Voyage()
@@ -110,8 +110,8 @@ def test_random_flapping_never_shows_two_alerts_of_one_situation() -> None:
 
 
 def test_random_situations_keep_the_rules() -> None:
-    """Whatever comes and goes in whatever priority and words: a caution is never unacknowledged, nothing that nobody
-    acknowledged vanishes or gets less urgent, an instance is never used twice."""
+    """For random situations, priorities and texts: a caution is never unacknowledged, an unacknowledged alert never
+    disappears or gets a lower priority, and an instance is never used twice."""
     for seed in range(20):
         draws = np.random.default_rng(seed)
         voyage = Voyage()
@@ -132,8 +132,8 @@ def test_random_situations_keep_the_rules() -> None:
         assert len(set(raised)) == len(raised)
 
 
-def test_more_lost_than_acknowledged_is_told_anew() -> None:
-    """The tilt goes after the heading was acknowledged: a new instance; before it, another text of the same one."""
+def test_more_lost_functions_than_acknowledged_give_a_new_instance() -> None:
+    """A tilt lost after the acknowledgement of the heading is a new instance; before it, a new text of the same one."""
     voyage = Voyage()
     heading = replace(OUT, text="out; heading", lost=frozenset({"heading"}))
     both = replace(OUT, text="out; heading and tilt", lost=frozenset({"heading", "tilt"}))
@@ -145,24 +145,24 @@ def test_more_lost_than_acknowledged_is_told_anew() -> None:
         voyage.go(0.5, both)
     assert voyage.book.alerts[0].instance == 1
     pointing = replace(both, lost=both.lost | {"pointing"})
-    assert [change.what for change in voyage.go(1.0, pointing)] == ["pointing as well"]
+    assert [change.what for change in voyage.go(1.0, pointing)] == ["now also affects pointing"]
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     assert voyage.book.alerts[0].instance == 2
 
 
-def test_text_that_flickers_is_not_told_each_time() -> None:
-    """Words change when they have lasted; what flips at each look stays as it was."""
+def test_flickering_text_is_not_taken_over() -> None:
+    """A text is taken over when it has lasted; one that flips at each update is not."""
     voyage = Voyage()
     voyage.go(1.0, OUT)
     voyage.acknowledge("star.bow.out")
     for _ in range(100):
-        assert voyage.go(0.5, replace(OUT, text="silent")) == []
+        assert voyage.go(0.5, replace(OUT, text="no data")) == []
         assert voyage.go(0.5, OUT) == []
-    assert [change.alert.text for change in voyage.go(10.0, replace(OUT, text="silent"))] == ["silent"]
+    assert [change.alert.text for change in voyage.go(10.0, replace(OUT, text="no data"))] == ["no data"]
 
 
-def test_glitch_of_one_look_is_no_alert() -> None:
-    """What is gone at the next look was not told."""
+def test_glitch_of_one_update_is_no_alert() -> None:
+    """A situation that is over at the next update is not raised."""
     voyage = Voyage()
     for _ in range(20):
         voyage.go(0.25, OUT)
@@ -170,8 +170,8 @@ def test_glitch_of_one_look_is_no_alert() -> None:
     assert voyage.changes == []
 
 
-def test_glitch_of_one_look_makes_no_alert_graver() -> None:
-    """Graver, too, is told when it has lasted, or was there twice within a second; so is what is lost beside."""
+def test_glitch_of_one_update_does_not_escalate_an_alert() -> None:
+    """An escalation or a further loss must last, or appear twice within a second."""
     alarm = replace(OUT, priority=Priority.ALARM)
     more = replace(OUT, lost=frozenset({"tilt"}))
     for graver in (alarm, more):
@@ -187,14 +187,14 @@ def test_glitch_of_one_look_makes_no_alert_graver() -> None:
 
 
 def test_unacknowledged_warning_becomes_an_alarm() -> None:
-    """A warning of something lost becomes an alarm after a minute, and keeps being one until it is acknowledged."""
+    """A warning of a lost function becomes an alarm after a minute, and stays one until acknowledged."""
     voyage = Voyage()
     lost = replace(OUT, becomes_alarm=True)
     voyage.go(60.0, lost)
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     changes = voyage.go(0.5, lost)
-    assert [change.what for change in changes] == ["became an alarm: nobody acknowledged it for 60 s"]
-    # Who has seen the warning has not seen the alarm.
+    assert [change.what for change in changes] == ["became an alarm: not acknowledged for 60 s"]
+    # An acknowledgement of the warning does not count for the alarm.
     assert voyage.book.acknowledge("star.bow.out", 1, 0)[0] is None
     voyage.go(600.0, lost)
     assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
@@ -204,7 +204,7 @@ def test_unacknowledged_warning_becomes_an_alarm() -> None:
 
 
 def test_unacknowledged_warning_is_repeated() -> None:
-    """One that takes nothing away is told again each minute, as a warning; an acknowledged one is not."""
+    """An unacknowledged warning without lost functions is repeated each minute; an acknowledged one is not."""
     voyage = Voyage()
     changes = voyage.go(301.0, OUT)
     assert [change.what[:8] for change in changes] == ["raised"] + ["repeated"] * 5
@@ -216,7 +216,7 @@ def test_unacknowledged_warning_is_repeated() -> None:
 
 
 def test_silence_lasts_half_a_minute_and_covers_no_new_alert() -> None:
-    """The sound of what is there goes off for 30 s; an alert that comes meanwhile sounds."""
+    """Active alerts are silent for 30 s; an alert raised meanwhile sounds."""
     voyage = Voyage()
     voyage.go(1.0, OUT)
     assert len(voyage.book.silence(round(voyage.now_s * S), UTC)) == 1
@@ -229,8 +229,8 @@ def test_silence_lasts_half_a_minute_and_covers_no_new_alert() -> None:
     assert [(change.alert.id, change.what) for change in changes] == [("star.bow.out", "sounds again")]
 
 
-def test_caution_needs_nobody() -> None:
-    """It is acknowledged from the start, is never repeated and goes by itself."""
+def test_caution_needs_no_acknowledgement() -> None:
+    """A caution is acknowledged from the start, never repeated, and ends with its situation."""
     voyage = Voyage()
     caution = replace(OUT, priority=Priority.CAUTION)
     assert [change.what for change in voyage.go(600.0, caution)] == ["raised"]
@@ -240,14 +240,14 @@ def test_caution_needs_nobody() -> None:
     assert voyage.book.alerts == ()
 
 
-def test_worse_is_another_instance_and_better_waits() -> None:
-    """Who acknowledged the warning has not seen the alarm; a wrong instance changes nothing."""
+def test_escalation_is_a_new_instance_and_deescalation_waits() -> None:
+    """An alarm after an acknowledged warning is a new instance; acknowledging the old one changes nothing."""
     voyage = Voyage()
     voyage.go(1.0, OUT)
     voyage.acknowledge("star.bow.out")
     alarm = replace(OUT, priority=Priority.ALARM)
     assert [change.what for change in voyage.go(1.0, alarm)] == ["was a warning, is an alarm now"]
-    assert "instance 2 now, not 1" in voyage.acknowledge("star.bow.out", 1)
+    assert "now instance 2, not 1" in voyage.acknowledge("star.bow.out", 1)
     assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
     voyage.go(20.0, OUT)
     assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
@@ -260,8 +260,8 @@ def test_worse_is_another_instance_and_better_waits() -> None:
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_ACKNOWLEDGED"}
 
 
-def test_what_another_alert_explains_is_no_alert_of_its_own() -> None:
-    """Angles lost by a source are told with the source; unless they are graver than what is told of it."""
+def test_situation_explained_by_another_alert_has_no_alert() -> None:
+    """Angles lost by a source are covered by its alert, unless their priority is higher."""
     lost = Condition("heading.lost", Priority.WARNING, "star.bow", "heading lost", under=("star.bow.out",))
     voyage = Voyage()
     voyage.go(10.0, lost, OUT)
@@ -270,32 +270,32 @@ def test_what_another_alert_explains_is_no_alert_of_its_own() -> None:
     assert list(voyage.states()) == ["heading.lost", "star.bow.out"]
     at_once = Voyage()
     at_once.go(5.0, replace(lost, priority=Priority.CAUTION))
-    # The very moment at which the cause is seen: it does not become graver for one look first.
+    # At the update in which the cause appears it is not escalated first.
     assert [change.alert.id for change in at_once.go(0.25, lost, OUT)] == []
     assert {(change.alert.id, change.what) for change in at_once.go(0.25, lost, OUT)} == {
-        ("star.bow.out", "raised"), ("heading.lost", "told by another alert")
+        ("star.bow.out", "raised"), ("heading.lost", "covered by another alert")
     }
     late = Voyage()
     late.go(10.0, lost)
     assert list(late.states()) == ["heading.lost"]
     changes = late.go(10.0, lost, OUT)
     assert {(change.alert.id, change.what) for change in changes} == {
-        ("star.bow.out", "raised"), ("heading.lost", "told by another alert")
+        ("star.bow.out", "raised"), ("heading.lost", "covered by another alert")
     }
     late.go(10.0, lost)
     assert "heading.lost" in late.states()
 
 
 def test_start_of_the_suite_is_no_alert() -> None:
-    """What was never heard is told ten seconds after the start."""
+    """An output that was never received raises an alert ten seconds after the start."""
     voyage = Voyage()
     silent = replace(OUT, needs_start=True)
     assert voyage.go(9.0, silent) == []
     assert [change.what for change in voyage.go(2.0, silent)] == ["raised"]
 
 
-def test_restarted_book_keeps_alerts_and_acknowledgements() -> None:
-    """Through a file: acknowledged stays so, unacknowledged stays so, what went meanwhile is over, counts go on."""
+def test_restart_keeps_alerts_and_acknowledgements() -> None:
+    """Through a file, acknowledged and unacknowledged alerts stay so, past situations end, instances count on."""
     voyage = Voyage()
     gnss, ins = replace(OUT, id="gnss.out", source="gnss"), replace(OUT, id="ins.out", value=math.nan)
     voyage.go(5.0, OUT, gnss, ins)
@@ -305,7 +305,7 @@ def test_restarted_book_keeps_alerts_and_acknowledgements() -> None:
     saved = json.loads(json.dumps(voyage.book.saved()))
     again = Voyage(AlertBook(TIMES, saved, round(100.0 * S)), 100.0)
     assert again.states() == before
-    # The suite is not heard for some seconds after a start: nothing is called over meanwhile.
+    # The suite has no data for some seconds after a start: no alert ends meanwhile.
     assert again.go(9.0) == []
     assert [(change.alert.id, change.what) for change in again.go(20.0, OUT, ins)] == [("gnss.out", "over")]
     assert again.states() == {
@@ -316,13 +316,13 @@ def test_restarted_book_keeps_alerts_and_acknowledgements() -> None:
     assert {alert.id: alert.instance for alert in again.book.alerts} == {"star.bow.out": 2, "ins.out": 1}
 
 
-def test_restarted_book_that_hears_nothing_changes_nothing() -> None:
-    """An alarm of before stays an alarm although the new process never heard what became silent."""
+def test_restart_without_data_changes_nothing() -> None:
+    """An alarm from before a restart stays an alarm if the new process never receives the output."""
     voyage = Voyage()
-    voyage.go(5.0, replace(OUT, priority=Priority.ALARM, text="silent"))
+    voyage.go(5.0, replace(OUT, priority=Priority.ALARM, text="no data"))
     voyage.acknowledge("star.bow.out")
     again = Voyage(AlertBook(TIMES, voyage.book.saved(), round(100.0 * S)), 100.0)
-    never = replace(OUT, text="never heard", needs_start=True, is_blind=True, becomes_alarm=True)
+    never = replace(OUT, text="never received", needs_start=True, is_blind=True, becomes_alarm=True)
     assert again.go(300.0, never) == []
     assert again.states() == {"star.bow.out": "ALARM ACTIVE_ACKNOWLEDGED"}
 
@@ -330,16 +330,16 @@ def test_restarted_book_that_hears_nothing_changes_nothing() -> None:
 @pytest.mark.parametrize(
     "spoilt", [{"state": 7}, {"priority": 5}, {"text": 3}, {"instance": "2"}, {"colour": "red"}, {"changed_ns": None}]
 )
-def test_spoilt_file_is_refused(spoilt: dict[str, object]) -> None:
-    """A file that holds something else is not half used."""
+def test_corrupt_file_is_refused(spoilt: dict[str, object]) -> None:
+    """A file with invalid values is not used in part."""
     voyage = Voyage()
     voyage.go(5.0, OUT)
-    with pytest.raises(ValueError, match="no saved alert"):
+    with pytest.raises(ValueError, match="not a saved alert"):
         AlertBook(TIMES, [{**voyage.book.saved()[0], **spoilt}])
 
 
 def test_most_urgent_comes_first() -> None:
-    """Unacknowledged before acknowledged, then by priority, cautions last; what is over after what is there."""
+    """Unacknowledged before acknowledged, then by priority; past situations after present ones."""
     voyage = Voyage()
     kinds = {"a": Priority.CAUTION, "b": Priority.ALARM, "c": Priority.WARNING, "d": Priority.ALARM}
     voyage.go(2.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items()))
@@ -350,8 +350,8 @@ def test_most_urgent_comes_first() -> None:
     assert [alert.id for alert in voyage.book.alerts] == ["c", "d", "b", "a"]
 
 
-def test_what_changed_last_comes_first_among_equals() -> None:
-    """Of two warnings the newer one; the older one again when it is told once more."""
+def test_last_change_comes_first_among_equals() -> None:
+    """Of two warnings the newer one comes first; the older one after it is repeated."""
     voyage = Voyage()
     older, newer = replace(OUT, id="older"), replace(OUT, id="newer")
     voyage.go(20.0, older)

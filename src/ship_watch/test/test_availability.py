@@ -1,4 +1,4 @@
-"""Expected availability: the shares are those of the page, and a proposed limit is held."""
+"""Expected availability: fractions equal to those of the page, and proposed limits that are met."""
 
 import math
 from pathlib import Path
@@ -23,7 +23,7 @@ def record_of(outputs: Path, limits: Limits) -> AvailabilityRecord:
 
 
 def safe_share(outputs: Path, limits: Limits) -> float:
-    """Share of the time without the start and without an outage of the stars for which pitch and roll are SAFE."""
+    """Return the fraction of the time, without start and star outage, for which pitch and roll are SAFE."""
     watch, due_ns, first_ns = Watch(limits), 0, 0
     words: list[bool] = []
     for time_ns, topic, message in records(outputs):
@@ -39,8 +39,8 @@ def safe_share(outputs: Path, limits: Limits) -> float:
 
 
 @pytest.mark.parametrize("tilt_arcsec", [2.0, 3.0, 3.2, 4.0])
-def test_the_share_is_that_of_the_page(tilt_arcsec: float, tmp_path: Path) -> None:
-    """With hysteresis; the 20 s of cloud and the 5 s after them count neither here nor there."""
+def test_share_equals_that_of_the_page(tilt_arcsec: float, tmp_path: Path) -> None:
+    """The fractions include the hysteresis; 20 s of clouds and 5 s after them are ignored in both."""
     _, outputs = replayed(tmp_path, "demo")
     limits = Limits(tilt_arcsec=tilt_arcsec)
     found = record_of(outputs, limits).availability("tilt")
@@ -49,7 +49,7 @@ def test_the_share_is_that_of_the_page(tilt_arcsec: float, tmp_path: Path) -> No
     assert found.limit_arcsec == pytest.approx(tilt_arcsec)
 
 
-def test_the_proposed_limit_is_held_and_the_round_one_below_it_is_not(tmp_path: Path) -> None:
+def test_proposed_limit_is_the_lowest_round_one_that_is_met(tmp_path: Path) -> None:
     _, outputs = replayed(tmp_path, "demo")
     proposed = {}
     for quantity in ("heading", "tilt"):
@@ -66,14 +66,14 @@ def test_the_proposed_limit_is_held_and_the_round_one_below_it_is_not(tmp_path: 
     assert max(shares) < WANTED_SHARE
 
 
-def test_nothing_is_expected_of_what_is_not_published(tmp_path: Path) -> None:
+def test_unpublished_quantity_has_no_availability(tmp_path: Path) -> None:
     _, outputs = replayed(tmp_path, "demo")
     assert record_of(outputs, Limits()).availability("pointing") is None
     assert AvailabilityRecord(Limits()).availability("heading") is None
 
 
-def test_an_accuracy_that_is_unknown_is_within_no_limit(tmp_path: Path) -> None:
-    """Half of the time the output gives no covariance: this half is not SAFE with any limit."""
+def test_unknown_accuracy_is_within_no_limit(tmp_path: Path) -> None:
+    """Half of the outputs have no covariance: they are not SAFE with any limit."""
     _, outputs = replayed(tmp_path, "demo")
     record, start_ns = AvailabilityRecord(Limits()), 0
     for time_ns, topic, message in records(outputs):

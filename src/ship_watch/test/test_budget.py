@@ -1,4 +1,4 @@
-"""Variances of angles by source, against angles of attitudes that were turned by drawn errors."""
+"""Variances of angles by source, against angles of attitudes rotated by random errors."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ DRAWS = 20_000
 
 
 @pytest.mark.parametrize(("azimuth_deg", "elevation_deg", "is_deck"), [(34.0, 3.0, True), (250.0, 62.0, False)])
-def test_variances_are_those_of_turned_attitudes(azimuth_deg: float, elevation_deg: float, is_deck: bool) -> None:
+def test_variances_equal_those_of_rotated_attitudes(azimuth_deg: float, elevation_deg: float, is_deck: bool) -> None:
     azimuth, elevation = np.deg2rad([azimuth_deg, elevation_deg])
     root = 1e-5 * np.random.default_rng(12).normal(size=(3, 3))
     covariance_enu = root @ root.T
@@ -28,7 +28,7 @@ def test_variances_are_those_of_turned_attitudes(azimuth_deg: float, elevation_d
     assert told_in_order == pytest.approx(drawn[: len(told)], rel=3.3 * np.sqrt(2.0 / DRAWS))
 
 
-def test_parts_add_up_and_the_unknown_stays_unknown() -> None:
+def test_variances_add_up_and_nan_stays_nan() -> None:
     parts = {"noise": np.diag([1e-10, 2e-10, 3e-10]), "drift": np.diag([5e-10, 1e-10, 4e-10])}
     together = angle_variances({"all": parts["noise"] + parts["drift"]}, 1.0, 0.1, is_deck=True)
     told = angle_variances({**parts, "new": np.full((3, 3), np.nan)}, 1.0, 0.1, is_deck=True)

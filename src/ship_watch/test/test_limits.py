@@ -1,4 +1,4 @@
-"""Limits of a ship: defaults, a ship's own file, and what a file with a mistake is told."""
+"""Limits of a ship: defaults, a file of a ship, and error texts for wrong files."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ ARCSEC = 4.84813681109536e-06
 
 
 def test_defaults_are_those_of_the_suite() -> None:
-    """Heading 6″, tilt 4″, pointing 12″ at 95 %, which the shipped suites hold, and a second for both outputs."""
+    """Defaults: heading 6″, tilt 4″, pointing 12″ at 95 %, one second for both outputs."""
     limits = Limits()
     in_arcsec = {angle: limits.of_angle(angle) / ARCSEC for angle in ANGLES}
     assert in_arcsec == pytest.approx({"heading": 6, "pitch": 4, "roll": 4, "azimuth": 12, "elevation": 12})
@@ -21,8 +21,8 @@ def test_defaults_are_those_of_the_suite() -> None:
     assert limits == build(Limits, {})
 
 
-def test_ships_file_changes_what_it_names(tmp_path: Path) -> None:
-    """What the file does not name keeps its default; an input takes its own limits, else its kind's, else all's."""
+def test_file_of_a_ship_changes_only_its_own_limits(tmp_path: Path) -> None:
+    """Other limits keep their defaults; an input has its own limits, else those of its kind, else of every input."""
     path = tmp_path / "ship.yaml"
     path.write_text(
         "heading_arcsec: 8.0\nevery_input: {refusals: 7}\ninputs:\n  star: {rate_hz: 1.0}\n  star_bow: {rate_hz: 2.0}\n"
@@ -52,8 +52,8 @@ def test_ships_file_changes_what_it_names(tmp_path: Path) -> None:
         ("", 1, "", "the file holds none"),
     ],
 )
-def test_mistake_is_told_in_one_line(tmp_path: Path, text: str, line: int, named: str, expected: str) -> None:
-    """File, line, key and what was expected, without a line break."""
+def test_error_is_reported_in_one_line(tmp_path: Path, text: str, line: int, named: str, expected: str) -> None:
+    """The error contains file, line, key and the expected value, without a line break."""
     path = tmp_path / "ship.yaml"
     path.write_text(text)
     with pytest.raises(BadInput) as caught:
@@ -66,15 +66,15 @@ def test_mistake_is_told_in_one_line(tmp_path: Path, text: str, line: int, named
     assert "\n" not in told
 
 
-def test_kinds_of_inputs_are_refused_as_angles() -> None:
-    """A source is no angle."""
+def test_sources_are_not_accepted_as_angles() -> None:
+    """A kind of source is not an angle."""
     for kind in INPUT_KINDS:
         with pytest.raises(KeyError):
             Limits().of_angle(kind)
 
 
-def test_example_of_the_page_is_read() -> None:
-    """What docs/reference/limits.md shows is a file of limits."""
+def test_documented_example_is_valid() -> None:
+    """The example in docs/reference/limits.md is a valid file."""
     page = (Path(__file__).parents[3] / "docs/reference/limits.md").read_text(encoding="utf-8")
     shown = "\n".join(line[4:] for line in page.splitlines() if line.startswith("    "))
     limits = read_limits(shown)

@@ -1,4 +1,4 @@
-"""Mounting shifts: an excluded device that comes back with other installation angles; covariances made by hand."""
+"""Mounting shifts: an excluded device that is reinstated with other installation angles; hand-made covariances."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ NOMINAL = np.deg2rad([30.0, 60.0, 5.0])
 
 
 def alignment(second: float, shift: Any = 0.0, sigma: float = 3.0, device: str = "star.bow") -> SimpleNamespace:
-    """An AlignmentState with one device whose angles are shifted (arcsec), and an INS state before it."""
+    """Return an AlignmentState with one device whose angles are shifted (arcsec), after an INS state."""
     ends = ("azimuth", "elevation", "roll") if device.startswith("star") else ("roll", "pitch", "heading")
     angles = NOMINAL + np.asarray(shift) * ARCSEC
     if device.startswith("reference"):
@@ -35,11 +35,11 @@ def alignment(second: float, shift: Any = 0.0, sigma: float = 3.0, device: str =
 
 
 def texts(shift: Any, sigma: float = 3.0, device: str = "star.bow") -> tuple[list[str], MountingShifts]:
-    """The texts of a voyage in which the device is out from 21 s to 80 s and comes back shifted."""
+    """Return the texts of a voyage in which the device is OUT from 21 s to 80 s and reinstated with a shift."""
     shifts, found = MountingShifts(), []
     for second in range(120):
         is_out = 21 <= second < 80
-        # From 20 s on the fault has pulled the estimate, and its covariance has been inflated.
+        # From 20 s on the fault has changed the estimate, and its covariance is inflated.
         wide = 20 <= second < 80
         shifts.note_alignment(alignment(second, shift if second >= 20 else 0.0, 200.0 if wide else sigma, device))
         source = replace(OUT if is_out else IN, name=device)
@@ -48,28 +48,28 @@ def texts(shift: Any, sigma: float = 3.0, device: str = "star.bow") -> tuple[lis
 
 
 @pytest.mark.parametrize("device", ["star.bow", "reference.mast"])
-def test_device_that_comes_back_shifted_is_an_event(device: str) -> None:
-    """50″ in elevation (or pitch): the angle between the two mountings, once, and shown for ten minutes."""
+def test_reinstatement_with_a_shift_is_an_event(device: str) -> None:
+    """50″ in elevation (or pitch) is one event with the angle between the mountings, displayed for ten minutes."""
     found, shifts = texts([0.0, 50.0, 0.0], device=device)
     assert found == [f"{device} reinstated, mounting shifted by 50″"]
     assert shifts.shift_of(device, UTC + 200 * SECOND) / ARCSEC == pytest.approx(50.0, abs=1e-6)
     assert math.isnan(shifts.shift_of(device, UTC + 80 * SECOND + 2 * SHOWN_NS))
 
 
-def test_azimuth_of_a_sensor_that_looks_up_counts_by_its_cosine() -> None:
-    """100″ of azimuth at 60° elevation with the roll left as it is: a rotation about Up of 100″."""
+def test_azimuth_shift_is_an_angle_of_rotation() -> None:
+    """100″ of azimuth at 60° elevation with unchanged roll is a rotation of 100″ about Up."""
     found, _ = texts([100.0, 0.0, 0.0])
     assert found == ["star.bow reinstated, mounting shifted by 100″"]
 
 
 @pytest.mark.parametrize(("shift", "sigma"), [(5.0, 3.0), (50.0, 60.0), (math.nan, 3.0), (50.0, math.nan), (0.0, 0.0)])
-def test_what_the_covariances_explain_or_do_not_know_is_no_shift(shift: float, sigma: float) -> None:
-    """Less than four sigmas of the difference, unknown angles, an unknown covariance, one of zeros."""
+def test_insignificant_or_unknown_shift_is_ignored(shift: float, sigma: float) -> None:
+    """No shift below the threshold, for unknown angles, and for an unknown or zero covariance."""
     assert texts([0.0, shift, 0.0], sigma)[0] == []
 
 
-def test_source_that_is_out_because_of_another_is_not_looked_at() -> None:
-    """Stars without an INS are out, and nothing is wrong with their mounting."""
+def test_source_out_because_of_another_has_no_shift() -> None:
+    """Star sensors that are OUT because of the INS have no mounting shift."""
     shifts = MountingShifts()
     for second in range(40):
         shifts.note_alignment(alignment(second, [0.0, 50.0 if second > 20 else 0.0, 0.0]))

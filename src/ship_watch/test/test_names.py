@@ -1,4 +1,4 @@
-"""Names without end: memory does not follow, those that were there first go on, one line says what is not shown."""
+"""Unlimited names: bounded memory, the first names stay, one warning about names that are not shown."""
 
 import logging
 import tracemalloc
@@ -29,7 +29,7 @@ def health(topic, stamp_ns, reasons=()):
 
 
 def invented(number, stamp_ns):
-    """Topic and message of each kind that bears a name, with names that were never there before."""
+    """Yield topic and message of each kind that contains names, with new names."""
     header = make_header(FACTORY, stamp_ns)
     yield "input_health", health(f"reference/ship{number}/attitude", stamp_ns, [f"reason {number}"])
     yield (
@@ -53,7 +53,7 @@ def invented(number, stamp_ns):
     )  # fmt: skip
 
 
-def test_memory_does_not_follow_names_without_end(caplog):
+def test_memory_is_bounded_for_unlimited_names(caplog):
     names._logged_s.clear()
     watch, sizes = Watch(Limits()), []
     known = "star.fore"
@@ -71,15 +71,15 @@ def test_memory_does_not_follow_names_without_end(caplog):
     assert len(picture.sources) <= MOST_NAMES + 3
     assert len(picture.inputs) <= MOST_NAMES
     assert all(len(of) <= MOST_NAMES for of in (history.innovations, history.lights, history.stars, history.budgets))
-    # The second lot of names costs as much as the points of the known source do, and those of no name.
+    # The second set of names needs only the memory for the points of the known source.
     assert sizes[2] - sizes[1] < 0.25 * sizes[0]
     assert len(history.innovations[known]) == 3 * MOST_NAMES
     lines = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert any(line.startswith("source '") and "and others are not shown: 256 are known" in line for line in lines)
+    assert any(line.startswith("source '") and "and others are not shown: limit of 256 names" in line for line in lines)
     assert len(lines) == len({line.partition(" '")[0] for line in lines})
 
 
-def test_alerts_that_are_over_are_forgotten_in_the_end():
+def test_number_of_past_alerts_is_bounded():
     book = AlertBook(AlertTimes(raise_after_s=0.0, clear_after_s=0.0, start_s=0.0))
     for number in range(2 * MOST_KEPT):
         book.take([Condition(f"node{number}.lost", Priority.CAUTION, "", "lost")], number * NS, START_NS)
@@ -87,6 +87,6 @@ def test_alerts_that_are_over_are_forgotten_in_the_end():
 
 
 @pytest.mark.parametrize("name", ["x" * (LONGEST_NAME + 1), ("node", "x" * LONGEST_NAME)])
-def test_a_name_that_is_too_long_has_no_room(name):
+def test_too_long_name_is_not_stored(name):
     assert not has_room({}, name, "name")
     assert has_room({name}, name, "name")

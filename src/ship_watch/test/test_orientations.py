@@ -1,4 +1,4 @@
-"""Orientations that many messages say together are those that each of them says alone, to the last bit."""
+"""Orientations of messages as rows are identical to those of the single messages."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ NINE = np.zeros(9)
 
 
 def message(of: Orientation, number: int) -> Any:
-    """A message; of some the second angle, of others the rate is no number."""
+    """Return a message; the second angle of some and the rate of others is not finite."""
     rng = np.random.default_rng(number)
     angles = dict(zip(of.angles, rng.uniform([0.0, -1.5, -3.0], [6.28, 1.5, 3.0]).tolist(), strict=True))
     if number % 5 == 0:
@@ -34,7 +34,7 @@ def message(of: Orientation, number: int) -> Any:
 
 
 @pytest.mark.parametrize("of", [SHIP_ATTITUDE, POINTING], ids=lambda of: of.label)
-def test_samples_of_rows_are_those_of_messages(of: Orientation) -> None:
+def test_samples_of_rows_equal_those_of_messages(of: Orientation) -> None:
     block = rows(message(of, 0).__msgtype__, [message(of, number) for number in range(COUNT)])
     found = of.samples(block)
     for number, sample in enumerate(found):

@@ -1,4 +1,4 @@
-"""One word for the whole suite: the worst of all angles, with its shortest reason."""
+"""Safety of the whole suite: the worst of all angles, with its shortest reason."""
 
 from dataclasses import replace
 
@@ -12,19 +12,19 @@ def test_all_angles_safe_is_safe_without_a_reason() -> None:
     assert pictures.picture().overall == OverallState(Safety.SAFE, "")
 
 
-def test_the_worst_angle_decides_whatever_stands_first() -> None:
+def test_worst_angle_decides() -> None:
     assert pictures.faulty().overall == OverallState(
-        Safety.UNSAFE, "encoder silent since 11:59:55 (azimuth, elevation)"
+        Safety.UNSAFE, "encoder no data since 11:59:55 (azimuth, elevation)"
     )
 
 
-def test_of_several_reasons_the_shortest_is_given() -> None:
+def test_shortest_of_several_reasons_is_given() -> None:
     heading = pictures.angle("heading", reason="no stars for 31 s", **CAUTION)
     roll = pictures.angle("roll", reason="one star source", **CAUTION)
     assert pictures.picture(heading, roll).overall.text == "one star source (roll)"
 
 
-def test_a_reason_of_all_angles_stands_without_their_names() -> None:
+def test_reason_of_all_angles_has_no_names() -> None:
     behind = pictures.picture(*(pictures.angle(name, reason="BEHIND", **CAUTION) for name in pictures.ANGLES))
     assert behind.overall == OverallState(Safety.CAUTION, "BEHIND")
 
@@ -33,8 +33,8 @@ def test_without_an_angle_nothing_is_safe() -> None:
     assert replace(pictures.picture(), angles=()).overall.safety is Safety.UNSAFE
 
 
-def test_a_source_that_is_out_is_named_before_what_it_brings_about() -> None:
-    """The cause is longer than the consequence, and says more."""
+def test_faulty_source_is_named_before_its_consequence() -> None:
+    """The cause is named although its text is longer than that of the consequence."""
     heading = pictures.angle("heading", reason="star.starboard excluded", because_of="star.starboard", **CAUTION)
     roll = pictures.angle("roll", reason="over the limit", **CAUTION)
     assert pictures.picture(heading, roll).overall.text == "star.starboard excluded (heading)"

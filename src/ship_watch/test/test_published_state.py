@@ -1,4 +1,4 @@
-"""The state that the alert node publishes: what goes into a message comes out of it, and is what a watch shows."""
+"""State published by the alert node: conversion to a message and back."""
 
 import math
 from dataclasses import replace
@@ -22,7 +22,7 @@ from ship_watch.published_state import (
 PICTURES = {
     "all well": picture(),
     "two faults": picture(
-        out("star.fore", "81 refused in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
+        out("star.fore", "81 rejected in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
         out("lights", "needs ship_attitude", because_of="ship_attitude"), lost("heading", "ins"), over("roll"),
         source("star.starboard", mounting_shift=51.0 * ARCSEC), source("gnss", presence=Presence.OFF),
     ),
@@ -31,7 +31,7 @@ PICTURES = {
 
 
 def through_a_message(shown: Picture, elapsed_ns: int = 0) -> Picture:
-    """The picture that a viewer shows which computed something else by itself."""
+    """Return the state of a viewer whose own state is different, after receiving the published one."""
     message = RosidlFactory().make(STATE_TYPE, **state_fields(shown))
     own = replace(shown, angles=(), sources=(), ages_s={}, pointing_by="?", horizon="?", waiting_for="?")
     return published_state(message, NOW_NS).shown_in(own, NOW_NS + elapsed_ns)
@@ -43,8 +43,8 @@ def same(first: object, second: object) -> bool:
 
 
 @pytest.mark.parametrize("shown", PICTURES.values(), ids=list(PICTURES))
-def test_a_viewer_shows_what_was_published(shown: Picture) -> None:
-    """Angles, ages and sources in every field; what only alerts need of an angle is not sent."""
+def test_received_state_equals_the_published_one(shown: Picture) -> None:
+    """All fields of angles, ages and sources are equal, except fields of an angle that only alerts use."""
     received = through_a_message(shown)
     assert same(received.sources, shown.sources)
     assert same(received.angles, tuple(replace(angle, over_s=0.0, now=None) for angle in shown.angles))
@@ -53,8 +53,8 @@ def test_a_viewer_shows_what_was_published(shown: Picture) -> None:
     assert received.overall == shown.overall
 
 
-def test_ages_stand_between_two_messages_and_grow_where_the_next_is_late() -> None:
-    """As published for half a second; then by what it is late."""
+def test_ages_grow_only_while_a_message_is_overdue() -> None:
+    """Ages are as published for half a second; then they grow by the delay."""
     shown = PICTURES["all well"]
     ages = {late: through_a_message(shown, late).angles[0].age_s for late in (0, PERIOD_NS, PERIOD_NS + 10**9)}
     assert [round(age_s - shown.angles[0].age_s, 6) for age_s in ages.values()] == [0.0, 0.0, 1.0]
@@ -64,16 +64,16 @@ def test_ages_stand_between_two_messages_and_grow_where_the_next_is_late() -> No
 
 
 @pytest.mark.parametrize("what", ["safety", "presence"])
-def test_a_word_that_does_not_exist_is_refused(what: str) -> None:
-    """A message of another version must not be shown as SAFE."""
+def test_unknown_safety_or_presence_is_refused(what: str) -> None:
+    """A message of another version is never shown as SAFE."""
     message = RosidlFactory().make(STATE_TYPE, **state_fields(PICTURES["all well"]))
     setattr(message.angles[0] if what == "safety" else message.sources[0], what, 7)
     with pytest.raises(ValueError, match="7"):
         published_state(message, NOW_NS)
 
 
-def test_texts_of_any_length_are_cut() -> None:
-    """The network is not trusted: 256 entries, texts of a thousand letters."""
+def test_long_lists_and_texts_are_cut() -> None:
+    """At most 256 entries, and texts of about a thousand characters, are taken from a message."""
     message = RosidlFactory().make(STATE_TYPE, **state_fields(PICTURES["all well"]))
     message.sources = [message.sources[0]] * 2000
     message.sources[0].reason = "x" * 10**6
@@ -82,11 +82,11 @@ def test_texts_of_any_length_are_cut() -> None:
     assert len(state.sources[0].reason) <= 1024
 
 
-def test_words_and_presences_are_changes_and_running_figures_are_none() -> None:
-    """What must be shown at once, and what waits for the next half second."""
+def test_safety_and_presence_are_changes_and_figures_are_not() -> None:
+    """Changes of safety or presence are published at once, other changes after half a second."""
     well = PICTURES["all well"]
     running = replace(well, angles=tuple(replace(angle, accuracy_95=np.pi, age_s=0.3) for angle in well.angles))
     assert change_of_state(running) == change_of_state(well)
     worse = replace(well, angles=(replace(well.angles[0], safety=Safety.CAUTION), *well.angles[1:]))
     assert change_of_state(worse) != change_of_state(well)
-    assert change_of_state(picture(out("ins", "silent"))) != change_of_state(well)
+    assert change_of_state(picture(out("ins", "no data"))) != change_of_state(well)

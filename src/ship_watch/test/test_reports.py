@@ -1,4 +1,4 @@
-"""Reports of nodes on a topic: how old its last message is, when it is silent, what was refused, who has started."""
+"""Reports of nodes on a topic: age of its last message, timeout, rejections, restarts of nodes."""
 
 import math
 from types import SimpleNamespace
@@ -34,7 +34,7 @@ def heard(seconds: int, longest_s: float = 0.0, **of_report: float) -> TopicRepo
     return reports
 
 
-def test_the_age_is_that_since_arrival_not_since_the_stamp() -> None:
+def test_age_counts_from_arrival_not_from_the_stamp() -> None:
     reports = heard(10)
     # Stamped 0.2 s ago, as messages arrive 0.1 s after their stamps.
     assert reports.age_s(at(10.0)) == pytest.approx(0.1)
@@ -42,7 +42,7 @@ def test_the_age_is_that_since_arrival_not_since_the_stamp() -> None:
     assert reports.age_s(at(12.0)) == pytest.approx(2.1)
 
 
-def test_stamps_of_another_time_are_no_silence() -> None:
+def test_stamps_of_another_time_are_no_timeout() -> None:
     reports = TopicReports("ins/imu")
     for second in range(11):
         message = report(second, 100 * second, age_s=26_784_000.01, rate_hz=100.0)
@@ -52,7 +52,7 @@ def test_stamps_of_another_time_are_no_silence() -> None:
     assert not reports.is_silent(at(10.9))
 
 
-def test_silent_after_two_seconds_or_three_periods() -> None:
+def test_timeout_after_two_seconds_or_three_periods() -> None:
     reports = heard(10)
     reports.note(report(11, 50, age_s=1.2), at(11))
     assert not reports.is_silent(at(11.8))
@@ -64,8 +64,8 @@ def test_silent_after_two_seconds_or_three_periods() -> None:
     assert slow.is_silent(at(52.1))
 
 
-def test_a_report_that_is_late_is_no_silence_of_the_topic() -> None:
-    """While messages came until the last report, only the next one, or that there is none for long, tells otherwise."""
+def test_late_report_is_no_timeout_of_the_topic() -> None:
+    """After a report with new messages, a timeout needs the next report, or a long time without one."""
     reports = heard(10)
     assert not reports.is_silent(at(12.9))
     assert not reports.is_untold(at(12.9))
@@ -75,13 +75,13 @@ def test_a_report_that_is_late_is_no_silence_of_the_topic() -> None:
     assert reports.is_untold(at(30.0))
 
 
-def test_a_ship_may_set_the_longest_silence_herself() -> None:
+def test_timeout_can_be_configured() -> None:
     reports = heard(10, longest_s=30.0)
     assert not reports.is_silent(at(20.0))
     assert reports.is_silent(at(40.0))
 
 
-def test_the_mean_rate_that_sinks_in_silence_does_not_lengthen_it() -> None:
+def test_decreasing_mean_rate_does_not_lengthen_the_timeout() -> None:
     reports = heard(10)
     for second in range(11, 15):
         reports.note(report(second, 50, age_s=second - 9.8, rate_hz=5.0 * (20 - second) / 20), at(second))
@@ -89,7 +89,7 @@ def test_the_mean_rate_that_sinks_in_silence_does_not_lengthen_it() -> None:
     assert reports.is_silent(at(11.9))
 
 
-def test_refused_messages_have_come_though_no_stamp_of_them_is_told() -> None:
+def test_rejected_messages_count_as_arrived() -> None:
     reports = heard(10)
     for second in range(11, 31):
         told = report(second, 5 * second, age_s=second - 9.8, rejected=5 * (second - 10), excluded=5 * (second - 10))
@@ -100,10 +100,10 @@ def test_refused_messages_have_come_though_no_stamp_of_them_is_told() -> None:
     assert reports.shown(at(89.0)).refused_60s == pytest.approx(10, abs=5)  # those of the last two seconds
 
 
-def test_two_nodes_that_read_one_topic_are_not_one_that_starts_again_and_again() -> None:
+def test_two_nodes_on_one_topic_are_no_restarts() -> None:
     reports, started = TopicReports("ins/imu"), []
     for second in range(60):
-        # The second one started 30 s after the first, and reports 0.4 s later; both refuse one message a second.
+        # The second node started 30 s after the first, and reports 0.4 s later; both reject one message a second.
         first = report(second, 5 * (second + 30), rejected=second, gate=second)
         other = report(second + 0.4, 5 * second, rejected=second, gate=second)
         started += [reports.note(first, at(second)), reports.note(other, at(second + 0.4))]
@@ -112,21 +112,21 @@ def test_two_nodes_that_read_one_topic_are_not_one_that_starts_again_and_again()
     assert reports.shown(at(59.4)).reasons == {"gate": 59}
 
 
-def test_a_node_that_starts_again_is_told_once() -> None:
+def test_restart_of_a_node_is_reported_once() -> None:
     reports = heard(10)
     started = [reports.note(report(second, 5 * (second - 12)), at(second)) for second in range(13, 20)]
     assert started == [True, False, False, False, False, False, False]
     assert reports.shown(at(19.0)).refused_60s == 0
 
 
-def test_before_its_rate_is_known_a_topic_may_be_slow() -> None:
+def test_timeout_is_longer_before_the_rate_is_known() -> None:
     reports = TopicReports("met/pressure")
     reports.note(report(0, 1, age_s=0.1, rate_hz=math.nan), at(0))
     assert not reports.is_silent(at(4.9))
     assert reports.is_silent(at(5.1))
 
 
-def test_never_heard() -> None:
+def test_topic_that_was_never_received() -> None:
     reports = TopicReports("gnss/fix")
     reports.note(report(0, 0, age_s=math.nan, rate_hz=math.nan), at(0))
     assert math.isinf(reports.age_s(at(1.0)))
@@ -136,7 +136,7 @@ def test_never_heard() -> None:
     told.level = 2
     reports.note(told, at(6))
     assert reports.is_expected
-    # Who watches may hear what the node does not, which asks for another quality of service.
+    # The monitor may receive a topic that the node does not, because of another quality of service.
     reports.heard(at(6.5))
     assert reports.is_expected
     came = report(7, 3, age_s=0.1)

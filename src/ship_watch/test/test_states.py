@@ -1,4 +1,4 @@
-"""SAFE, CAUTION, UNSAFE: each row of the table of the design, and that NaN fails each gate."""
+"""SAFE, CAUTION, UNSAFE: each row of the design's table; NaN fails each comparison."""
 
 import math
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ from ship_watch.states import AngleClaim, AngleWord, HeldWord, Protection, Shown
 
 SECOND = 1_000_000_000
 KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
-FLOAT = replace(KNOCKED, name="baselines", reason="a 81 refused in a row: not fixed")
+FLOAT = replace(KNOCKED, name="baselines", reason="a 81 rejected in a row: not fixed")
 GOOD = AngleClaim(
     topic="ship/attitude",
     is_heard=True,
@@ -33,7 +33,7 @@ GOOD = AngleClaim(
 )
 
 
-def test_valid_within_its_limit_and_protected_is_safe() -> None:
+def test_valid_protected_angle_within_its_limit_is_safe() -> None:
     assert word_and_reason(GOOD) == (Safety.SAFE, "")
     assert word_and_reason(replace(GOOD, accuracy_95=5.0)) == (Safety.SAFE, "")
     assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.NO_LIMIT, 10.0))) == (Safety.SAFE, "")
@@ -48,15 +48,15 @@ def test_valid_within_its_limit_and_protected_is_safe() -> None:
         ({"status": Status.COASTING, "hint": "no stars for 31 s"}, "no stars for 31 s"),
         ({"status": Status.DEGRADED}, "degraded"),
         ({"status": Status.DEGRADED, "guilty": KNOCKED}, "star.bow excluded"),
-        ({"protection": Protection(None)}, "integrity not told"),
-        ({"protection": Protection(IntegrityState.UNAVAILABLE)}, "nothing checks it"),
+        ({"protection": Protection(None)}, "no integrity data"),
+        ({"protection": Protection(IntegrityState.UNAVAILABLE)}, "no independent check"),
         ({"protection": Protection(IntegrityState.UNAVAILABLE), "guilty": KNOCKED}, "star.bow excluded"),
-        ({"protection": Protection(IntegrityState.MET, math.nan, 30.0)}, "nothing checks it"),
-        ({"accuracy_95": 6.0, "guilty": FLOAT}, "baselines a refused: not fixed"),
+        ({"protection": Protection(IntegrityState.MET, math.nan, 30.0)}, "no independent check"),
+        ({"accuracy_95": 6.0, "guilty": FLOAT}, "baselines a rejected: not fixed"),
         ({"is_lessened": True, "hint": "one of two lights"}, "one of two lights"),
     ],
 )
-def test_what_is_a_caution(change: dict[str, Any], reason: str) -> None:
+def test_cautions(change: dict[str, Any], reason: str) -> None:
     assert word_and_reason(replace(GOOD, **change)) == (Safety.CAUTION, reason)
 
 
@@ -64,7 +64,7 @@ def test_what_is_a_caution(change: dict[str, Any], reason: str) -> None:
     ("change", "reason"),
     [
         ({"is_heard": False, "is_old": True}, "waiting for ship/attitude"),
-        ({"is_old": True}, "ship/attitude silent"),
+        ({"is_old": True}, "no data on ship/attitude"),
         ({"is_old": True, "guilty": KNOCKED}, "star.bow excluded"),
         ({"status": Status.INVALID}, "invalid"),
         ({"status": None}, "invalid"),
@@ -77,25 +77,25 @@ def test_what_is_a_caution(change: dict[str, Any], reason: str) -> None:
         ({"protection": Protection(IntegrityState.EXCEEDED, math.nan, 30.0)}, "protection level over its alert limit"),
     ],
 )
-def test_the_rest_is_unsafe(change: dict[str, Any], reason: str) -> None:
+def test_other_cases_are_unsafe(change: dict[str, Any], reason: str) -> None:
     assert word_and_reason(replace(GOOD, **change)) == (Safety.UNSAFE, reason)
 
 
-def test_a_level_that_another_angle_exceeds_does_not_colour_this_one() -> None:
+def test_exceeded_level_of_another_angle_is_ignored() -> None:
     assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0, 30.0)))[0] is Safety.SAFE
     assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0)))[0] is Safety.SAFE
 
 
 def over(accuracy: float) -> AngleWord:
-    """Return the word of an angle that nothing but its accuracy speaks against; its limit is 5."""
+    """Return the safety of an angle with this accuracy, limit 5 and no other fault."""
     return angle_word(replace(GOOD, accuracy_95=accuracy))
 
 
 SAFE = AngleWord(Safety.SAFE, "")
-SILENT = AngleWord(Safety.CAUTION, "star.bow silent")
+SILENT = AngleWord(Safety.CAUTION, "star.bow no data")
 
 
-def test_worse_at_once_and_better_after_five_seconds() -> None:
+def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
     held = HeldWord(5.0)
     assert held.note(SAFE, 0)
     assert held.note(AngleWord(Safety.UNSAFE, "invalid"), SECOND)
@@ -104,13 +104,13 @@ def test_worse_at_once_and_better_after_five_seconds() -> None:
     assert held.shown_word(SILENT, 2 * SECOND)[:2] == (Safety.UNSAFE, "invalid")
     assert held.note(SAFE, 6 * SECOND)  # 5 s after it was UNSAFE, 4 s after it was a CAUTION
     assert (held.word, held.since_ns) == (Safety.CAUTION, 6 * SECOND)
-    assert held.shown_word(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "star.bow silent")
+    assert held.shown_word(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "star.bow no data")
     assert not held.note(SAFE, 7 * SECOND - 1)
     assert held.note(SAFE, 7 * SECOND)
     assert held.shown_word(SAFE, 7 * SECOND) == ShownWord(Safety.SAFE, "")
 
 
-def test_a_word_that_flickers_changes_once() -> None:
+def test_flickering_safety_changes_once() -> None:
     held, changes = HeldWord(5.0), 0
     for i in range(100):
         changes += held.note(SILENT if i % 2 else SAFE, i * SECOND // 2)
@@ -118,26 +118,26 @@ def test_a_word_that_flickers_changes_once() -> None:
 
 
 def changes_of(accuracies: Iterable[float]) -> list[Safety | None]:
-    """The words that are shown one after another, given the accuracy of each tenth of a second."""
+    """Return the displayed safeties in order, for the accuracy of each tenth of a second."""
     held = HeldWord(5.0)
     at_each = [(held.note(over(accuracy), i * SECOND // 10), held.word) for i, accuracy in enumerate(accuracies)]
     return [word for changed, word in at_each if changed]
 
 
 @pytest.mark.parametrize("period_s", [2.0, 12.0, 40.0])
-def test_an_accuracy_that_wanders_around_its_limit_changes_the_word_once(period_s: float) -> None:
-    """By 2 % to either side, within its limit for up to 20 s at a time."""
+def test_accuracy_near_its_limit_changes_the_safety_once(period_s: float) -> None:
+    """The accuracy varies by ±2 % around its limit, and is within it for up to 20 s."""
     accuracies = 5.0 * (1.0 + 0.02 * np.sin(2.0 * np.pi * np.arange(6000) / (10.0 * period_s)))
     assert changes_of(accuracies) == [Safety.SAFE, Safety.CAUTION]
 
 
-def test_an_accuracy_that_wanders_around_three_times_its_limit_changes_the_word_once() -> None:
+def test_accuracy_near_three_times_its_limit_changes_the_safety_once() -> None:
     accuracies = 15.0 * (1.0 + 0.02 * np.sin(np.arange(6000) / 20.0))
     assert changes_of(accuracies) == [Safety.CAUTION, Safety.UNSAFE]
 
 
 def safe_after_s(*accuracies: tuple[float, float]) -> float:
-    """Time from an accuracy over its limit of 5 to SAFE, given accuracies and the times from which they are so, s."""
+    """Return the time to SAFE after an accuracy over its limit of 5, s, for pairs of start time, s, and accuracy."""
     held = HeldWord(5.0)
     held.note(over(6.0), 0)
     for tenth in range(1, 1000):
@@ -148,7 +148,7 @@ def safe_after_s(*accuracies: tuple[float, float]) -> float:
     return math.inf
 
 
-def test_better_after_five_seconds_below_the_margin_or_thirty_below_the_limit() -> None:
+def test_hold_ends_after_five_seconds_below_the_margin_or_thirty_below_the_limit() -> None:
     assert safe_after_s((0.0, 4.4)) == 5.0
     assert safe_after_s((0.0, 4.9)) == 30.0
     assert safe_after_s((0.0, 4.9), (10.0, 4.4)) == pytest.approx(14.9)
@@ -157,17 +157,17 @@ def test_better_after_five_seconds_below_the_margin_or_thirty_below_the_limit() 
     assert safe_after_s((0.0, math.nan)) == math.inf
 
 
-def test_the_margin_is_for_an_accuracy_that_was_over_its_limit_alone() -> None:
-    """A silent source makes a CAUTION of 5 s, also where the accuracy is 2 % below its limit all the while."""
+def test_margin_applies_only_to_an_accuracy_that_was_over_its_limit() -> None:
+    """A source without data gives a CAUTION with a hold of 5 s, also if the accuracy is 2 % below its limit."""
     held = HeldWord(5.0)
     for tenth in range(100):
         now = over(4.9)
-        silent = now._replace(word=Safety.CAUTION, reason="star.bow silent")
+        silent = now._replace(word=Safety.CAUTION, reason="star.bow no data")
         held.note(silent if tenth < 10 else now, tenth * SECOND // 10)
         assert (held.word is Safety.SAFE) == (tenth >= 59)
 
 
-def test_an_accuracy_that_was_once_over_its_limit_is_judged_by_the_limit_once_it_is_safe_again() -> None:
+def test_margin_no_longer_applies_after_the_hold() -> None:
     held = HeldWord(5.0)
     held.note(over(6.0), 0)
     held.note(over(4.0), 5 * SECOND)
@@ -187,12 +187,12 @@ def test_an_accuracy_that_was_once_over_its_limit_is_judged_by_the_limit_once_it
         (over(16.0), over(6.0), 1.0, Safety.UNSAFE, "over the limit; CAUTION in 4 s"),
         (over(16.0), over(4.9), 1.0, Safety.UNSAFE, "within 5″ again; CAUTION in 4 s"),
         (AngleWord(Safety.UNSAFE, "invalid"), SAFE, 2.0, Safety.UNSAFE, "good again; SAFE in 3 s"),
-        (AngleWord(Safety.UNSAFE, "invalid"), SILENT, 2.0, Safety.UNSAFE, "star.bow silent; CAUTION in 3 s"),
+        (AngleWord(Safety.UNSAFE, "invalid"), SILENT, 2.0, Safety.UNSAFE, "star.bow no data; CAUTION in 3 s"),
         (SILENT, SAFE, 4.9, Safety.CAUTION, "good again; SAFE in 1 s"),
         (SILENT, SAFE, 5.0, Safety.SAFE, ""),
     ],
 )
-def test_the_reason_is_true_now(before: AngleWord, now: AngleWord, at_s: float, word: Safety, reason: str) -> None:
+def test_reason_is_the_current_one(before: AngleWord, now: AngleWord, at_s: float, word: Safety, reason: str) -> None:
     held = HeldWord(5.0)
     held.note(before, 0)
     shown = held.shown_word(now, round(at_s * SECOND))

@@ -1,4 +1,4 @@
-"""Refused in a row: when a source is out, when it is in again, and in which direction it is off."""
+"""Decisions in a row: when a source is OUT and IN again, and the direction in which it is off."""
 
 import math
 from types import SimpleNamespace
@@ -28,14 +28,14 @@ def innovation(accepted: bool, reason: Reason = Reason.GATE, arcsec: Any = (), n
 
 
 def run(streak: Streak, verdicts: str, start: int = 0, period_ns: float = PERIOD) -> int:
-    """Give a streak its verdicts: + accepted, - refused; the answer is the number of the next."""
+    """Record decisions, + accepted and - rejected; return the number of the next one."""
     for i, verdict in enumerate(verdicts, start):
         stamp = 100 * SECOND + i * PERIOD
         streak.note(stamp, innovation(verdict == "+"), stamp, period_ns)
     return start + len(verdicts)
 
 
-def test_five_refused_in_a_row_are_out_and_ten_accepted_are_in() -> None:
+def test_out_after_five_rejections_and_in_after_ten_acceptances() -> None:
     streak = Streak(5, 10)
     n = run(streak, "+++----")
     assert not streak.is_out
@@ -53,13 +53,13 @@ def test_five_refused_in_a_row_are_out_and_ten_accepted_are_in() -> None:
     assert streak.refused == 0
 
 
-def test_refused_now_and_then_is_in() -> None:
+def test_occasional_rejections_keep_a_source_in() -> None:
     streak = Streak(5, 10)
     run(streak, "+---+" * 50)
     assert not streak.is_out
 
 
-def test_parts_of_a_measurement_that_was_used_are_no_refusal_of_it() -> None:
+def test_rejected_stars_of_an_accepted_measurement_are_no_rejection() -> None:
     streak = Streak(5, 10)
     for i in range(20):
         stamp = 100 * SECOND + i * PERIOD
@@ -71,7 +71,7 @@ def test_parts_of_a_measurement_that_was_used_are_no_refusal_of_it() -> None:
     assert streak.refused == 0
 
 
-def test_revised_verdicts_count_in_the_place_of_the_first() -> None:
+def test_revised_decision_replaces_the_first() -> None:
     streak = Streak(5, 10)
     run(streak, "+----")
     revised = innovation(True)
@@ -82,7 +82,7 @@ def test_revised_verdicts_count_in_the_place_of_the_first() -> None:
     assert not streak.is_out
 
 
-def test_of_a_source_whose_use_is_not_told_refusals_far_apart_are_not_in_a_row() -> None:
+def test_distant_rejections_are_no_run_if_acceptances_are_not_reported() -> None:
     streak = Streak(5, 10)
     for i in range(50):  # one sample of the INS in ten
         stamp = 100 * SECOND + i * SECOND // 10
@@ -91,20 +91,20 @@ def test_of_a_source_whose_use_is_not_told_refusals_far_apart_are_not_in_a_row()
     assert streak.refused == 1
 
 
-def test_a_source_whose_use_is_not_told_comes_in_when_it_was_used_for_a_while() -> None:
+def test_use_without_reports_reinstates_a_source() -> None:
     streak = Streak(5, 10)
     run(streak, "-----")
     last = 100 * SECOND + 4 * PERIOD
-    streak.used_silently(last + 3 * SECOND, PERIOD, 9)  # nine used, and time enough
+    streak.used_silently(last + 3 * SECOND, PERIOD, 9)  # only nine used
     assert streak.is_out
-    streak.used_silently(last + SECOND, SECOND / 100, 100)  # a hundred used, and too early for people to see
+    streak.used_silently(last + SECOND, SECOND / 100, 100)  # enough used, but too early
     assert streak.is_out
     streak.used_silently(last + 2 * SECOND, PERIOD, 10)
     assert not streak.is_out
     assert streak.refused == 0
 
 
-def test_how_a_device_is_off_is_told_by_the_component_that_is_furthest_off() -> None:
+def test_disagreement_is_the_component_furthest_off() -> None:
     streak = Streak(5, 10)
     for i in range(5):
         stamp = 100 * SECOND + i * PERIOD
@@ -112,31 +112,31 @@ def test_how_a_device_is_off_is_told_by_the_component_that_is_furthest_off() -> 
         streak.note(stamp, told, stamp, PERIOD)
     assert streak.disagreement.text == "right +49″"
     assert streak.disagreement.sigmas == pytest.approx(49.0 / 3.0)
-    # Excluded and learnt anew it agrees; how it was off stays until it is in again.
+    # Excluded and estimated again it agrees; the disagreement stays until it is IN again.
     told = innovation(False, Reason.EXCLUDED, arcsec=(0.0, 1.0, 0.0), names=("forward", "up", "right"))
     streak.note(102 * SECOND, told, 102 * SECOND, PERIOD)
     assert streak.disagreement.text == "right +49″"
 
 
-def test_stars_that_are_all_off_alike_are_one_turn_of_the_sensor() -> None:
+def test_equal_residuals_of_all_stars_are_a_rotation_of_the_sensor() -> None:
     streak = Streak(5, 10)
     names = [f"HIP {n} {axis}" for n in (1, 2, 3) for axis in ("up", "right")]
     streak.note(SECOND, innovation(False, arcsec=(20.0, 1.0, 21.0, -1.0, 22.0, 0.0), names=names), SECOND, PERIOD)
     assert streak.disagreement.text == "up +21″"
 
 
-def test_one_star_that_is_off_is_named() -> None:
+def test_single_wrong_star_is_named() -> None:
     streak = Streak(5, 10)
     names = [f"HIP {n} {axis}" for n in (1, 2, 3, 4, 5) for axis in ("up", "right")]
     streak.note(SECOND, innovation(False, arcsec=(0.0, 0.0, 0.0, -90.0) + (0.0,) * 6, names=names), SECOND, PERIOD)
     assert streak.disagreement.text == "HIP 2 right −90″"
 
 
-def test_angles_for_people() -> None:
+def test_angle_texts() -> None:
     assert [angle_text(value * ARCSEC) for value in (48.6, -120.0, 7200.0)] == ["+49″", "−120″", "+2.0°"]
 
 
-def test_stamps_from_the_future_do_not_keep_a_source_out_when_its_clock_is_right_again() -> None:
+def test_source_is_in_again_after_stamps_from_the_future() -> None:
     streak = Streak(5, 10)
     n = run(streak, "+" * 10)
     for i in range(n, n + 10):
@@ -147,7 +147,7 @@ def test_stamps_from_the_future_do_not_keep_a_source_out_when_its_clock_is_right
     assert not streak.is_out
 
 
-def test_what_arrives_out_of_order_is_counted_as_it_comes() -> None:
+def test_decisions_are_counted_in_the_order_of_arrival() -> None:
     streak = Streak(5, 10)
     run(streak, "+", -1)
     for i in (0, 2, 1, 4, 3, 6, 5):

@@ -1,4 +1,4 @@
-"""Whether a stated sigma fits: against chi-square draws, and their quantiles by scipy."""
+"""Consistency of a stated sigma: against chi-square draws, and their quantiles by scipy."""
 
 import math
 
@@ -18,9 +18,8 @@ def filled(sigma_ratio: float, seed: int, count: int = 300, degrees: int = 3) ->
     return window
 
 
-def test_honest_sigmas_are_as_stated() -> None:
-    # Outside 3.3 sigma of 900 degrees of freedom lies one run in a thousand: of 2000 about 2, more than 9 in one of
-    # 20 000 such tests (Poisson).
+def test_correct_sigmas_are_consistent() -> None:
+    # One run in a thousand is outside 3.3 sigma: about 2 of 2000, more than 9 in one of 20 000 such tests (Poisson).
     found = [filled(1.0, seed, count=60, degrees=15).verdict(12 * SECOND) for seed in range(2000)]
     assert all(verdict.degrees == 900 for verdict in found)
     assert 1 <= sum(not verdict.is_as_stated for verdict in found) <= 9
@@ -29,21 +28,21 @@ def test_honest_sigmas_are_as_stated() -> None:
 
 
 @pytest.mark.parametrize(("ratio", "text"), [(1.6, "σ optimistic by 1.6"), (0.5, "σ pessimistic by 2.0")])
-def test_a_wrong_sigma_is_named_with_its_factor(ratio: float, text: str) -> None:
+def test_wrong_sigma_is_reported_with_its_factor(ratio: float, text: str) -> None:
     found = filled(ratio, 3, count=299, degrees=100).verdict(60 * SECOND)
     assert not found.is_as_stated
     assert found.text == text
 
 
 @pytest.mark.parametrize("degrees", [30, 300, 3000])
-def test_the_band_holds_what_it_says(degrees: int) -> None:
+def test_probability_of_the_band(degrees: int) -> None:
     # r = √(χ²/N): the probability to be outside 1 ± 3.3/√(2N), by scipy, is close to that of 3.3 normal sigmas.
     band = BAND_SIGMAS / math.sqrt(2 * degrees)
     outside = chi2.cdf(degrees * (1 - band) ** 2, degrees) + chi2.sf(degrees * (1 + band) ** 2, degrees)
     assert 0.0004 < outside < 0.002
 
 
-def test_what_is_older_than_a_minute_is_forgotten() -> None:
+def test_window_is_one_minute() -> None:
     window = filled(3.0, 1)
     for i in range(300):
         window.add((61 + i) * SECOND, 3.0, 3)
@@ -52,7 +51,7 @@ def test_what_is_older_than_a_minute_is_forgotten() -> None:
     assert found.ratio == pytest.approx(1.0)
 
 
-def test_too_few_say_nothing_and_none_is_nan() -> None:
+def test_too_few_innovations_give_no_text_and_none_gives_nan() -> None:
     window = NisWindow()
     assert math.isnan(window.verdict(0).ratio)
     window.add(0, 90.0, 3)

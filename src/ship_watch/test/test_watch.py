@@ -1,4 +1,4 @@
-"""The watch, given messages made by hand: what is old, what is waited for, what begins anew."""
+"""Monitor of a suite with hand-made messages: old data, missing data, resets."""
 
 import math
 from types import SimpleNamespace
@@ -53,7 +53,7 @@ def health(ns: int, topic: str, received: int, rate_hz: float = 5.0, age_s: floa
 
 
 def heard(until_s: float, start_s: float = 0.0, **of_attitude: Any) -> Watch:
-    """A watch that has heard a good ship for some seconds, at 10 Hz; its time begins at 1000 s."""
+    """Return a monitor that has received a good suite for some seconds, at 10 Hz; its time starts at 1000 s."""
     watch = Watch()
     go_on(watch, start_s, until_s, **of_attitude)
     return watch
@@ -74,7 +74,7 @@ def at(seconds: float) -> int:
     return 1000 * SECOND + round(seconds * SECOND)
 
 
-def test_before_anything_is_heard_it_says_what_it_waits_for() -> None:
+def test_missing_output_is_named_before_the_first_message() -> None:
     picture = Watch().look(5 * SECOND)
     assert [angle.name for angle in picture.angles] == list(ANGLES[:3])
     assert all(angle.safety is Safety.UNSAFE and angle.is_old for angle in picture.angles)
@@ -84,7 +84,7 @@ def test_before_anything_is_heard_it_says_what_it_waits_for() -> None:
     assert picture.alerts is None
 
 
-def test_a_good_ship_is_safe_and_the_picture_tells_her_time() -> None:
+def test_good_suite_is_safe_and_has_its_time() -> None:
     picture = heard(10.0).look(at(10.3))
     assert [angle.safety for angle in picture.angles] == [Safety.SAFE] * 3
     heading = picture.angles[0]
@@ -100,26 +100,26 @@ def test_a_good_ship_is_safe_and_the_picture_tells_her_time() -> None:
     }  # fmt: skip
 
 
-def test_what_is_old_is_never_current() -> None:
+def test_old_output_is_unsafe() -> None:
     watch = heard(10.0)
     assert not watch.look(at(10.9)).angles[0].is_old
     old = watch.look(at(11.0)).angles[0]
     assert old.is_old
-    assert (old.safety, old.reason) == (Safety.UNSAFE, "ship/attitude silent")
+    assert (old.safety, old.reason) == (Safety.UNSAFE, "no data on ship/attitude")
     much_later = watch.look(at(3600.0))
     assert much_later.angles[0].age_s == pytest.approx(3590.0)
     assert all(source.presence is not Presence.IN for source in much_later.sources)
     assert {source.reason for source in much_later.sources if source.presence is Presence.OUT} == {"not reported"}
 
 
-def test_the_same_output_again_and_again_grows_old() -> None:
+def test_repeated_output_gets_old() -> None:
     watch = heard(10.0)
     for tenth in range(1, 21):
         watch.take("ship/attitude", attitude(UTC + 10 * SECOND), at(10.0 + tenth / 10))
     assert watch.look(at(12.0)).angles[0].is_old
 
 
-def test_after_it_was_old_it_is_better_only_after_five_seconds() -> None:
+def test_old_output_recovers_after_five_seconds() -> None:
     watch = heard(10.0)
     watch.look(at(12.0))
     go_on(watch, 12.5, 17.0)
@@ -140,10 +140,8 @@ def test_after_it_was_old_it_is_better_only_after_five_seconds() -> None:
         (8.0, 11, []),
     ],
 )
-def test_accuracy_over_its_limit_for_a_moment_is_shown_and_no_alert(
-    seconds: float, every: int, alerts: list[str]
-) -> None:
-    """The word follows at once; an alert tells what lasts for five seconds, moments below the limit among them."""
+def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every: int, alerts: list[str]) -> None:
+    """The safety follows at once; an alert needs five seconds over the limit, short dips below it included."""
     watch, book, shown = Watch(), AlertBook(Limits().alerts), set()
     for tenth in range(300):
         second, is_over = tenth / 10, 200 <= tenth < 200 + 10 * seconds and tenth % every == 0
@@ -168,8 +166,8 @@ def pointing(ns: int, covariance: Any) -> SimpleNamespace:
     )
 
 
-def test_a_covariance_of_zeros_is_not_given_and_no_accuracy_of_zero() -> None:
-    """As sensor_msgs has it: "If the covariance is unknown, all elements are 0"."""
+def test_covariance_of_zeros_means_unknown_accuracy() -> None:
+    """As in sensor_msgs: "If the covariance is unknown, all elements are 0"."""
     watch = heard(10.0)
     watch.take("ship/attitude", attitude(UTC + 10_500_000_000, sigma_arcsec=0.0), at(10.5))
     watch.take("theodolite/pointing", pointing(UTC + 10_500_000_000, np.zeros(9)), at(10.5))
@@ -179,7 +177,7 @@ def test_a_covariance_of_zeros_is_not_given_and_no_accuracy_of_zero() -> None:
     assert {(angle.safety, angle.reason) for angle in angles} == {(Safety.UNSAFE, "accuracy unknown")}
 
 
-def test_where_no_covariance_is_given_an_error_against_truth_has_no_sigma() -> None:
+def test_error_against_truth_has_no_sigma_without_a_covariance() -> None:
     watch = Watch()
     for tenth in range(4):
         watch.take("truth/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
@@ -190,8 +188,8 @@ def test_where_no_covariance_is_given_an_error_against_truth_has_no_sigma() -> N
 
 
 @pytest.mark.parametrize("heading", [math.inf, -math.inf, math.nan])
-def test_an_orientation_that_is_no_number_is_not_compared_with_the_truth(heading: float) -> None:
-    """Neither a truth nor an output; nothing is calculated with it."""
+def test_orientation_not_finite_is_not_compared_with_the_truth(heading: float) -> None:
+    """Truths and outputs with values that are not finite are not used in any computation."""
     watch = Watch()
     with np.errstate(all="raise"):
         for tenth in range(6):
@@ -204,7 +202,7 @@ def test_an_orientation_that_is_no_number_is_not_compared_with_the_truth(heading
     assert all(abs(error) < 1e-6 for point in points for error in point.error.values())
 
 
-def test_one_variance_of_zero_is_no_accuracy_either() -> None:
+def test_variance_of_zero_means_unknown_accuracy() -> None:
     watch = heard(10.0)
     message = attitude(UTC + 10_500_000_000)
     message.covariance[4] = 0.0
@@ -212,18 +210,18 @@ def test_one_variance_of_zero_is_no_accuracy_either() -> None:
     assert [angle.safety for angle in watch.look(at(10.5)).angles] == [Safety.SAFE, Safety.UNSAFE, Safety.SAFE]
 
 
-def test_integrity_that_is_old_or_absent_is_not_met() -> None:
+def test_old_or_missing_integrity_is_no_integrity_data() -> None:
     watch = heard(10.0)
     for tenth in range(101, 140):
         watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
         told = watch.look(at(tenth / 10)).angles[0]
-        assert (told.safety, told.reason) == ((0, "") if tenth <= 130 else (1, "integrity not told"))
+        assert (told.safety, told.reason) == ((0, "") if tenth <= 130 else (1, "no integrity data"))
     watch = Watch()
     watch.take("ship/attitude", attitude(UTC), at(0.0))
     assert watch.look(at(0.1)).angles[0].safety is Safety.CAUTION
 
 
-def test_a_silent_source_is_out_after_two_seconds_and_named_by_the_angle() -> None:
+def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -> None:
     watch = heard(10.0)
     for tenth in range(101, 131):
         ns = UTC + tenth * SECOND // 10
@@ -236,14 +234,14 @@ def test_a_silent_source_is_out_after_two_seconds_and_named_by_the_angle() -> No
     assert early["star.bow"].presence is Presence.IN
     picture = watch.look(at(13.0))
     assert [(source.name, source.reason) for source in picture.sources if source.presence is Presence.OUT] == [
-        ("star.bow", "silent")
+        ("star.bow", "no data")
     ]
-    assert picture.angles[0].reason == "star.bow silent"
+    assert picture.angles[0].reason == "star.bow no data"
     assert picture.sources[0].out_since_ns == pytest.approx(UTC + 9.9 * SECOND, abs=1e6)
 
 
-def test_where_nothing_is_told_any_more_no_sky_is_blamed() -> None:
-    """All ends at once, as with a bag: for three seconds nobody knows why, then the node says nothing any more."""
+def test_stars_are_not_the_cause_if_all_messages_stop() -> None:
+    """All messages stop, as at the end of a bag: no cause is named for three seconds, then the missing reports."""
     watch = heard(10.0)
     told = refused(UTC + 10 * SECOND, "star.bow", Reason.NONE)
     told.accepted, told.components, told.residual, told.sigma, told.nis = True, ["up"], [1e-6], [1e-6], 1.0
@@ -253,10 +251,10 @@ def test_where_nothing_is_told_any_more_no_sky_is_blamed() -> None:
         picture = watch.look(at(tenth / 10))
         reasons |= {source.reason for source in picture.sources if source.presence is Presence.OUT}
         reasons |= {angle.reason for angle in picture.angles}
-    assert reasons == {"", "ship/attitude silent", "not reported"}
+    assert reasons == {"", "no data on ship/attitude", "not reported"}
 
 
-def test_an_excluded_source_is_out_and_in_again() -> None:
+def test_excluded_source_is_out_and_in_again() -> None:
     watch = heard(10.0)
     watch.take("ship/integrity", integrity(UTC + 10 * SECOND, 2, ("star.bow",)), at(10.05))
     source = watch.look(at(10.1)).sources[0]
@@ -268,7 +266,7 @@ def test_an_excluded_source_is_out_and_in_again() -> None:
     ]  # fmt: skip
 
 
-def test_events_do_not_depend_on_who_looks() -> None:
+def test_events_do_not_depend_on_requests() -> None:
     looked_at, left_alone = Watch(), Watch()
     for seconds in range(30):
         for watch in (looked_at, left_alone):
@@ -279,14 +277,14 @@ def test_events_do_not_depend_on_who_looks() -> None:
     assert any("CAUTION" in event.text or "UNSAFE" in event.text for event in left_alone.look(at(40.0)).events)
 
 
-def test_a_bag_that_starts_over_begins_anew() -> None:
+def test_restart_of_a_bag_resets_the_history() -> None:
     watch = heard(30.0)
     for tenth in range(200):
         watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(31.0 + tenth / 10))
     picture = watch.look(at(50.9))
     assert picture.utc_ns == UTC + 19_900_000_000
     assert not any(angle.is_old for angle in picture.angles)
-    assert picture.events[-1].text == "time went back: the data begin anew"
+    assert picture.events[-1].text == "time went back: history cleared"
 
 
 def test_limits_of_the_ship_are_used() -> None:
@@ -296,8 +294,8 @@ def test_limits_of_the_ship_are_used() -> None:
     assert words == [(Safety.CAUTION, "over the limit"), (Safety.SAFE, ""), (Safety.SAFE, "")]
 
 
-def test_the_text_beside_a_caution_is_true_at_every_time() -> None:
-    """An accuracy over its limit for 2 s, then below it: the picture says when the word gets better."""
+def test_reason_of_a_caution_is_current_at_any_time() -> None:
+    """An accuracy over its limit for 2 s, then below it: the reason states the time until the safety gets better."""
     watch = Watch(Limits(tilt_arcsec=4.0))
     go_on(watch, 0.0, 10.0)
     go_on(watch, 10.1, 12.0, sigma_arcsec=2.1)
@@ -307,7 +305,7 @@ def test_the_text_beside_a_caution_is_true_at_every_time() -> None:
     for tenth in range(121, 170):
         go_on(watch, tenth / 10, tenth / 10)
         (pitch,) = (angle for angle in watch.look(at(tenth / 10)).angles if angle.name == "pitch")
-        left_s = math.ceil(round(17.1 - tenth / 10, 6))  # a word is judged before the message of its time
+        left_s = math.ceil(round(17.1 - tenth / 10, 6))  # the safety is evaluated before the message of its time
         assert (pitch.safety, pitch.reason) == (Safety.CAUTION, f"within 4″ again; SAFE in {left_s} s")
     go_on(watch, 17.0, 17.2)
     assert watch.look(at(17.2)).angles[1].safety is Safety.SAFE
@@ -315,7 +313,7 @@ def test_the_text_beside_a_caution_is_true_at_every_time() -> None:
     assert told[:2] == ["pitch CAUTION → SAFE", "pitch SAFE → CAUTION, over the limit"]
 
 
-def test_every_topic_is_watched_by_its_type_alone() -> None:
+def test_topics_are_monitored_only_with_their_type() -> None:
     for row in TOPICS:
         assert watched_topic(row.pattern.replace("<id>", "bow"), row.type_name) is row
         assert watched_topic(row.pattern.replace("<id>", "bow"), "std_msgs/msg/String") is None
@@ -332,7 +330,7 @@ def test_every_topic_is_watched_by_its_type_alone() -> None:
         ("slow topics", ""),
     ],
 )  # fmt: skip
-def test_names_of_innovations_and_hypotheses_are_sources(name: str, source: str) -> None:
+def test_source_of_names_in_messages(name: str, source: str) -> None:
     assert source_of_name(name) == source
 
 
@@ -345,7 +343,7 @@ def test_names_of_innovations_and_hypotheses_are_sources(name: str, source: str)
         ("met/humidity", "weather"), ("ship/attitude", "ship_attitude"), ("truth/attitude", ""),
     ],
 )  # fmt: skip
-def test_topics_are_of_sources(topic: str, source: str) -> None:
+def test_source_of_topics(topic: str, source: str) -> None:
     assert source_of_topic(topic) == source
 
 
@@ -363,7 +361,7 @@ def solution(ns: int, status: int) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(("status", "presence"), [(0, Presence.IN), (1, Presence.IN), (3, Presence.OUT)])
-def test_single_stars_that_are_refused_put_no_sensor_out_that_gives_solutions(status: int, presence: Presence) -> None:
+def test_rejected_stars_keep_a_sensor_with_solutions_in(status: int, presence: Presence) -> None:
     watch = heard(10.0)
     for fifth in range(51, 80):
         ns = UTC + fifth * SECOND // 5
@@ -373,11 +371,11 @@ def test_single_stars_that_are_refused_put_no_sensor_out_that_gives_solutions(st
         watch.take("star/bow/solution", solution(ns, status), at(fifth / 5))
     sources = {source.name: source for source in watch.look(at(15.9)).sources}
     assert sources["star.bow"].presence is presence
-    assert sources["star.bow"].reason == ("" if presence is Presence.IN else "29 refused in a row: too few stars")
+    assert sources["star.bow"].reason == ("" if presence is Presence.IN else "29 rejected in a row: too few stars")
     assert "star.joint" not in sources
 
 
-def test_what_needs_a_source_that_is_out_does_not_bear_the_blame_also_while_it_comes_back() -> None:
+def test_consequence_keeps_its_cause_until_it_is_in_again() -> None:
     watch = heard(10.0)
     for fifth in range(51, 70):
         ns, now = UTC + fifth * SECOND // 5, at(fifth / 5)
@@ -404,7 +402,7 @@ def test_what_needs_a_source_that_is_out_does_not_bear_the_blame_also_while_it_c
     assert outs == []
 
 
-def test_a_node_that_starts_again_is_an_event_once() -> None:
+def test_restart_of_a_node_is_one_event() -> None:
     watch = heard(10.0)
     for second in range(11, 15):
         for topic in ("star/bow/solution", "reference/gyro/imu", "star/stern/solution"):
@@ -421,7 +419,7 @@ def alert(state: int, priority: int = 1, raised_s: int = 0) -> SimpleNamespace:
     )  # fmt: skip
 
 
-def test_alerts_are_shown_the_most_urgent_first_and_survive_a_bag_that_starts_over() -> None:
+def test_alerts_are_sorted_and_survive_a_reset() -> None:
     watch = heard(1.0)
     array = SimpleNamespace(header=stamp(UTC), alerts=[alert(3, 0), alert(3, 2), alert(1, 1), alert(1, 2, 5)])
     watch.take("ship/alerts", array, at(1.0))
@@ -449,7 +447,7 @@ def test_buffers_are_bounded_by_ten_minutes() -> None:
     assert len(watch.look(at(1500)).events) <= 200
 
 
-def test_one_stamp_of_another_year_does_not_set_the_time_for_long() -> None:
+def test_single_stamp_of_another_year_sets_the_time_only_briefly() -> None:
     watch = heard(10.0)
     watch.take("input_health", health(UTC + 10**17, "ins/imu", 1000, 100.0, 0.1), at(10.05))
     go_on(watch, 10.1, 17.0)
@@ -462,8 +460,8 @@ def behind(ns: int, node: str, text: str) -> SimpleNamespace:
     return told
 
 
-def test_a_node_that_is_behind_is_the_reason_and_no_source_is_to_blame_until_it_is_in_again() -> None:
-    """The INVALID of `ship_attitude` and the refusals that follow from what it cut."""
+def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
+    """`ship_attitude` is INVALID, and measurements are rejected because of messages that it dropped."""
     text = "ship_attitude is 3.2 s behind: the computer is too slow (2 cores, load 12)"
     watch = heard(10.0)
     for fifth in range(51, 70):
@@ -484,7 +482,7 @@ def test_a_node_that_is_behind_is_the_reason_and_no_source_is_to_blame_until_it_
     assert alert.id == "attitude.degraded"
     still = "ship_attitude is behind: the computer is too slow (2 cores)"
     assert alert.text == f"Heading and tilt lost: {still}"
-    # The node keeps up again; the sensor is in again after ten measurements.
+    # The node is no longer overloaded; the sensor is IN again after ten measurements.
     watch.take("ship/attitude", attitude(UTC + 14 * SECOND), at(14.0))
     picture = watch.look(at(14.1))
     assert picture.sources[0].because_of == "ship_attitude"
@@ -494,7 +492,7 @@ def test_a_node_that_is_behind_is_the_reason_and_no_source_is_to_blame_until_it_
     assert {angle.safety for angle in picture.angles} == {Safety.SAFE}
 
 
-def test_a_source_that_was_out_before_a_node_was_behind_keeps_the_blame() -> None:
+def test_source_out_before_an_overload_keeps_its_own_fault() -> None:
     watch = heard(10.0)
     for second in range(10, 18):
         ns = UTC + second * SECOND
@@ -506,16 +504,16 @@ def test_a_source_that_was_out_before_a_node_was_behind_keeps_the_blame() -> Non
     (star, *_) = picture.sources
     assert (star.name, star.reason, star.because_of) == ("star.bow", "excluded", "")
     assert {angle.now for angle in picture.angles[:3]} == {(Safety.CAUTION, "ship_attitude is 3.2 s behind")}
-    assert {angle.because_of for angle in picture.angles[:3]} == {""}  # for that a node is to blame
+    assert {angle.because_of for angle in picture.angles[:3]} == {""}  # the cause is a node
 
 
 def published(watch: Watch, seconds: float) -> SimpleNamespace:
-    """The SuiteState of a watch, as the alert node publishes it."""
+    """Return the SuiteState message of a monitor, as published by the alert node."""
     return RosidlFactory().make(STATE_TYPE, **state_fields(watch.look(at(seconds))))
 
 
-def test_a_watch_shows_the_published_state_in_place_of_its_own_and_its_own_without_one() -> None:
-    """Another watch finds all angles over their limits; while its state is published, this one shows and tells that."""
+def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
+    """While the state of another monitor is published, its angles and events replace those of this one."""
     other, watch = heard(20.0, sigma_arcsec=4.0), heard(20.0)
     assert {angle.safety for angle in watch.look(at(20.0)).angles} == {Safety.SAFE}
     watch.take_state(published(other, 20.0), at(20.1))
@@ -528,18 +526,18 @@ def test_a_watch_shows_the_published_state_in_place_of_its_own_and_its_own_witho
     assert watch.history.ribbons[-1].words["heading"] is Safety.SAFE  # of the second before
     go_on(watch, 20.2, 22.0)
     assert {angle.safety for angle in watch.look(at(22.0)).angles} == {Safety.CAUTION}
-    # Two seconds without a state: its own words again, at once.
+    # Two seconds without a state: its own safety again, at once.
     go_on(watch, 22.1, 22.5)
     assert {angle.safety for angle in watch.look(at(22.5)).angles} == {Safety.SAFE}
-    # It comes again, and its state is shown again; then it leaves the network, and its state does not outlive it.
+    # The state is published again and displayed; after the end of the alert node it is no longer used.
     watch.take_state(published(other, 20.0), at(22.6))
     assert {angle.safety for angle in watch.look(at(22.6)).angles} == {Safety.CAUTION}
     watch.forget_alerts()
     assert {angle.safety for angle in watch.look(at(22.7)).angles} == {Safety.SAFE}
 
 
-def test_an_output_that_stops_with_its_node_has_no_source_as_its_cause() -> None:
-    """A sensor never came, the INS carried the attitude, then the node ends: what stopped is the output itself."""
+def test_output_that_stops_with_its_node_has_no_source_as_cause() -> None:
+    """A sensor was never received and the INS gave the attitude; then the node ends: no source is the cause."""
     watch = Watch()
     for tenth in range(100):
         ns = tenth * SECOND // 10
@@ -549,5 +547,5 @@ def test_an_output_that_stops_with_its_node_has_no_source_as_its_cause() -> None
             watch.take("input_health", missing, at(ns / SECOND))
             watch.take("input_health", health(UTC + ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), at(ns / SECOND))
         watch.take("ship/attitude", attitude(UTC + ns, 100.0), at(ns / SECOND))
-    assert {angle.reason for angle in watch.look(at(10.0)).angles} == {"star.bow never heard"}
-    assert {angle.reason for angle in watch.look(at(20.0)).angles} == {"ship/attitude silent"}
+    assert {angle.reason for angle in watch.look(at(10.0)).angles} == {"star.bow never received"}
+    assert {angle.reason for angle in watch.look(at(20.0)).angles} == {"no data on ship/attitude"}

@@ -1,4 +1,4 @@
-"""What a watch officer reads of a number."""
+"""Texts of values for people."""
 
 import math
 from zoneinfo import ZoneInfo
@@ -48,7 +48,7 @@ def angle(name, degrees, **changed):
         ("roll", -12.34, "12.3°", "port down"),
     ],
 )
-def test_an_angle_is_read_with_a_word_for_its_sign(name, degrees, number, sense):
+def test_angle_has_a_word_for_its_sign(name, degrees, number, sense):
     assert words.reading(angle(name, degrees)) == (number, sense)
 
 
@@ -61,7 +61,7 @@ def test_an_old_value_keeps_its_age_and_loses_its_number_after_a_minute():
     assert words.accuracy(very_old) == "OLD 61 s"
 
 
-def test_a_value_that_never_came_is_a_dash():
+def test_missing_value_is_a_dash():
     never = angle("pitch", math.nan, is_old=True, age_s=math.inf, accuracy_95=math.nan)
     assert words.reading(never) == (words.NO_VALUE, "")
     assert words.accuracy(never) == words.NO_VALUE
@@ -75,7 +75,7 @@ def test_the_size_of_a_small_angle(arcsec, text):
     assert words.angle_size(arcsec * ARCSEC) == text
 
 
-def test_a_limit_has_the_digits_that_it_was_given():
+def test_limit_has_its_given_digits():
     assert [words.limit_size(each * ARCSEC) for each in (5.0, 2.5, 10.0, math.nan)] == ["5″", "2.5″", "10″", "—"]
 
 
@@ -86,7 +86,7 @@ def test_a_limit_has_the_digits_that_it_was_given():
         *((7200.0, "2 h"), (360000.0, "4 d"), (math.inf, "never"), (math.nan, "—"), (-0.2, "0.0 s")),
     ],
 )
-def test_an_age_has_one_unit(seconds, text):
+def test_age_has_one_unit(seconds, text):
     assert words.age(seconds) == text
 
 
@@ -106,7 +106,7 @@ def test_any_number_has_a_short_text(name, degrees, age_s):
         assert len(f"{number} {sense}") <= 16 or name == "roll"
 
 
-def test_local_time_has_the_name_of_its_offset_and_none_stands_without_a_zone() -> None:
+def test_local_time_has_the_name_of_its_offset() -> None:
     assert words.local_clock(NOON_NS, ZoneInfo("Europe/Oslo")) == "14:00:07 CEST"
     assert words.local_clock(NOON_NS, ZoneInfo("America/Sao_Paulo")) == "09:00:07 UTC-03"
     assert words.local_clock(NOON_NS, None) == ""

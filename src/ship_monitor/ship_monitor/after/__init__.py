@@ -1,4 +1,4 @@
-"""A bag or a black box, looked at after the fact: what of it is watched, and the time that is looked at.
+"""Playback of a bag or a black box on the page: its monitored messages, and the displayed time.
 
-It reads bags and gives them to a watch; it knows the widgets of Bokeh that choose the time, and no ROS.
+It reads bags into a :class:`ship_watch.suite_monitor.SuiteMonitor`. It uses Bokeh widgets for the time, and no ROS.
 """

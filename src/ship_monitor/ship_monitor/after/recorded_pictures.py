@@ -1,10 +1,9 @@
-"""Pictures of a bag at the time that somebody chose: what the page shows of it.
+"""Playback of a bag on the page: the state of its suite at a chosen time.
 
-A watch has to hear the ten minutes before a time to show it whole, and that takes a second or two. So another time is
-shown at once from its last minute alone, which is all that words and verdicts rest on; the ten minutes, for plots,
-events and since when a source is out, are heard a little at each look, and take its place when they are through. Of
-what lies before them only alerts and states that still stand are heard: a source that is out for longer is told to be
-out for ten minutes.
+The full state at a time needs the messages of the ten minutes before it, which take a second or two to read. A new time
+is therefore displayed at once from its last minute, which is enough for safety and NIS consistency. The ten minutes,
+for plots, events and times since which sources are OUT, are read in parts at each update and then replace the minute.
+Before them only latched alerts and states are read: a source that is OUT for longer is shown as OUT for ten minutes.
 """
 
 import math
@@ -22,14 +21,14 @@ from ship_watch.picture import Picture
 from ship_watch.watch import Watch
 
 QUICK_NS = 60 * NS_PER_S
-"""The part before a time that is heard at once, ns: verdicts count the last minute."""
+"""History that is read at once for a new time, ns: NIS consistency uses the last minute."""
 
 LOOK_S = 0.2
-"""How long one look may go on with the ten minutes, s."""
+"""Maximum time for reading the ten minutes in one update, s."""
 
 
 class _Heard:
-    """A watch that hears a suite from some time on."""
+    """A monitor that reads a recorded suite from a start time on."""
 
     def __init__(self, suite: RecordedSuite, limits: Limits, since_ns: int) -> None:
         self.watch = Watch(limits)
@@ -38,7 +37,7 @@ class _Heard:
         self._next = next(self._messages, None)
 
     def hear(self, until_ns: int, deadline_s: float = math.inf) -> bool:
-        """Hear what was said until a log time; the answer is whether that was reached before a time of the clock."""
+        """Read messages until a log time; return False if the deadline, monotonic time in s, came first."""
         while self._next is not None and self._next.log_time_ns <= until_ns:
             message = self._next
             self.watch.take(message.topic, message.message, message.log_time_ns)
@@ -51,13 +50,13 @@ class _Heard:
 
 
 class RecordedPictures:
-    """What one browser sees of a suite in a bag (:class:`ship_monitor.page.picture_source.PictureSource`).
+    """Playback of a recorded suite in one browser (:class:`ship_monitor.page.page_source.PageSource`).
 
-    It begins at the end of the bag.
+    It starts at the end of the bag.
 
     Args:
-        suite: what the bag holds.
-        limits: of the ship.
+        suite: the recorded suite.
+        limits: limits of the ship.
     """
 
     def __init__(self, suite: RecordedSuite, limits: Limits) -> None:
@@ -71,34 +70,34 @@ class RecordedPictures:
 
     @property
     def label(self) -> str:
-        """SIMULATED where the truth or a scenario is in the bag, else BAG."""
+        """SIMULATED if the bag contains the truth or a scenario, else BAG."""
         return "SIMULATED · bag" if self._suite.is_simulated else "BAG"
 
     @property
     def name(self) -> str:
-        """The name of the bag."""
+        """Name of the bag."""
         return self._suite.path.stem or self._suite.path.name
 
     @property
     def place(self) -> str:
-        """What is missing in the bag, or else which bag it is."""
+        """Text about missing data in the bag, or the name of the bag."""
         return self._suite.notes[0] if self._suite.notes else f"bag {self._suite.path.name}"
 
     @property
     def history(self) -> History:
-        """What the plots show: of the last minute until the ten are heard."""
+        """Data of the plots: of the last minute until the ten minutes are read."""
         return self._heard().watch.history
 
     @property
     def is_whole(self) -> bool:
-        """Whether all of the last ten minutes has been heard."""
+        """True if all of the last ten minutes has been read."""
         return self._whole is None and self._shown is not None
 
     def go_to(self, since_start_s: float) -> None:
-        """Look at another time.
+        """Set the displayed time.
 
         Args:
-            since_start_s: after the first message of the bag, s.
+            since_start_s: time after the first message of the bag, s.
         """
         wanted_ns = self._suite.start_ns + round(since_start_s * NS_PER_S)
         wanted_ns = min(max(wanted_ns, self._suite.start_ns), self._suite.end_ns)
@@ -107,31 +106,31 @@ class RecordedPictures:
         self._time_ns = wanted_ns
 
     def look(self) -> Picture:
-        """The picture of the time that is looked at, which goes on while the bag is played."""
+        """Return the state at the displayed time, which advances while the bag is played."""
         now_s = time.monotonic()
         self._play(now_s - self._last_look_s)
         self._last_look_s = now_s
         is_begun = self._shown is None
         shown = self._heard()
         shown.hear(self._time_ns)
-        # Another time is shown before anything else is done.
+        # A new time is displayed before the ten minutes are read.
         if not is_begun and self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + LOOK_S):
             shown = self._shown = self._whole
             self._whole = None
         return shown.watch.look(self._time_ns)
 
     def controls(self, moved: Callable[[], None]) -> UIElement:
-        """Slider and buttons that choose the time; ``moved`` is called when somebody has."""
+        """Return slider and buttons for the time; ``on_move`` is called after a change by the user."""
         self._tell_moved = moved
         return self._controls.layout
 
     def _move(self, since_start_s: float) -> None:
-        """Somebody has chosen a time: the page does not wait for its next look."""
+        """Set a time chosen by the user, and update the page at once."""
         self.go_to(since_start_s)
         self._tell_moved()
 
     def _heard(self) -> _Heard:
-        """What hears for the picture; begun where the time is another one."""
+        """Return the replay for the displayed time, a new one after a change of the time."""
         if self._shown is None:
             kept_ns = self._time_ns - round(KEPT_S * NS_PER_S)
             quick_ns = self._time_ns - QUICK_NS
@@ -142,7 +141,7 @@ class RecordedPictures:
         return self._shown
 
     def _play(self, passed_s: float) -> None:
-        """Go on by what has passed since the last look; at the end the bag stops."""
+        """Advance the displayed time by the time since the last update, s; stop at the end of the bag."""
         if not self._controls.is_playing:
             return
         length_s = (self._suite.end_ns - self._suite.start_ns) / NS_PER_S

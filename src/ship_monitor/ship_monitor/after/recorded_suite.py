@@ -1,4 +1,4 @@
-"""A suite as a bag or a black box holds it: which of its messages are watched, from any time on."""
+"""A suite in a bag or a black box: its monitored messages from any time on."""
 
 import sys
 from collections.abc import Iterator
@@ -14,18 +14,18 @@ from ship_watch.topics import watched_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing")
 STANDING = ("ship/alerts", "ship/alignment", "theodolite/calibration")
-"""Topics whose last message stands until the next, however old it is."""
+"""Topics whose last message stays valid until the next one."""
 
 _STATES = STANDING[1:]
-"""Of these the first message tells the nominal values, too."""
+"""Topics whose first message also contains the nominal values."""
 
 THINNED_NS = 100_000_000
-"""Where the newest message says all, one in so much time is decoded, ns: a watch judges no more often."""
+"""Interval at which one message is decoded if the newest is enough, ns: the period of the evaluation."""
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """One message that is watched: its relative topic, the decoded message, and its log time."""
+    """One monitored message: its relative topic, the decoded message, and its log time, ns."""
 
     topic: str
     message: Any
@@ -33,20 +33,21 @@ class Recorded:
 
 
 class RecordedSuite:
-    """An open bag of one suite. It may be read from several places at once.
+    """An open bag of one suite. Several readers may use it at the same time.
 
     Attributes:
-        path: of the bag.
-        start_ns: log time of the first message; ``end_ns``: of the last.
-        is_simulated: whether it holds the truth or a scenario, as no recording of a ship does.
-        notes: what is missing in it and what that means, a plain line each.
+        path: path of the bag.
+        start_ns: log time of the first message.
+        end_ns: log time of the last message.
+        is_simulated: True if the bag contains the truth or a scenario, unlike a recording of a ship.
+        notes: missing data and their consequence, one line each.
 
     Args:
         path: an MCAP file or a rosbag2 folder.
-        namespace: of the suite in the bag, with or without slashes; empty for the only one there is.
+        namespace: namespace of the suite in the bag, with or without slashes; empty if there is only one.
 
     Raises:
-        BadInput: the bag cannot be read; or it holds several suites, or not the one that was named.
+        BadInput: the bag cannot be read, contains several suites, or does not contain the given one.
     """
 
     def __init__(self, path: Path, namespace: str = "") -> None:
@@ -66,12 +67,12 @@ class RecordedSuite:
         self._first_states = [next(self._bag.records({usable[name]}), None) for name in _STATES if name in usable]
 
     def messages(self, since_ns: int) -> Iterator[Recorded]:
-        """What is watched from a log time on; first the alerts and states that stood then.
+        """Yield the monitored messages from a log time on, after the alerts and states that were valid then.
 
-        What cannot be decoded is left out.
+        Messages that cannot be decoded are skipped.
 
         Args:
-            since_ns: log time of the first message.
+            since_ns: log time of the first message, ns.
         """
         last = [self._bag.last_before(topic, since_ns) for topic in self._standing.values()]
         first = [record for record in self._first_states if record is not None and record.log_time_ns < since_ns]
@@ -97,32 +98,32 @@ class RecordedSuite:
             yield Recorded(self._rows[record.topic][0], record.decode(), log_time_ns)
         except BadInput as problem:
             if record.topic not in self._told:
-                print(f"monitor: left out: {problem}", file=sys.stderr, flush=True)
+                print(f"monitor: message skipped: {problem}", file=sys.stderr, flush=True)
             self._told.add(record.topic)
 
     def _only_namespace(self) -> str:
-        """The namespace under which watched topics lie; empty where there is none."""
+        """Return the namespace of the monitored topics; empty if there is none."""
         found = {space for name, kind in self._bag.topics.items() if (space := _namespace_of(name, kind)) is not None}
         if len(found) > 1:
             named = ", ".join(f"/{space}" for space in sorted(found))
-            raise BadInput(f"the bag holds suites in {named}: name one with --namespace", file=self.path)
+            raise BadInput(f"the bag contains suites in {named}: select one with --namespace", file=self.path)
         return found.pop() if found else ""
 
     def _missing(self, usable: set[str], has_truth: bool) -> tuple[str, ...]:
-        """What is missing, and what that means."""
+        """Return lines about missing data and their consequence."""
         name = self.path.name
         if usable.isdisjoint(OUTPUTS):
             outputs = f"no {OUTPUTS[0]} and no {OUTPUTS[1]}"
-            remedy = f"make them with './ros2run ship_replay replay {self.path} --out OUT.mcap', then look at OUT.mcap"
-            return (f"{name} holds {outputs}, only inputs: {remedy}",)
-        lines = [] if has_truth else [f"{name} holds no truth: innovations are shown, errors are not"]
+            remedy = f"make them with './ros2run ship_replay replay {self.path} --out OUT.mcap', then open OUT.mcap"
+            return (f"{name} contains {outputs}, only inputs: {remedy}",)
+        lines = [] if has_truth else [f"{name} contains no truth: innovations are shown, errors are not"]
         if OUTPUTS[0] not in usable:
-            lines.append(f"{name} holds no {OUTPUTS[0]}: heading, pitch and roll are not known")
+            lines.append(f"{name} contains no {OUTPUTS[0]}: heading, pitch and roll are unknown")
         return tuple(lines)
 
 
 def _namespace_of(name: str, type_name: str) -> str | None:
-    """The namespace in which a topic of a bag would be watched; None where it would not be."""
+    """Return the namespace in which a topic of a bag is a monitored one; None if it is none."""
     words = name.strip("/").split("/")
     for length in range(len(words)):
         if watched_topic("/".join(words[length:]), type_name) is not None:

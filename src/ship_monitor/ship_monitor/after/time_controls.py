@@ -1,6 +1,6 @@
-"""What stands under the top bar of a bag: play and pause, how fast, a slider, and what is missing in the bag.
+"""Controls of a bag under the top bar: play and pause, speed, time slider, and a note about missing data.
 
-Its colours are those of the page, which its styles take from the custom properties of the document.
+Their styles take the colours of the page from the custom properties of the document.
 """
 
 from collections.abc import Callable
@@ -15,17 +15,17 @@ _PLAY, _PAUSE = "▶ Play", "❚❚ Pause"
 
 
 class TimeControls:
-    """Chooses the time of a bag that is looked at.
+    """Controls for the displayed time of a bag.
 
-    The keys of the page find the slider and the button by their names, ``time`` and ``play``.
+    The page's script finds the slider and the button by their names, ``time`` and ``play``.
 
     Attributes:
-        layout: what the page places under its top bar.
+        layout: layout that the page places under its top bar.
 
     Args:
-        length_s: of the bag.
-        note: what is missing in it; empty for nothing.
-        go_to: called with the time that somebody chose, s after the first message.
+        length_s: length of the bag, s.
+        note: note about missing data; empty for none.
+        go_to: called with the time chosen by the user, s after the first message.
     """
 
     def __init__(self, length_s: float, note: str, go_to: Callable[[float], None]) -> None:
@@ -63,7 +63,7 @@ class TimeControls:
 
     @property
     def is_playing(self) -> bool:
-        """Whether time goes on."""
+        """True while the bag is played."""
         return bool(self._play.active)
 
     @property
@@ -74,7 +74,7 @@ class TimeControls:
     _place = 0
 
     def show(self, at_s: float) -> None:
-        """Move the slider to a time that nobody chose."""
+        """Move the slider to a time, s, without pausing."""
         self._told_s = at_s
         self._slider.value = at_s
 
@@ -93,7 +93,7 @@ class TimeControls:
         self._speed.label = f"× {self.speed}"
 
     def _dragged(self, _name: str, _old: Any, at_s: float) -> None:
-        """Somebody has the slider in his hand: time does not pull at it."""
+        """Pause while the user drags the slider."""
         if at_s != self._told_s:
             self.stop()
 
@@ -103,7 +103,7 @@ class TimeControls:
 
 
 def _clock(at_s: float, length_s: float) -> str:
-    """Time and length as hours, minutes and seconds."""
+    """Return time and length as hours, minutes and seconds."""
     return " / ".join(f"{int(s) // 3600}:{int(s) // 60 % 60:02d}:{int(s) % 60:02d}" for s in (at_s, length_s))
 
 

@@ -1,5 +1,5 @@
-"""The node that raises alerts and takes acknowledgements.
+"""Node that raises alerts and accepts acknowledgements.
 
-Alerts live here and in a file, not in what shows them. `alert_keeper` knows no ROS; `alert_node` puts it on the
-network. The room imports ship_watch and the room live, and no other room.
+Alerts are stored here and in a file, not in the displays. `alert_manager` uses no ROS; `alert_node` connects it to the
+network. The folder imports ship_watch and the folder live only.
 """

@@ -1,4 +1,4 @@
-"""The alerts of a suite from its messages, kept in a file, so that a node that dies loses none. No ROS."""
+"""Alerts of a suite from its messages, saved in a file so that a crash of the node loses none. No ROS."""
 
 import json
 import math
@@ -19,30 +19,30 @@ from ship_watch.picture import AlertShown, Picture
 from ship_watch.watch import Watch
 
 LONGEST_PAUSE_NS = 5 * NS_PER_S
-"""Who did not look for longer has slept with the machine, and knows nothing of what happened meanwhile."""
+"""Time between two updates above which the computer has slept and the data are reset, ns."""
 
 STATUS_AGE_NS = 5 * NS_PER_S
-"""What a node told of itself holds for so long; nodes tell it once a second."""
+"""Maximum age of a node's diagnostic status, ns; nodes publish it once a second."""
 
 MOST_STATUSES = 2000
-"""Diagnostic statuses that hold at once."""
+"""Maximum number of diagnostic statuses."""
 
 _DISK_PERIOD_NS = 10 * NS_PER_S
 _FORMAT, _VERSION = "ship_alerts", 1
 
 
 class AlertKeeper:
-    """Watches a suite, raises its alerts and keeps them.
+    """Monitors a suite, raises its alerts and saves them.
 
     Args:
-        limits: of the ship.
-        state: file that the alerts are kept in; None for none. It is read now, where it is there.
-        now_ns: steady time.
-        say: told of trouble with the file or the disk, in one line.
-        files: how files are read and written.
+        limits: limits of the ship.
+        state_file: file of the alerts, read at once if it exists; None for none.
+        now_ns: steady time, ns.
+        log_problem: called with one line about a problem with the file or the disk.
+        files: reader and writer of files.
 
     Attributes:
-        picture: of the last look.
+        suite_state: state of the suite at the last update.
     """
 
     def __init__(
@@ -59,32 +59,32 @@ class AlertKeeper:
 
     @property
     def alerts(self) -> tuple[AlertShown, ...]:
-        """All that are not NORMAL, the most urgent first."""
+        """Alerts that are not NORMAL, the most urgent first."""
         return self._book.alerts
 
     def take(self, topic: str, message: Any, arrival_ns: int) -> None:
-        """Take one message by its topic relative to the namespace, with the steady time at which it came."""
+        """Process one message; the topic is relative to the namespace, the arrival a steady time, ns."""
         self._watch.take(topic, message, arrival_ns)
 
     def take_status(self, status: NodeStatus, arrival_ns: int) -> None:
-        """Take what a node told of itself."""
+        """Process a diagnostic status of a node."""
         key = (status.node, status.name)
         if has_room(self._statuses, key, "diagnostic status", MOST_STATUSES):
             self._statuses[key] = status, arrival_ns
 
     def start_anew(self, now_ns: int) -> None:
-        """The suite's time has gone back, or this machine slept: what was heard holds no more, the alerts go on."""
+        """Reset all data except the alerts, after the suite's time went back or the computer slept."""
         self._watch.start_anew()
         self._statuses.clear()
         self._book = AlertBook(self._limits.alerts, self._book.saved(), now_ns)
         self._looked_ns = now_ns
 
     def look(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
-        """What has changed.
+        """Update the alerts; return the changes.
 
         Args:
-            now_ns: steady time.
-            clock_ns: UTC by the machine's clock, for as long as the suite tells none.
+            now_ns: steady time, ns.
+            clock_ns: UTC of the computer's clock, ns; used until the suite has a time.
         """
         if now_ns - self._looked_ns > LONGEST_PAUSE_NS:
             self.start_anew(now_ns)
@@ -94,18 +94,18 @@ class AlertKeeper:
         return self._kept(self._book.take(found, now_ns, self._utc_ns(clock_ns)))
 
     def acknowledge(self, id_: str, instance: int, clock_ns: int) -> tuple[AlertChange | None, str]:
-        """A person has seen an alert: what that changed, None for nothing, and in words."""
+        """Acknowledge one instance of an alert; return the change, None without one, and the result in words."""
         change, text = self._book.acknowledge(id_, instance, self._utc_ns(clock_ns))
         if change is not None:
             self._kept((change,))
         return change, text
 
     def silence(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
-        """A person wants no sound for a while."""
+        """Silence all sounding alerts for a while; return the changes."""
         return self._kept(self._book.silence(now_ns, self._utc_ns(clock_ns)))
 
     def tree(self) -> tuple[Branch, ...]:
-        """Which function is lost because of which input, as of the last look."""
+        """Return functions and their inputs as diagnostic entries, from the last update."""
         return tree(self.picture, self._limits)
 
     def _utc_ns(self, clock_ns: int) -> int:
@@ -117,7 +117,7 @@ class AlertKeeper:
             try:
                 self._disk_free_gb = shutil.disk_usage(self._limits.machine.disk_path).free / 1e9
             except OSError as problem:
-                # A disk that is gone has no room.
+                # A missing disk has no free space.
                 self._disk_free_gb = 0.0
                 self._say(f"disk {self._limits.machine.disk_path}: {problem.strerror}")
         self._statuses = {
@@ -128,7 +128,7 @@ class AlertKeeper:
         return Machine(tuple(status for status, _ in self._statuses.values()), self._disk_free_gb)
 
     def _read(self, now_ns: int) -> AlertBook:
-        """The book that the file holds; an empty one where there is no file, or one that cannot be used."""
+        """Return the alerts of the file; an empty list without a file, or if it cannot be read."""
         try:
             if self._state is None:
                 return AlertBook(self._limits.alerts, (), now_ns)
@@ -139,11 +139,11 @@ class AlertKeeper:
         except FileNotFoundError:
             return AlertBook(self._limits.alerts, (), now_ns)
         except (OSError, ValueError, TypeError, KeyError) as problem:
-            self._say(str(BadInput(f"alerts of before are not known: {problem}", file=self._state)))
+            self._say(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state)))
             return AlertBook(self._limits.alerts, (), now_ns)
 
     def _kept(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
-        """The changes, with the file written where there are any, or where it could not be written before."""
+        """Return the changes after writing the file, if there are any or the last write failed."""
         if self._state is not None and (changes or self._is_unsaved):
             document = {"format": _FORMAT, "version": _VERSION, "alerts": self._book.saved()}
             try:
@@ -151,6 +151,6 @@ class AlertKeeper:
                 self._is_unsaved = False
             except OSError as problem:
                 if not self._is_unsaved:
-                    self._say(f"{self._state}: alerts cannot be saved: {problem.strerror}; tried again at each look")
+                    self._say(f"{self._state}: alerts cannot be saved: {problem.strerror}; retried at each update")
                 self._is_unsaved = True
         return changes

@@ -1,4 +1,4 @@
-"""``alerts``: raises the alerts of a suite, publishes them and takes acknowledgements."""
+"""``alerts``: raises the alerts of a suite, publishes them and accepts acknowledgements."""
 
 import argparse
 import os
@@ -39,20 +39,20 @@ from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, chang
 from ship_watch.topics import watched_topic
 
 LOOK_NS = NS_PER_S // 5
-"""How often the suite is looked at, ns."""
+"""Period of the updates, ns."""
 
 _NAME = "alerts"
 _REPORT_NS = NS_PER_S
 _LEVELS = {Priority.CAUTION: Level.OK, Priority.WARNING: Level.WARN, Priority.ALARM: Level.ERROR}
 
 _DESCRIPTION = """\
-Raises alerts where the outputs and inputs of a suite are not within the limits of the ship, after IEC 62923-1: one
-alert of one situation, cautions, warnings and alarms, until they are over and acknowledged.
+Raises alerts if outputs or inputs of a suite are not within the limits of the ship, after IEC 62923-1: one alert per
+situation (caution, warning or alarm) until it is over and acknowledged.
 
 It publishes ship/alerts (all alerts, latched, at every change), ship/suite_state (the state of angles and sources that
-page and terminal show) and, in /diagnostics, which function is lost because of which input. ~/acknowledge takes the id
-and the instance that a person has seen, ~/silence switches the sound off for a while. Alerts and acknowledgements
-outlive the node in a file.
+page and terminal show) and, in /diagnostics, each lost function with the input that caused it. ~/acknowledge takes id
+and instance of an alert, ~/silence switches the sound off for 30 s. Alerts and acknowledgements are saved in a file and
+restored at the next start.
 
 ROS arguments may follow after --ros-args (namespace of the suite, use_sim_time).
 """
@@ -76,8 +76,8 @@ def _parser() -> CommandParser:
         "--state",
         type=Path,
         metavar="FILE",
-        help="where alerts are kept for the next start (~/.ros/alerts_NAMESPACE.json; under use_sim_time nowhere, "
-        "for a bag that is played again is another voyage)",
+        help="file in which alerts are saved for the next start (~/.ros/alerts_NAMESPACE.json; none with use_sim_time, "
+        "since a played bag is another voyage)",
     )
     return parser
 
@@ -88,7 +88,7 @@ def _run(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         state = parsed.state
         if state is None and not node.get_parameter("use_sim_time").value:
             state = default_state(node.get_namespace())
-        # The node takes the time from what it hears: following /clock would wake it a hundred times a second.
+        # The node takes the time from the messages: following /clock would wake it a hundred times a second.
         node.set_parameters([Parameter("use_sim_time", value=False)])
         alerts = AlertNode(node, limits, state)
         on_end_signals(alerts.stop)
@@ -97,18 +97,18 @@ def _run(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
 
 
 def default_state(namespace: str) -> Path:
-    """Where the alerts of a namespace are kept: below ROS_HOME, as logs are."""
+    """Return the file of the alerts of a namespace, in ROS_HOME."""
     home = Path(os.environ.get("ROS_HOME") or "~/.ros").expanduser()
     return home / f"{'_'.join(filter(None, ['alerts', *namespace.split('/')]))}.json"
 
 
 class AlertNode:
-    """The alerts of the suite in a node's namespace.
+    """Publishes the alerts of the suite in a node's namespace and serves acknowledgements.
 
     Args:
-        node: publishes and serves; :meth:`run` spins it.
-        limits: of the ship.
-        state: file that the alerts are kept in; None for none.
+        node: ROS node, spun by :meth:`run`.
+        limits: limits of the ship.
+        state_file: file of the alerts; None for none.
     """
 
     def __init__(self, node: Node, limits: Limits, state: Path | None) -> None:
@@ -130,16 +130,16 @@ class AlertNode:
         node.create_service(Trigger, "~/silence", self._silence)
         self._is_stopped = False
         kept = ", ".join(alert.id for alert in self._keeper.alerts)
-        known = f"; known from before: {kept}" if kept else ""
-        node.get_logger().info(f"alerts of {self._reader.place}; kept in {state or 'no file'}{known}")
+        known = f"; restored: {kept}" if kept else ""
+        node.get_logger().info(f"alerts of {self._reader.place}; saved in {state or 'no file'}{known}")
         self._publish()
 
     def stop(self) -> None:
-        """End soon; for signal handlers."""
+        """Request the end; for signal handlers."""
         self._is_stopped = True
 
     def run(self) -> None:
-        """Look at the suite again and again until it is stopped."""
+        """Update periodically until stopped."""
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
         next_look_ns = next_report_ns = steady_ns()
@@ -179,14 +179,14 @@ class AlertNode:
                 where = {status.hardware_id.rpartition("/")[0] or "/"}
             if node == _NAME or self._node.get_namespace() not in where:
                 continue
-            # Messages of others than our nodes do not tell from which of two nodes of one name they are.
-            other = "" if len(where) == 1 else f" (this is the node of one of {', '.join(sorted(where))})"
+            # Statuses of other software do not contain the namespace: two nodes of one name are not distinguishable.
+            other = "" if len(where) == 1 else f" (a node of one of {', '.join(sorted(where))})"
             values = {pair.key: pair.value for pair in status.values}
             told = NodeStatus(node, name, status.level[0], status.message + other, values)
             self._keeper.take_status(told, arrival_ns)
 
     def _namespaces(self) -> dict[str, set[str]]:
-        """Namespaces of the nodes that tell their diagnostics, by their names: suites share the topic."""
+        """Return the namespaces of the nodes that publish diagnostics, by node name: suites share the topic."""
         found: dict[str, set[str]] = {}
         for endpoint in self._node.get_publishers_info_by_topic(DIAGNOSTICS_TOPIC):
             found.setdefault(endpoint.node_name, set()).add(endpoint.node_namespace)
@@ -211,7 +211,7 @@ class AlertNode:
         for change in changes:
             alert = change.alert
             line = f"{alert.priority.name} {alert.id} {alert.instance}: {alert.text}: {change.what}"
-            # Three calls, because a logger of rclpy lets a line of code keep the severity with which it first logged.
+            # Three calls: in rclpy a line of code keeps the severity with which it first logged.
             if alert.is_acknowledged or alert.priority is Priority.CAUTION:
                 self._node.get_logger().info(line)
             elif alert.priority is Priority.WARNING:
@@ -228,7 +228,7 @@ class AlertNode:
         self._alerts.publish(self._factory.make("ship_msgs/msg/AlertArray", header=header, alerts=alerts))
 
     def _publish_state(self, now_ns: int) -> None:
-        """Publish the state that the alerts rest on: at once where it has changed, else twice a second."""
+        """Publish the state from which the alerts are derived: at once after a change, else twice a second."""
         picture = self._keeper.picture
         change = change_of_state(picture)
         if change != self._published_change or now_ns - self._published_ns >= PERIOD_NS:
@@ -249,12 +249,12 @@ class AlertNode:
         self._diagnostics.publish(message.__cdr__)
 
     def _utc_ns(self) -> int:
-        """The suite's time; the machine's until the suite tells one."""
+        """Return the suite's time, UTC, ns; the computer's until the suite has one."""
         return self._keeper.picture.utc_ns or time.time_ns()
 
 
 def _wanted(topic: str, type_name: str) -> int:
-    """How many messages of a topic may wait between two looks; 0 for topics that are not needed."""
+    """Return the queue depth of a topic; 0 for topics that are not needed."""
     if topic == DIAGNOSTICS_TOPIC:
         return KEPT if type_name == DIAGNOSTICS_TYPE else 0
     row = watched_topic(topic, type_name) if topic != ALERTS_TOPIC else None
@@ -262,7 +262,7 @@ def _wanted(topic: str, type_name: str) -> int:
 
 
 def _fields(alert: AlertShown) -> dict[str, Any]:
-    """The fields of a ship_msgs/Alert."""
+    """Return the fields of a ship_msgs/Alert."""
     return {
         "id": alert.id,
         "instance": alert.instance,

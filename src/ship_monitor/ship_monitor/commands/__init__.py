@@ -1,1 +1,1 @@
-"""What is started by name: each module parses the arguments of one executable and joins the rooms for it."""
+"""Executables: each module parses the arguments of one of them and connects the parts that it needs."""

@@ -1,4 +1,4 @@
-"""``monitor``: the live page of a suite."""
+"""``monitor``: live page of a suite."""
 
 import argparse
 import contextlib
@@ -23,22 +23,22 @@ from ship_monitor.page.themes import THEMES
 from ship_watch.limits import Limits, read_limits
 
 FOXGLOVE_PORT = 8765
-"""Where Foxglove looks by itself."""
+"""Default port of Foxglove."""
 
 _DESCRIPTION = """\
 Serves the live page of a suite: heading, pitch, roll, azimuth and elevation with their 95 % accuracy; SAFE, CAUTION or
-UNSAFE; the sources that are in and out, the alerts, the last ten minutes; below them plots. It only reads: estimators
-never wait for it, and nothing can be changed from the page. One reader of topics serves all browsers. Without
---address only browsers of this machine reach it; over ssh, open a tunnel: ssh -L 5006:localhost:5006 SHIP.
+UNSAFE; the sources that are IN and OUT, the alerts, the last ten minutes; below them plots. It is read-only: estimators
+never wait for it, and nothing can be changed from the page. One reader of topics serves all browsers. Without --address
+only browsers on this machine can open it; over ssh, open a tunnel: ssh -L 5006:localhost:5006 SHIP.
 
 With --foxglove it also serves the suite's topics by websocket to Foxglove or Lichtblick ("Open connection", "Foxglove
-WebSocket"), all messages of those topics that somebody there looks at. Nothing can be published that way. Pages of
-other sites in a browser, Foxglove's own excepted, are refused.
+WebSocket"), with all messages of the subscribed topics. Nothing can be published that way. Web pages of other sites,
+except Foxglove's own, are refused.
 
-With --bag the same page shows a bag or a black box after the fact: a slider under the top bar, space plays, arrows move
-by 10 s (with shift by a minute), Home and End go to its ends. Each browser looks at its own time.
+With --bag the same page shows a bag or a black box: a slider under the top bar sets the time, space plays, arrows move
+by 10 s (with shift by a minute), Home and End go to its ends. Each browser has its own time.
 
-Ctrl-C or SIGTERM ends it. ROS_DOMAIN_ID says in which domain it listens.
+Ctrl-C or SIGTERM ends it. ROS_DOMAIN_ID sets the ROS domain.
 """
 _EPILOG = "exit code: 0 ended by a signal; 2 bad input or usage, or the port is in use"
 
@@ -57,9 +57,7 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
-    parser.add_argument(
-        "--bag", type=Path, metavar="BAG", help="look at a bag or black box after the fact, with a time slider"
-    )
+    parser.add_argument("--bag", type=Path, metavar="BAG", help="show a bag or black box, with a time slider")
     add_remap(parser, is_by_suite=True)
     parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
     parser.add_argument(
@@ -67,8 +65,8 @@ def _parser() -> CommandParser:
         action="append",
         default=[],
         metavar="NAME",
-        help="answer under this name of the machine, too, and with --foxglove pages that come from there; may be given "
-        "again (with --address the machine's own name and addresses, else localhost)",
+        help="also answer requests to this host name, and with --foxglove web pages from it; may be repeated (with "
+        "--address the machine's own name and addresses, else localhost)",
     )
     parser.add_argument("--port", type=_port, default=5006, metavar="N", help="TCP port; 0 takes a free one (5006)")
     parser.add_argument(
@@ -77,11 +75,11 @@ def _parser() -> CommandParser:
         nargs="?",
         const=FOXGLOVE_PORT,
         metavar="N",
-        help=f"serve the topics to Foxglove, too, on this TCP port; 0 takes a free one ({FOXGLOVE_PORT})",
+        help=f"also serve the topics to Foxglove, on this TCP port; 0 takes a free one ({FOXGLOVE_PORT})",
     )
     parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
     parser.add_argument(
-        "--theme", choices=tuple(THEMES), default="day", help="where the page's address names none (day)"
+        "--theme", choices=tuple(THEMES), default="day", help="theme of page addresses without one (day)"
     )
     add_time_zone(parser)
     return parser
@@ -90,7 +88,7 @@ def _parser() -> CommandParser:
 def _port(text: str) -> int:
     port = int(text)
     if not 0 <= port <= 65535:
-        raise argparse.ArgumentTypeError(f"{text} is no port: 0 to 65535")
+        raise argparse.ArgumentTypeError(f"{text} is not a port: expected 0 to 65535")
     return port
 
 
@@ -113,7 +111,7 @@ def _foxglove_server(parsed: argparse.Namespace) -> FoxgloveServer:
 
 
 def _show_bag(parsed: argparse.Namespace, limits: Limits) -> int:
-    """Each browser looks at its own time of the bag."""
+    """Serve a bag; each browser has its own time."""
     if parsed.foxglove is not None:
         raise BadInput(f"--foxglove serves a live suite: Foxglove opens {parsed.bag} by itself")
     suite = RecordedSuite(parsed.bag, parsed.namespace)

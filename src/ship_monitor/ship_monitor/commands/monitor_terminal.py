@@ -1,4 +1,4 @@
-"""``monitor_terminal``: a suite in a terminal, over ssh."""
+"""``monitor_terminal``: view of a suite in a terminal, over ssh."""
 
 import argparse
 import contextlib
@@ -19,8 +19,8 @@ from ship_watch.limits import Limits, read_limits
 _DESCRIPTION = """\
 Shows a suite in a terminal of 80 by 24 or more, as over ssh: heading, pitch, roll, azimuth and elevation with their
 95 % accuracy; SAFE, CAUTION or UNSAFE; the sources, OUT first, the events, the alerts. Unlike the page it can
-acknowledge alerts. Key ? says what the words mean. Colours are not needed (NO_COLOR=1 leaves them out). A terminal
-whose locale is not UTF-8 gets ASCII: deg for °, " for ″, +- for ±. ROS_DOMAIN_ID says in which domain it listens.
+acknowledge alerts. Key ? explains the terms. Colours are not needed (NO_COLOR=1 switches them off). A terminal whose
+locale is not UTF-8 gets ASCII: deg for °, " for ″, +- for ±. ROS_DOMAIN_ID sets the ROS domain.
 """
 _EPILOG = "exit code: 0 left by key q; 130 by Ctrl-C, SIGTERM or SIGHUP; 2 bad input or usage, or no terminal"
 
@@ -40,13 +40,13 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
     parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
-    parser.add_argument("--theme", choices=tuple(THEMES), default="day", help="colours to begin with (day)")
+    parser.add_argument("--theme", choices=tuple(THEMES), default="day", help="colours at the start (day)")
     add_time_zone(parser)
     parser.add_argument(
         "--characters",
         choices=("auto", "utf8", "ascii"),
         default="auto",
-        help="what the terminal shows (auto: by locale)",
+        help="characters of the terminal (auto: by locale)",
     )
     return parser
 
@@ -54,7 +54,7 @@ def _parser() -> CommandParser:
 def _run(parsed: argparse.Namespace) -> int:
     limits = Limits() if parsed.limits is None else read_limits(parsed.limits)
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise BadInput("stdin or stderr is no terminal; over ssh use ssh -t")
+        raise BadInput("stdin or stderr is not a terminal; over ssh use ssh -t")
     is_ascii = parsed.characters == "ascii" or (parsed.characters == "auto" and not shows_utf8(os.environ))
     with _terminal_alone():
         suite = LiveWatch("monitor_terminal", parsed.namespace, limits)
@@ -62,17 +62,17 @@ def _run(parsed: argparse.Namespace) -> int:
             exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii, zone=parsed.time_zone).run()
         finally:
             suite.close()
-    # None: textual ended by itself, after an exception that it has shown.
+    # None: textual ended after an exception, which it has shown.
     return 1 if exit_code is None else exit_code
 
 
 @contextlib.contextmanager
 def _terminal_alone() -> Iterator[None]:
-    """Keep for the end what libraries write to stderr meanwhile: ROS and DDS would write across the picture."""
+    """Defer the stderr of libraries to the end: ROS and DDS would write across the display."""
     terminal_fd, drawn_on = os.dup(2), sys.__stderr__
     with tempfile.TemporaryFile() as kept, os.fdopen(terminal_fd, "w", encoding="utf-8", closefd=False) as terminal:
         os.dup2(kept.fileno(), 2)
-        sys.__stderr__ = terminal  # type: ignore[misc]  # there textual draws
+        sys.__stderr__ = terminal  # type: ignore[misc]  # textual draws on it
         try:
             yield
         finally:
@@ -84,9 +84,9 @@ def _terminal_alone() -> Iterator[None]:
 
 
 def shows_utf8(environment: Mapping[str, str]) -> bool:
-    """Whether the locale of an environment says that the terminal shows UTF-8.
+    """True if the locale of an environment is one with UTF-8.
 
-    Python itself sets LC_CTYPE to C.UTF-8 where the locale is C (PEP 538), and that says nothing of the terminal.
+    LC_CTYPE=C.UTF-8 is ignored: Python itself sets it if the locale is C (PEP 538).
     """
     ctype = environment.get("LC_CTYPE", "")
     named = environment.get("LC_ALL") or (ctype if ctype != "C.UTF-8" else "") or environment.get("LANG", "")

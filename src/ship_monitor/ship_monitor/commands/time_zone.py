@@ -1,4 +1,4 @@
-"""Option ``--time-zone``: local time, shown beside UTC."""
+"""Option ``--time-zone``: local time in addition to UTC."""
 
 import argparse
 from zoneinfo import ZoneInfo
@@ -10,14 +10,14 @@ def add_time_zone(parser: argparse.ArgumentParser) -> None:
         "--time-zone",
         type=_zone,
         metavar="ZONE",
-        help="show local time of this IANA zone beside UTC, for example Europe/Oslo (UTC alone)",
+        help="also show local time of this IANA zone, for example Europe/Oslo (UTC only)",
     )
 
 
 def _zone(name: str) -> ZoneInfo:
     try:
         return ZoneInfo(name)
-    # No such zone; a path or an empty name; the name of a folder of zones.
+    # Unknown zone; a path or an empty name; the name of a folder of zones.
     except (KeyError, ValueError, OSError) as problem:
-        text = f"{name!r} is no time zone: give an IANA name such as Europe/Oslo; timedatectl list-timezones lists them"
+        text = f"{name!r} is not a time zone: use an IANA name as Europe/Oslo; timedatectl list-timezones lists them"
         raise argparse.ArgumentTypeError(text) from problem

@@ -1,4 +1,4 @@
-"""Topics served to Foxglove, by a websocket of this machine.
+"""Server of topics for Foxglove, by websocket.
 
-This room gets names, definitions and bytes, and gives them on as they are. It knows no ROS.
+It forwards names, definitions and bytes unchanged, and uses no ROS.
 """

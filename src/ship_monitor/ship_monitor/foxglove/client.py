@@ -1,4 +1,4 @@
-"""One viewer at the server for Foxglove: its websocket, its subscriptions, and the messages that wait for it."""
+"""One viewer of the Foxglove server: its websocket, its subscriptions, and its pending messages."""
 
 import asyncio
 import json
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 PROTOCOL = "foxglove.sdk.v1"
 
 WAITING_MESSAGES = 1024
-"""Messages that may wait for one viewer: a second of a whole suite. Beyond, its oldest are dropped."""
+"""Maximum number of pending messages of one viewer: a second of a whole suite. Older ones are dropped."""
 
 _MOST_NEWS = 100_000
-"""News of channels that may wait for one viewer. Beyond, it is left."""
+"""Maximum number of pending notifications of one viewer; beyond it the connection is closed."""
 
 _AT_ONCE = 32
-"""Messages that are handed to the connection before it is waited for."""
+"""Number of messages that are written before the connection is awaited."""
 
 _MESSAGE = struct.Struct("<BIQ")
 _MESSAGE_DATA = 1
@@ -31,13 +31,13 @@ _WARNING = 1
 
 @dataclass(frozen=True)
 class Channel:
-    """A topic as viewers see it.
+    """A topic as offered to viewers.
 
     Attributes:
         id: number of the channel.
-        topic: its full name.
-        type_name: of its messages.
-        definition: of that type.
+        topic: full name of the topic.
+        type_name: type of its messages.
+        definition: definition of the type.
     """
 
     id: int
@@ -46,7 +46,7 @@ class Channel:
     definition: str
 
     def advertised(self) -> dict[str, Any]:
-        """Return the channel as the protocol states it."""
+        """Return the channel in the form of the protocol."""
         return {
             "id": self.id, "topic": self.topic, "encoding": "cdr", "schemaName": self.type_name,
             "schemaEncoding": "ros2msg", "schema": self.definition,
@@ -54,14 +54,14 @@ class Channel:
 
 
 class Client(WebSocketHandler):
-    """The connection of one viewer. All but :meth:`enqueue` is called in the thread of the server.
+    """Connection of one viewer. All methods except :meth:`enqueue` are called in the thread of the server.
 
     Attributes:
-        subscriptions: number of the viewer's subscription by number of the channel.
+        subscriptions: number of the channel → number of the viewer's subscription.
     """
 
     def initialize(self, viewers: "Viewers") -> None:
-        """Called by tornado with the arguments of the route."""
+        """Initialise the connection; called by tornado with the arguments of the route."""
         self._viewers = viewers
         self.subscriptions: dict[int, int] = {}
         self._news: deque[dict[str, Any]] = deque()
@@ -71,11 +71,11 @@ class Client(WebSocketHandler):
         self._writing: asyncio.Task[None] | None = None
 
     def select_subprotocol(self, subprotocols: list[str]) -> str | None:
-        """Return the protocol, where the viewer has it."""
+        """Return the protocol if the viewer supports it, else None."""
         return PROTOCOL if PROTOCOL in subprotocols else None
 
     def check_origin(self, origin: str) -> bool:
-        """Origins are checked before, with hosts."""
+        """Return True: origins are checked earlier, together with hosts."""
         return True
 
     async def open(self, *_: Any) -> None:
@@ -87,7 +87,7 @@ class Client(WebSocketHandler):
         self._viewers.add(self)
 
     async def on_message(self, message: str | bytes) -> None:
-        """Take a request; the next one is read when the answer to this one has been written."""
+        """Process a request; the next one is read after the answer to this one has been written."""
         refusal = self._refusal(message)
         if refusal:
             try:
@@ -96,39 +96,45 @@ class Client(WebSocketHandler):
                 return
 
     def on_close(self) -> None:
-        """Forget the viewer."""
+        """Remove the viewer."""
         self._is_over = True
         self._has_waiting.set()
         self._viewers.remove(self)
 
     def abort(self) -> None:
-        """End the connection without a goodbye: the viewer has ceased to read."""
+        """Close the connection without a closing handshake: the viewer no longer reads."""
         stream = None if self.ws_connection is None else self.ws_connection.stream
         if stream is not None:
             stream.close()
 
     def notify(self, news: dict[str, Any]) -> None:
-        """Send what every viewer must get, in its order."""
+        """Queue a notification; notifications are never dropped and keep their order."""
         self._news.append(news)
         self._has_waiting.set()
         if len(self._news) > _MOST_NEWS:
             self.close()
 
     def enqueue(self, channel: Channel, data: bytes, log_time_ns: int) -> bool:
-        """Let a message wait for the viewer; return whether it must be woken. Another thread calls it."""
+        """Queue a message; return True if :meth:`wake` must be called. Called from another thread.
+
+        Args:
+            channel: channel of the message.
+            data: its CDR bytes.
+            log_time_ns: its arrival, UTC, ns.
+        """
         self._messages.append((channel.id, log_time_ns, data))
         was_woken, self._is_woken = self._is_woken, True
         return not was_woken
 
     def wake(self) -> None:
-        """Write what waits."""
+        """Start writing the pending messages."""
         self._is_woken = False
         self._has_waiting.set()
 
     def _refusal(self, message: str | bytes) -> str:
-        """Do what is requested; return why not, empty where it was done."""
+        """Execute a request; return the error text, empty on success."""
         if isinstance(message, bytes):
-            return "this server only gives out topics: binary messages are refused"
+            return "this server is read-only: binary messages are refused"
         try:
             request = json.loads(message)
             operation = str(request["op"])
@@ -137,17 +143,17 @@ class Client(WebSocketHandler):
             if operation == "unsubscribe":
                 return self._unsubscribe({int(each) for each in request["subscriptionIds"]})
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
-            return "this is no request of the protocol"
-        return f"this server only gives out topics: '{operation[:40]}' is refused"
+            return "not a request of the protocol"
+        return f"this server is read-only: '{operation[:40]}' is refused"
 
     def _subscribe(self, wanted: Iterable[tuple[int, int]]) -> str:
         refused, known, taken = "", self._viewers.channels, set(self.subscriptions.values())
         added = []
         for subscription, channel in wanted:
             if not 0 <= subscription < 2**32 or subscription in taken:
-                refused = f"subscription {subscription} is refused: it is in use, or is no number of 32 bits"
+                refused = f"subscription {subscription} refused: the number is in use, or has more than 32 bits"
             elif channel in self.subscriptions or channel not in known:
-                refused = f"subscription {subscription} is refused: channel {channel} is unknown, or subscribed to"
+                refused = f"subscription {subscription} refused: channel {channel} is unknown, or already subscribed"
             else:
                 self.subscriptions[channel] = subscription
                 taken.add(subscription)
@@ -165,7 +171,7 @@ class Client(WebSocketHandler):
         return ""
 
     async def _write(self) -> None:
-        """Write news first, then messages, until the viewer leaves."""
+        """Write notifications first, then messages, until the connection is closed."""
         try:
             while not self._is_over:
                 await self._has_waiting.wait()

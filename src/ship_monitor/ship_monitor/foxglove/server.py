@@ -1,10 +1,10 @@
-"""The server that Foxglove and Lichtblick open as "Foxglove WebSocket". It gives out messages, and takes nothing.
+"""Read-only server of topics for Foxglove and Lichtblick ("Foxglove WebSocket").
 
-Messages go on as the bytes that came, with the definition of their type; whoever opens the connection decodes them. A
-client that is slow loses its oldest messages; it makes nobody wait and no memory grow.
+Messages are forwarded as bytes, with the definition of their type; the viewer decodes them. A slow client loses its
+oldest messages: it delays no other client, and its memory is bounded.
 
-The protocol is that of foxglove-sdk (``foxglove.sdk.v1``), whose own server answers every web page: here only those of
-the viewers and of this machine are answered.
+The protocol is that of foxglove-sdk (``foxglove.sdk.v1``). The server of that package answers every web page; this one
+answers only the viewers and pages of this machine.
 """
 
 import asyncio
@@ -23,27 +23,30 @@ from ship_monitor.web.bounded_server import MOST_MESSAGE_BYTES, BoundedServer, a
 from ship_monitor.web.own_hosts import OwnHosts, host_of
 
 VIEWERS = frozenset({"https://app.foxglove.dev", "https://embed.foxglove.dev", "https://studio.foxglove.dev"})
-"""Origins of viewers that are pages of other sites."""
+"""Origins of the viewers that are web pages of other sites."""
 
 _DESKTOP_ORIGIN, _DESKTOP_AGENT = "file://", "Electron/"
-"""Viewers on the desktop. A page that was saved to a file has the same origin; a browser names no Electron."""
+"""Origin and user agent of desktop viewers. A page saved to a file has this origin too, but another agent."""
 
 MOST_CLIENTS = 32
+"""Maximum number of viewers."""
+
 _PING_S = 30.0
-"""A client that does not answer a ping for so long is gone, s."""
+"""Timeout of a client's answer to a ping, s."""
 
 _END_S = 1.0
-"""How long the server may take to say goodbye, s."""
+"""Timeout of the closing handshakes at the end, s."""
 
 
 class Viewers:
-    """All connected viewers and all offered channels. All but reading the attributes is of the server's thread.
+    """All connected viewers and all offered channels. Other threads may only read its attributes.
 
     Attributes:
-        channels: the offered ones, by their numbers.
-        receivers: connections by number of the channel that they are subscribed to.
-        wanted: topics that any viewer is subscribed to.
-        newcomers: topics that viewers have subscribed to, in order.
+        channels: number → offered channel.
+        receivers: number of a channel → connections that are subscribed to it.
+        subscribed_topics: topics to which any viewer is subscribed.
+        new_subscriptions: topics to which viewers have subscribed, in order.
+        clients: all connections.
     """
 
     def __init__(self, name: str) -> None:
@@ -56,19 +59,19 @@ class Viewers:
         self._info = {"op": "serverInfo", "name": name, "capabilities": [], "sessionId": str(time.time_ns())}
 
     def add(self, client: Client) -> None:
-        """Take a viewer that has come, and notify it of all channels."""
+        """Add a viewer, and notify it of all channels."""
         self.clients.add(client)
         client.notify(self._info)
         for channel in self.channels.values():
             client.notify({"op": "advertise", "channels": [channel.advertised()]})
 
     def remove(self, client: Client) -> None:
-        """Forget a viewer that has left."""
+        """Remove a viewer."""
         self.clients.discard(client)
         self.update_wanted()
 
     def offer(self, channel: Channel) -> None:
-        """Notify all viewers of a channel, and of the end of the topic's former one."""
+        """Offer a channel to all viewers, and end the former channel of its topic."""
         former = self._numbers.get(channel.topic)
         if former is not None:
             del self.channels[former]
@@ -81,13 +84,13 @@ class Viewers:
             client.notify({"op": "advertise", "channels": [channel.advertised()]})
 
     def note_subscriptions(self, numbers: Sequence[int]) -> None:
-        """Take note that a viewer has subscribed to some channels."""
+        """Add a viewer's subscriptions to some channels."""
         self.update_wanted()
         for number in numbers:
             self.newcomers.put(self.channels[number].topic)
 
     def update_wanted(self) -> None:
-        """Compute again who receives what."""
+        """Update the receivers of all channels."""
         receivers: dict[int, tuple[Client, ...]] = {}
         for client in self.clients:
             for number in client.subscriptions:
@@ -97,7 +100,7 @@ class Viewers:
 
 
 class _Application(Application):
-    """Answers viewers alone."""
+    """Web application that answers viewers only."""
 
     def __init__(self, viewers: Viewers, hosts: OwnHosts) -> None:
         self._viewers, self._hosts = viewers, hosts
@@ -109,7 +112,7 @@ class _Application(Application):
         )
 
     def find_handler(self, request: HTTPServerRequest, **arguments: Any) -> Any:
-        """Return the handler of a request; one that refuses, of another site's and of one viewer too many."""
+        """Return the handler of a request; status 403 for other sites, 503 for too many viewers."""
         if not (self._hosts.is_asked(request) and self._is_viewer(request)):
             return self.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
         if len(self._viewers.clients) >= MOST_CLIENTS:
@@ -117,7 +120,7 @@ class _Application(Application):
         return super().find_handler(request, **arguments)
 
     def _is_viewer(self, request: HTTPServerRequest) -> bool:
-        """True if a viewer asks, or a program that is no browser and has no origin."""
+        """True if the request comes from a viewer, or from a program without an origin."""
         origin = request.headers.get("Origin", "")
         if origin == _DESKTOP_ORIGIN:
             return _DESKTOP_AGENT in request.headers.get("User-Agent", "")
@@ -125,18 +128,18 @@ class _Application(Application):
 
 
 class FoxgloveServer:
-    """Serves topics to some viewers. Viewers cannot publish, call services or set parameters.
+    """Serves topics to viewers, which cannot publish, call services or set parameters.
 
-    All methods but :meth:`close` are of one thread; the server itself runs in a thread of its own.
+    All methods except :meth:`close` must be called from one thread; the server runs in a thread of its own.
 
     Attributes:
-        address: as a client takes it.
+        address: address for clients.
 
     Args:
-        name: of the suite, which clients show.
-        host: address to listen on; loopback serves this machine alone.
-        port: TCP port; 0 takes any.
-        allowed_hosts: names under which viewers may ask, and whose pages are viewers, beyond this machine's.
+        name: name of the suite, which clients display.
+        host: address to listen on; loopback serves this machine only.
+        port: TCP port; 0 takes a free one.
+        allowed_hosts: host names, beyond this machine's, of accepted requests and web pages.
 
     Raises:
         BadInput: the port is in use, or the address is not one of this machine.
@@ -156,12 +159,12 @@ class FoxgloveServer:
         self._thread.start()
 
     def offer(self, topic: str, type_name: str, definition: str) -> None:
-        """Let clients see a topic. One whose type has changed is another one to them.
+        """Offer a topic to clients; a topic with another type becomes a new channel.
 
         Args:
-            topic: its full name.
-            type_name: of its messages, as ``sensor_msgs/msg/Imu``.
-            definition: of the type with all that it refers to, as rosbag2 embeds it.
+            topic: full name of the topic.
+            type_name: type of its messages, as ``sensor_msgs/msg/Imu``.
+            definition: definition of the type with all types in it, as rosbag2 embeds it.
         """
         former = self._types.get(topic)
         if former is not None and former.type_name == type_name:
@@ -170,23 +173,23 @@ class FoxgloveServer:
         self._loop.call_soon_threadsafe(self._viewers.offer, channel)
 
     def wanted(self) -> frozenset[str]:
-        """Topics that a client is subscribed to at this moment."""
+        """Return the topics to which a client is subscribed."""
         return self._viewers.wanted
 
     def newcomers(self) -> frozenset[str]:
-        """Topics that a client has subscribed to since the last call."""
+        """Return the topics to which a client has subscribed since the last call."""
         waiting, topics = self._viewers.newcomers, set()
         while not waiting.empty():
             topics.add(waiting.get_nowait())
         return frozenset(topics)
 
     def pass_on(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
-        """Give a message to those who are subscribed to its topic, which has been offered. It never waits.
+        """Forward a message to the subscribers of its topic, which must have been offered. It never waits.
 
         Args:
-            topic: its full name.
-            data: its CDR bytes.
-            arrival_utc_ns: when it came; stamps of its own are inside.
+            topic: full name of the topic.
+            data: CDR bytes of the message.
+            arrival_utc_ns: arrival of the message, UTC, ns.
         """
         channel = self._types[topic]
         for client in self._viewers.receivers.get(channel.id, ()):
@@ -194,7 +197,7 @@ class FoxgloveServer:
                 self._loop.call_soon_threadsafe(client.wake)
 
     def close(self) -> None:
-        """Take leave of all clients, once."""
+        """Close all connections; further calls do nothing."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._end.set)
             self._thread.join(2.0 * _END_S)
@@ -212,7 +215,7 @@ class FoxgloveServer:
         await self._end.wait()
         server.stop()
         for client in list(self._viewers.clients):
-            client.close(1001, "the monitor ends")
+            client.close(1001, "monitor has ended")
         deadline_s = time.monotonic() + _END_S
         while self._viewers.clients and time.monotonic() < deadline_s:
             await asyncio.sleep(0.01)

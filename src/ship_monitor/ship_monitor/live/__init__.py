@@ -1,5 +1,5 @@
-"""Topics of a running suite, read at the pace of who looks at them.
+"""Topics of a running suite, read at the rate of the display.
 
-This is the only room of the package that subscribes to topics. It imports rclpy and what ship_bags has for live nodes,
-and no other room.
+Only this folder of the package subscribes to topics. It imports rclpy and the live modules of ship_bags, and no other
+folder.
 """

@@ -1,4 +1,4 @@
-"""An alert acknowledged, by the service of the node of the alerts."""
+"""Acknowledgement of an alert, by the service of the alert node."""
 
 import rclpy
 from rclpy.context import Context
@@ -14,10 +14,16 @@ _ANSWERED_WITHIN_S = 3.0
 
 
 def acknowledge(context: Context, namespace: str, alert_id: str, instance: int) -> str:
-    """Acknowledge one instance of an alert, and say in words what came of it. It waits for the answer.
+    """Acknowledge one instance of an alert; wait for the answer and return the result in words.
 
-    The node that asks shares the context, and with it the DDS participant: two participants in one process can lock
-    each other up.
+    The temporary node shares the context, and with it the DDS participant: two participants in one process can
+    deadlock.
+
+    Args:
+        context: rclpy context of the reader's node.
+        namespace: namespace of the suite.
+        alert_id: id of the alert.
+        instance: instance of the alert.
     """
     node = rclpy.create_node("acknowledge", namespace=namespace, context=context, use_global_arguments=False)
     executor = SingleThreadedExecutor(context=context)
@@ -25,12 +31,12 @@ def acknowledge(context: Context, namespace: str, alert_id: str, instance: int) 
     try:
         client = node.create_client(AcknowledgeAlert, SERVICE)
         if not client.wait_for_service(timeout_sec=_FOUND_WITHIN_S):
-            return f"not acknowledged: no service {client.service_name}; is the node of the alerts running?"
+            return f"not acknowledged: no service {client.service_name}; is the node alerts running?"
         answer = client.call_async(AcknowledgeAlert.Request(id=alert_id, instance=instance))
         executor.spin_until_future_complete(answer, timeout_sec=_ANSWERED_WITHIN_S)
         response = answer.result() if answer.done() else None
         if response is None:
-            return f"not acknowledged: {client.service_name} has not answered for {_ANSWERED_WITHIN_S:.0f} s"
+            return f"not acknowledged: no answer of {client.service_name} within {_ANSWERED_WITHIN_S:.0f} s"
         if response.success:
             return str(response.message) or f"{alert_id} acknowledged"
         return f"not acknowledged: {response.message}"

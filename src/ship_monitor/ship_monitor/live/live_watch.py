@@ -1,8 +1,8 @@
-"""A running suite, watched: what the reader of topics takes goes to a watch, which gives the picture.
+"""State of a running suite: a reader of topics passes their messages to a monitor, which computes the state.
 
-Topics are read in a thread of their own, at its own pace. Whoever draws may be busy for a second; without the thread,
-the newest message after such a second would look like the end of a silence. In the same thread topics are passed on as
-they come to somebody outside ROS, where there is one.
+Topics are read in a thread of their own. The display may be busy for a second; without the thread, the newest message
+after such a second would look like the end of a gap. The same thread forwards topics to a receiver outside ROS, if
+there is one.
 """
 
 import itertools
@@ -23,26 +23,26 @@ from ship_watch.topics import watched_topic
 from ship_watch.watch import Watch
 
 TAKE_PERIOD_S = 0.2
-"""How often topics are read, s."""
+"""Period at which topics are read, s."""
 
 _RELAYED_BETWEEN = 4
-"""How often topics are passed on for each time that they are read: twenty times a second."""
+"""Number of forwarding steps for each reading of topics: twenty a second."""
 
 _PICTURE_NS = 200_000_000
 _END_S = 5.0
 
 
 class LiveWatch:
-    """A suite on the network: one reader and one watch for all who look at it.
+    """A suite on the network: one reader and one monitor for all displays.
 
     Args:
         node_name: name of the node on the network.
-        namespace: of the suite, with or without slashes; empty for none.
-        limits: of the ship, for the state of a suite that has no alert node.
-        receiver: gets the suite's topics as bytes.
+        namespace: namespace of the suite, with or without slashes; empty for none.
+        limits: limits of the ship, for the state of a suite without an alert node.
+        receiver: receiver of the suite's topics as bytes; None for none.
 
     Raises:
-        BadInput: as of :class:`ship_monitor.live.reader.TopicReader`.
+        BadInput: as in :class:`ship_monitor.live.topic_reader.TopicReader`.
     """
 
     def __init__(self, node_name: str, namespace: str, limits: Limits, receiver: TopicReceiver | None = None) -> None:
@@ -58,7 +58,7 @@ class LiveWatch:
         self._thread.start()
 
     def tick(self) -> None:
-        """Watch what has come. Called some times a second, whether anybody looks or not."""
+        """Process the messages read so far. Called some times a second, with or without a display."""
         while True:
             try:
                 taken = self._waiting.get_nowait()
@@ -75,7 +75,7 @@ class LiveWatch:
                     self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
 
     def _take_state(self, message: Any, arrival_ns: int) -> None:
-        """Take a SuiteState. One that cannot be used is dropped with a line: the messages after it are taken."""
+        """Process a SuiteState message; an invalid one is dropped with a warning."""
         try:
             self._watch.take_state(message, arrival_ns)
         except ValueError as problem:
@@ -85,22 +85,22 @@ class LiveWatch:
             self._has_rejected_state = True
 
     def look(self) -> Picture:
-        """The picture of this moment; those who look at nearly the same time share one."""
+        """Return the current state; calls within 0.2 s share one."""
         now_ns = steady_ns()
         if self._picture is None or now_ns - self._picture_ns > _PICTURE_NS:
-            # What has come already comes before what is judged by now.
+            # Messages read already are processed before the state is evaluated.
             self.tick()
             now_ns = steady_ns()
             self._picture, self._picture_ns = self._watch.look(now_ns), now_ns
         return self._picture
 
     def _read(self) -> None:
-        """Read and pass on until the end."""
+        """Read and forward topics until closed."""
         rounds = 1 if self._relayed is None else _RELAYED_BETWEEN
         for number in itertools.count():
             if self._is_over.wait(TAKE_PERIOD_S / rounds):
                 return
-            # What goes wrong is said; what is not read becomes old by itself.
+            # An error is logged; data that are not read become old.
             try:
                 if number % rounds == 0:
                     self._take()
@@ -116,32 +116,32 @@ class LiveWatch:
 
     @property
     def history(self) -> History:
-        """What plots draw."""
+        """Data of the plots."""
         return self._watch.history
 
     @property
     def label(self) -> str:
-        """LIVE; SIMULATED where the truth is on the network, too; BAG where one is played."""
+        """LIVE; SIMULATED if the truth is on the network; BAG if a bag is played."""
         if self._reader.is_simulated:
             return "SIMULATED · bag" if self._reader.is_played else "SIMULATED"
         return "BAG · played" if self._reader.is_played else "LIVE"
 
     @property
     def name(self) -> str:
-        """The namespace without its slash; "ship" where there is none."""
+        """Namespace without its slash; "ship" for none."""
         return self._reader.namespace.strip("/") or "ship"
 
     @property
     def place(self) -> str:
-        """Where it listens, in words."""
+        """Namespace and domain of the reader, as text."""
         return self._reader.place
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
-        """Acknowledge one instance of an alert, and say in words what came of it. It may wait for seconds."""
+        """Acknowledge one instance of an alert; return the result in words. It may wait for seconds."""
         return acknowledge(self._reader.context, self._reader.namespace, alert_id, instance)
 
     def controls(self, _moved: Callable[[], None]) -> None:
-        """There are none: time goes as it goes."""
+        """Return None: a live suite has no controls."""
 
     def close(self) -> None:
         """Leave the network."""
@@ -151,7 +151,7 @@ class LiveWatch:
 
 
 def messages_wanted(topic: str, type_name: str) -> int:
-    """How many messages of a topic may wait between two ticks (:class:`ship_monitor.live.reader.TopicReader`)."""
+    """Return the queue depth of a topic (:class:`ship_monitor.live.topic_reader.TopicReader`)."""
     if topic == STATE_TOPIC:
         return int(type_name == STATE_TYPE)
     row = watched_topic(topic, type_name)

@@ -1,4 +1,4 @@
-"""A topic that is subscribed to as bytes."""
+"""Subscription to a topic as bytes."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,28 +10,28 @@ from ship_bags.live.installed_types import installed_class
 
 
 def are_latched(publishers: Sequence[TopicEndpointInfo]) -> bool:
-    """Whether all publishers of a topic keep their last message for those who come later."""
+    """True if all publishers of a topic are transient local: late subscribers get their last message."""
     durability = {each.qos_profile.durability for each in publishers}
     return durability == {DurabilityPolicy.TRANSIENT_LOCAL}
 
 
 class RawSubscription:
-    """Messages wait in DDS, the newest, until somebody fetches them: nothing runs when one arrives.
+    """Subscription whose newest messages wait in DDS until they are fetched: nothing runs when one arrives.
 
-    No publisher ever waits for it: it is best effort. Only topics that keep their last message for those who come later
-    are taken reliably, because DDS gives that message to nobody else.
+    It is best effort, so that no publisher waits for it. Latched topics are subscribed reliably, because DDS delivers
+    the last message to reliable subscriptions only.
 
     Attributes:
-        type_name: of its messages.
-        is_latched: whether the last message comes even where it was published before.
-        kind: their class.
+        type_name: type of its messages.
+        is_latched: True if a message published before the subscription is delivered.
+        message_class: class of its messages.
 
     Args:
-        node: which nobody needs to spin.
-        topic: its full name.
-        type_name: as ``sensor_msgs/msg/Imu``.
+        node: node of the subscription; it need not be spun.
+        topic: full name of the topic.
+        type_name: type of its messages, as ``sensor_msgs/msg/Imu``.
         is_latched: see :func:`are_latched`.
-        depth: how many messages may wait.
+        depth: number of messages that may wait.
 
     Raises:
         BadInput: the type is not installed.
@@ -49,7 +49,7 @@ class RawSubscription:
         self._subscription = node.create_subscription(self.kind, topic, lambda _: None, qos, raw=True)
 
     def fetched(self) -> Iterator[tuple[bytes, int]]:
-        """CDR bytes of all that waits, each with the time of the system's clock at which it came (UTC, ns)."""
+        """Yield the waiting messages: CDR bytes and arrival by the system's clock, UTC, ns."""
         handle = self._subscription.handle
         for _ in range(self._depth):
             with handle:
@@ -60,5 +60,5 @@ class RawSubscription:
             yield data, info["received_timestamp"]
 
     def close(self) -> None:
-        """Subscribe no more."""
+        """End the subscription."""
         self._node.destroy_subscription(self._subscription)

@@ -1,8 +1,7 @@
-"""The topics of one namespace, taken as bytes and decoded only when somebody looks.
+"""Reader of the topics of one namespace: messages are fetched as bytes and decoded only on request.
 
-Nothing here runs when a message arrives: DDS itself keeps the newest messages of each topic, and
-:meth:`TopicReader.take` fetches them. An INS at 1 kHz therefore costs four decoded messages a second, and no thread of
-Python is woken.
+Nothing runs when a message arrives: DDS keeps the newest messages of each topic, and :meth:`TopicReader.fetch` fetches
+them. An INS at 1 kHz therefore costs a few decoded messages a second, and no Python thread is woken.
 """
 
 import time
@@ -25,34 +24,34 @@ from ship_monitor.live.raw_subscription import RawSubscription, are_latched
 ALERTS_TOPIC = "ship/alerts"
 
 KEPT = 256
-"""Messages of a topic that may wait between two looks where each counts: a quarter of a second at 1 kHz."""
+"""Queue depth of a topic of which each message is needed: a quarter of a second at 1 kHz."""
 
 CLOCK_TOPIC = "/clock"
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 _ABSOLUTE = ("/diagnostics", CLOCK_TOPIC)
 DISCOVERY_NS = 500_000_000
-"""How often new topics are looked for."""
+"""Period of the discovery of new topics, ns."""
 
 _CLOCK_BACK_NS = 100_000_000
-"""A jump of /clock by which nodes start anew (:mod:`ship_node.live.live_node`)."""
+"""Step back of /clock that resets the nodes, ns (:mod:`ship_node.live.live_node`)."""
 _STAMPS_BACK_NS = 5 * NS_PER_S
-"""Outputs increase in time: stamps that go back by more are those of another voyage."""
+"""Step back of an output's stamp that means another voyage, ns: stamps of outputs increase."""
 _OUTPUTS = ("ship/attitude", "theodolite/pointing")
 _ASLEEP_NS = 5 * NS_PER_S
 
 _AFTERWARDS_NS = 10 * NS_PER_S
-"""An output belongs to a bag or a simulation when its clock or truth was on the network at most so long before it, ns.
-Both may have left while the output is still shown."""
+"""Time before an output within which a clock or a truth on the network marks it as played or simulated, ns. Both may
+have ended while the output is still displayed."""
 
 
 def steady_ns() -> int:
-    """Nanoseconds of a clock that never steps and, unlike ``time.monotonic_ns``, goes on while the machine sleeps."""
+    """Return a time that never steps and, unlike ``time.monotonic_ns``, runs while the computer sleeps, ns."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
 
 
 @dataclass(frozen=True)
 class Arrived:
-    """One message: its relative topic, the decoded message, and when it came by :func:`steady_ns`."""
+    """One message: its relative topic, the decoded message, and its arrival by :func:`steady_ns`."""
 
     topic: str
     message: Any
@@ -61,12 +60,12 @@ class Arrived:
 
 @dataclass(frozen=True)
 class Taken:
-    """What came since the last look.
+    """Messages received since the last fetch.
 
     Attributes:
-        is_anew: the time of the suite has gone back, as when a bag starts over: what was heard before is of no use.
-        messages: in the order of their arrival; of before the jump, none.
-        alerts_ended: whether the alert node has left since the last time.
+        time_went_back: True if the suite's time went back, as at the start of a bag: earlier data are invalid.
+        messages: messages in the order of their arrival; none from before a step back.
+        alerts_ended: True if the alert node has ended since the last fetch.
     """
 
     is_anew: bool
@@ -76,30 +75,30 @@ class Taken:
 
 @dataclass
 class _Heard:
-    """A topic that is subscribed to, and its relative name."""
+    """A subscribed topic and its relative name."""
 
     subscription: RawSubscription
     relative: str
 
 
 class TopicReader:
-    """Reads the topics of a namespace, and finds new ones as they appear.
+    """Reads the topics of a namespace and discovers new ones.
 
-    It has a context and a node of its own, which nobody spins. After the machine has slept it takes part in the network
-    anew, because the addresses may be others.
+    It has its own context and node, which is not spun. After the computer has slept it joins the network again, because
+    the addresses may have changed.
 
     Attributes:
-        domain_id: ROS domain it listens in.
-        namespace: with its slash in front; "/" for none.
+        domain_id: its ROS domain.
+        namespace: namespace with a leading slash; "/" for none.
 
     Args:
         name: name of the node.
         namespace: namespace of the suite, with or without slashes; empty for none.
-        wants: how many messages of a topic may wait between two looks, by its relative name and the name of its type: 1
-            where the newest says all, :data:`KEPT` where each counts, 0 where it is not wanted.
+        queue_depth: returns the queue depth for relative name and type of a topic: 1 if the newest message is enough,
+            :data:`MAX_QUEUE_DEPTH` if each is needed, 0 if the topic is not needed.
 
     Raises:
-        BadInput: the namespace is not one; or DDS security is demanded and not there.
+        BadInput: the namespace is invalid, or DDS security is required but not available.
     """
 
     def __init__(self, name: str, namespace: str, wants: Callable[[str, str], int]) -> None:
@@ -112,7 +111,7 @@ class TopicReader:
         self._open()
 
     def take(self) -> Taken:
-        """Messages since the last call, of each topic as many as may wait: the newest."""
+        """Return the messages since the last call, the newest of each topic up to its queue depth."""
         asleep_ns = _asleep_ns()
         if asleep_ns - self._asleep_ns > _ASLEEP_NS:
             self.close()
@@ -124,14 +123,14 @@ class TopicReader:
         alerts_ended = ALERTS_TOPIC in present - self._present
         arrived = sorted(self._fetched(now_ns), key=lambda each: each.arrival_ns)
         self._last_take_ns = now_ns
-        # Who says something is there, though the next look for new topics is still to come.
+        # A topic with messages is present, although the next discovery is still pending.
         self._present |= {each.topic for each in arrived if each.topic == ALERTS_TOPIC}
         self._output_ns = max([self._output_ns, *(each.arrival_ns for each in arrived if each.topic in _OUTPUTS)])
         jump_ns = max(filter(None, map(self._jump_ns, arrived)), default=None)
         kept = (each for each in arrived if each.topic != CLOCK_TOPIC)
         if jump_ns is None:
             return Taken(False, tuple(kept), alerts_ended)
-        # Outputs follow /clock a moment later, and that is the same jump.
+        # Outputs follow the step of /clock a moment later: the same step is not counted twice.
         self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
         latched = {heard.relative for heard in self._heard.values() if heard.subscription.is_latched}
         kept = (each for each in kept if each.arrival_ns >= jump_ns or each.topic in latched)
@@ -139,33 +138,33 @@ class TopicReader:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the suite's truth is on the network, which no real ship has, or was when it put out what is shown."""
+        """True if the suite's truth is on the network, or was at the time of the last output; no real ship has one."""
         return self._output_ns - self._truth_ns < _AFTERWARDS_NS
 
     @property
     def is_played(self) -> bool:
-        """Whether somebody sets the time, as the player of a bag does, or did when the suite put out what is shown."""
+        """True if a /clock is published, as by the player of a bag, or was at the time of the last output."""
         return self._output_ns - self._clock_ns < _AFTERWARDS_NS
 
     @property
     def place(self) -> str:
-        """Where it listens, in words, and in which other namespaces a suite is heard."""
+        """Namespace and domain, and other namespaces with a suite, as text."""
         where = f"namespace {self.namespace}, domain {self.domain_id}"
         others = [f"/{name}" for name in self._elsewhere if f"/{name}" != self.namespace]
-        return f"{where}; there is one in {', '.join(others)}" if others else where
+        return f"{where}; suite found in {', '.join(others)}" if others else where
 
     @property
     def context(self) -> Context:
-        """The context of its node, for another node beside it; a new one after the machine has slept."""
+        """Context of its node, for another node in this process; a new one after the computer has slept."""
         return self._context
 
     @property
     def node(self) -> Node:
-        """Its node, for more subscriptions in the thread that calls :meth:`take`; a new one after a sleep."""
+        """Its node, for subscriptions in the thread that calls :meth:`fetch`; a new one after a sleep."""
         return self._node
 
     def relative_name(self, topic: str) -> str | None:
-        """The name of a topic relative to the namespace; its own where all suites share it; None of other topics."""
+        """Return a topic relative to the namespace, unchanged if all suites share it; None for other topics."""
         return topic if topic in _ABSOLUTE else relative_topic(topic, self.namespace)
 
     def close(self) -> None:
@@ -201,7 +200,7 @@ class TopicReader:
         self._last_take_ns = self._next_discovery_ns = steady_ns()
 
     def _discover(self) -> None:
-        """Subscribe to what is new, and again to what has changed its type or begun to keep its last message."""
+        """Subscribe to new topics, and again to those with another type or durability."""
         names = self._node.get_topic_names_and_types()
         ending = "/" + _OUTPUTS[0]
         self._elsewhere = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
@@ -228,9 +227,9 @@ class TopicReader:
             self._truth_ns = steady_ns()
 
     def _clock_topic(self, types: Mapping[str, list[str]]) -> str:
-        """The clock of the suite: one of its own namespace, as of a bag that is played into it alone; else /clock.
+        """Return the clock of the suite: one in its namespace, as for a bag played into it; else /clock.
 
-        Where it becomes another one, its time has not gone back.
+        A change of the clock topic is no step back in time.
         """
         own = self.namespace.rstrip("/") + CLOCK_TOPIC
         is_there = types.get(own) == [_CLOCK_TYPE] and self._node.count_publishers(own) > 0
@@ -259,11 +258,11 @@ class TopicReader:
         self._heard[topic] = _Heard(subscription, relative)
 
     def _fetched(self, now_ns: int) -> Iterator[Arrived]:
-        """All that waits, decoded. What cannot be decoded is left out: its sender has another definition."""
+        """Yield the waiting messages, decoded; those that cannot be decoded (other definition) are skipped."""
         clock_offset_ns = time.time_ns() - now_ns
         for heard in self._heard.values():
             for data, received_ns in heard.subscription.fetched():
-                # The middleware tells the time of the system's clock, which may have been set since the last look.
+                # The middleware gives the time of the system's clock, which may have been set since the last fetch.
                 arrival_ns = min(max(received_ns - clock_offset_ns, self._last_take_ns), now_ns)
                 try:
                     message = deserialize_message(data, heard.subscription.kind)
@@ -275,7 +274,7 @@ class TopicReader:
                 yield Arrived(heard.relative, message, arrival_ns)
 
     def _jump_ns(self, arrived: Arrived) -> int | None:
-        """When time was seen to have gone back, by /clock or by outputs that claim an angle; None where it has not."""
+        """Return the arrival of a message whose time went back (/clock or a valid output), ns; None for others."""
         message = arrived.message
         if isinstance(message, Clock):
             time_ns, tolerance_ns = ns_from_stamp(message.clock), _CLOCK_BACK_NS
@@ -289,5 +288,5 @@ class TopicReader:
 
 
 def _asleep_ns() -> int:
-    """Time that the machine has slept since it was started."""
+    """Return the time that the computer has slept since its start, ns."""
     return steady_ns() - time.monotonic_ns()

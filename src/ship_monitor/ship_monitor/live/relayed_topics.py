@@ -1,7 +1,7 @@
-"""Topics of a suite passed on as bytes, to somebody outside ROS who says which of them he wants.
+"""Relay of a suite's topics as bytes to a receiver outside ROS.
 
-All topics of the namespace are offered; only those that somebody wants are subscribed to, so that the others cost
-nothing. Each message is passed on: who wants a topic for a plot wants all of it, other than the page.
+All topics of the namespace are offered; only those requested by the receiver are subscribed, so that the others cost
+nothing. Unlike for the page, each message is forwarded.
 """
 
 import logging
@@ -16,29 +16,29 @@ from ship_monitor.live.reader import DISCOVERY_NS, KEPT, TopicReader, steady_ns
 
 
 class TopicReceiver(Protocol):
-    """Who wants topics. Topics have their full names; all methods return at once."""
+    """Receiver of topics. Topics have their full names; all methods return at once."""
 
     def offer(self, topic: str, type_name: str, definition: str) -> None:
-        """Take note of a topic; of one that is known already, perhaps with another type."""
+        """Offer a topic; a known topic may be offered again with another type."""
 
     def wanted(self) -> frozenset[str]:
-        """Topics that are wanted at this moment, of those that were offered."""
+        """Return the offered topics that have a subscriber."""
 
     def newcomers(self) -> frozenset[str]:
-        """Topics that somebody more has begun to want since the last call."""
+        """Return the topics with a new subscriber since the last call."""
 
     def pass_on(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
-        """Take a message of a topic: its CDR bytes, and when it came."""
+        """Forward a message of a topic: its CDR bytes and its arrival, UTC, ns."""
 
 
 class RelayedTopics:
-    """Subscribes for a receiver, on the node of a reader of topics and in its thread.
+    """Subscribes for a receiver, on the node and in the thread of a topic reader.
 
-    The reader's node makes one participant of DDS for both, which gets each message once over the network.
+    With the reader's node, both share one DDS participant, which receives each message once.
 
     Args:
-        reader: of the namespace.
-        receiver: who gets the messages.
+        reader: topic reader of the namespace.
+        receiver: receiver of the messages.
     """
 
     def __init__(self, reader: TopicReader, receiver: TopicReceiver) -> None:
@@ -51,9 +51,9 @@ class RelayedTopics:
         self._next_discovery_ns = 0
 
     def pass_on(self) -> None:
-        """Follow what is there and what is wanted, and pass on all that waits."""
+        """Update offers and subscriptions, and forward the waiting messages."""
         if self._reader.node is not self._node:
-            # The machine has slept: with the former node its subscriptions have gone.
+            # The computer has slept: the former node and its subscriptions no longer exist.
             self._node = self._reader.node
             self._subscriptions.clear()
             self._next_discovery_ns = 0
@@ -64,7 +64,7 @@ class RelayedTopics:
             self._next_discovery_ns = now_ns + DISCOVERY_NS
         wanted, newcomers = self._receiver.wanted(), self._receiver.newcomers()
         for topic, subscription in list(self._subscriptions.items()):
-            # Only to a new subscription DDS gives the last message of a topic that keeps it.
+            # DDS delivers the last message of a latched topic only to a new subscription.
             if topic not in wanted or (subscription.is_latched and topic in newcomers):
                 self._leave(topic)
         for topic in wanted if is_due else wanted & newcomers:
@@ -74,7 +74,7 @@ class RelayedTopics:
                 self._receiver.pass_on(topic, data, arrival_utc_ns)
 
     def _offer_all(self) -> None:
-        """Offer what is new or has another type. A topic whose publishers have gone stays offered: they may return."""
+        """Offer topics that are new or have another type; a topic without publishers stays offered."""
         for topic, types in self._reader.node.get_topic_names_and_types():
             is_known = self._seen.get(topic) == types
             if is_known or self._reader.relative_name(topic) is None or "/_" in topic:
@@ -93,15 +93,15 @@ class RelayedTopics:
             definition = installed_definition(type_name).text
         except (BadInput, LookupError, OSError, ImportError) as problem:
             self._unusable.add(type_name)
-            logging.getLogger(__name__).warning(f"topics as '{topic}' are not offered: {problem}")
+            logging.getLogger(__name__).warning(f"topic '{topic}' and others of its type are not offered: {problem}")
             return
         self._types[topic] = type_name
         self._receiver.offer(topic, type_name, definition)
         if topic in self._subscriptions:
-            self._leave(topic)  # it is of the former type
+            self._leave(topic)  # it has the former type
 
     def _subscribe(self, topic: str) -> None:
-        """Subscribe to a topic, and again where its publishers have begun or ceased to keep their last message."""
+        """Subscribe to a topic, and again if the durability of its publishers has changed."""
         publishers = self._reader.node.get_publishers_info_by_topic(topic)
         own = [each for each in publishers if each.topic_type == self._types[topic]]
         former = self._subscriptions.get(topic)

@@ -1,4 +1,4 @@
-"""The live page: colours, the first screenful, the panels below it, and the server that serves them.
+"""The live page: colours, first screen, panels below it, and their server.
 
-It draws what :mod:`ship_watch` has decided and judges nothing anew. It knows Bokeh, and no ROS.
+It draws the state computed in :mod:`ship_watch`. It uses Bokeh, and no ROS.
 """

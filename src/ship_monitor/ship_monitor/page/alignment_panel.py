@@ -1,7 +1,7 @@
-"""Alignment and calibration: each state minus its nominal value, with two sigma to both sides.
+"""Alignment and calibration panel: each state minus its nominal value, ±2σ.
 
-Most rows have one scale. A row that does not fit into it has a wider one of its own, which it names: a gyro that is off
-by 1 000″ leaves the others as they are.
+Most rows have a common scale. A row that does not fit has a wider scale of its own, which is stated, so that a gyro
+with an offset of 1 000″ does not shrink the others.
 """
 
 import math
@@ -17,13 +17,13 @@ from ship_monitor.page.themes import Theme
 from ship_watch.history import History, ParameterShown
 
 STEPS_ARCSEC = (30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0, 18_000.0, 90_000.0, 648_000.0)
-"""Half widths that the axis may have, arcsec."""
+"""Possible half widths of the axis, arcsec."""
 
 _ROW_PX = 20
 
 
 class AlignmentPanel:
-    """A row for each state.
+    """Panel with a row for each state.
 
     Attributes:
         box: the panel.
@@ -47,12 +47,12 @@ class AlignmentPanel:
         self.box = PanelBox(theme, "Alignment and calibration", [self.figure])
 
     def update(self, history: History, marked: str) -> None:
-        """Draw the states as they are now; those of the source that is marked stand out."""
+        """Draw the current states; those of the marked source are highlighted."""
         states = [*history.alignment, *history.calibration]
         count = len(states)
         if not count:
             self._source.data = {name: [] for name in self._source.data}
-            self.box.say("no alignment and no calibration is told")
+            self.box.say("no alignment or calibration data")
             return
         self.figure.height = _ROW_PX * count + 60
         self._rows.update(start=count - 0.5, end=-0.5)
@@ -90,11 +90,11 @@ _UNITS = {
     "px": (1.0, " px", 2),
     "1": (1e2, " %", 4),
 }
-"""By what a state of each unit is multiplied, the unit it then has, and its decimals."""
+"""Unit of a state → factor to the displayed unit, displayed unit, decimals."""
 
 
 def bars_arcsec(states: Sequence[ParameterShown]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lower end, value and upper end of each bar, arcsec; NaN of what is no angle, or has no nominal value."""
+    """Return lower end, value and upper end of each bar, arcsec; NaN for states that are no angle or lack a nominal."""
     scale = np.array([ARCSEC_PER_RAD if state.unit == "rad" else np.nan for state in states])
     value = scale * np.array([deviation(state) for state in states])
     reach = 2.0 * scale * np.array([state.sigma for state in states])
@@ -102,13 +102,13 @@ def bars_arcsec(states: Sequence[ParameterShown]) -> tuple[np.ndarray, np.ndarra
 
 
 def deviation(state: ParameterShown) -> float:
-    """Estimate minus nominal value, in the state's unit; of an angle the short way round."""
+    """Return estimate minus nominal value, in the state's unit; an angle is wrapped to ±π."""
     off = state.value - state.nominal
     return math.remainder(off, 2.0 * math.pi) if state.unit == "rad" and math.isfinite(off) else off
 
 
 def half_width(low: np.ndarray, high: np.ndarray) -> float:
-    """Half the width of the axis, arcsec: it holds three quarters of the bars."""
+    """Return half the width of the axis, arcsec: it contains three quarters of the bars."""
     known = np.isfinite(low) & np.isfinite(high)
     if not known.any():
         return STEPS_ARCSEC[0]
@@ -117,14 +117,14 @@ def half_width(low: np.ndarray, high: np.ndarray) -> float:
 
 
 def own_half_widths(low: np.ndarray, value: np.ndarray, high: np.ndarray, half: float) -> np.ndarray:
-    """Half the width that each row stands for, arcsec: that of the axis, or a wider step where its value needs that."""
+    """Return the half width of each row's scale, arcsec: that of the axis, or a wider step if its value needs it."""
     known = np.isfinite(low) & np.isfinite(high)
     needed = np.where(known, 1.05 * np.abs(value), 0.0)
     return np.array([half if not need > half else fixed_step(need, STEPS_ARCSEC) for need in needed])
 
 
 def state_text(state: ParameterShown) -> str:
-    """Deviation ± two sigma, in the unit that people use."""
+    """Return deviation ± 2σ in the displayed unit; in brackets if the state is not observable."""
     scale, unit, digits = _UNITS.get(state.unit, (1.0, f" {state.unit}", 3))
     text = f"{signed(scale * deviation(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
     return text if state.is_observable else f"({text})"

@@ -1,4 +1,4 @@
-"""One page for each browser: the template, the texts of its first screenful, and the panels below."""
+"""Page of one browser: the template, the texts of its first screen, and the panels below."""
 
 import json
 import logging
@@ -21,36 +21,38 @@ from ship_watch.picture import ANGLES
 from ship_watch.words import local_clock
 
 STATIC = Path(__file__).with_name("static")
-"""Template, style and script of the page."""
+"""Folder of template, style and script of the page."""
 
 SCRIPTS = ("bokeh", "bokeh-widgets")
-"""Those of Bokeh's scripts that the page needs: four of six megabytes are for others."""
+"""Bokeh scripts that the page needs; the others, 4 of 6 MB, are not loaded."""
 
 _TRIED_AGAIN = """\
 <!doctype html><html style="background:{{ theme.background }};color:{{ theme.text }}">
 <meta http-equiv="refresh" content="2"><title>monitor</title>
-<p>The page cannot be drawn now; it is tried again. The log of the monitor says why.</p></html>
+<p>The page cannot be drawn; retrying. The reason is in the log of monitor.</p></html>
 """
 
 TEXTS_PERIOD_MS = 500
+"""Period of the updates of the texts."""
+
 PLACE_PERIOD_MS = 20
-"""Time between two panels that are put into their frames."""
+"""Time between two steps in which panels are put into their frames."""
 
 PLOTS_EVERY = 2
-"""Plots are told something every so many times that the texts are."""
+"""Number of text updates for each update of the plots."""
 
 
 class Page:
-    """Fills the document of one browser, and keeps it up to date.
+    """Fills and updates the document of one browser.
 
-    Plots are made when the first of them come into sight, one panel after another, and each rests while it is out of
-    sight or paused; the texts of the first screenful wait for none of them.
+    Plots are made when the first of them becomes visible, one panel after another. A panel is not updated while it is
+    out of sight or paused. The texts of the first screen do not wait for plots.
 
     Args:
-        document: of the browser.
-        theme: in which it is drawn.
-        source: of the pictures.
-        zone: of the local time; None for UTC alone.
+        document: document of the browser.
+        theme: theme of the page.
+        source: source of the suite's state.
+        zone: time zone of the local time; None for UTC only.
     """
 
     def __init__(self, document: Document, theme: Theme, source: PictureSource, zone: ZoneInfo | None) -> None:
@@ -61,9 +63,9 @@ class Page:
         self._below = Column(name="panels", sizing_mode="stretch_width")
         self._count = 0
         self._is_paused = False
-        self._angle = ""  # chosen, and not yet shown
+        self._angle = ""  # chosen, not yet displayed
         self._texts = ColumnDataSource(data={"text": [self._text()]}, name="texts")
-        # The page's script is told by each change, and by the first one that the link is there.
+        # The page's script is called at each change; the first call shows that the link works.
         self._texts.js_on_change("data", CustomJS(code="monitor.show(JSON.parse(cb_obj.data.text[0]))"))
         self._chosen = ColumnDataSource(data={}, name="chosen")
         self._chosen.on_change("data", self._choose)
@@ -77,7 +79,7 @@ class Page:
         self._below.js_on_change("children", CustomJS(code="monitor.watchPanels(cb_obj.children[0].children)"))
         for root in (self._below, self._texts, self._chosen):
             document.add_root(root)
-        # The page says itself that the link is lost, in its own colours.
+        # The page itself reports a lost link, in its own colours.
         document.config.notify_connection_status = False
         document.title = f"{source.name} · monitor"
         document.template = _template()
@@ -86,7 +88,7 @@ class Page:
         document.add_periodic_callback(self._update, TEXTS_PERIOD_MS)
 
     def _update(self) -> None:
-        """Say and draw what is new. An error leaves the page without news, and it then says so itself."""
+        """Update texts and plots. After an error the page gets no updates and reports this itself."""
         self._say()
         self._count += 1
         if self._count % PLOTS_EVERY == 0:
@@ -101,7 +103,7 @@ class Page:
             self._panels.update(self._source.history, self._drawn)
 
     def _make_panels(self) -> None:
-        """Make the panels, and show their frames; each panel follows when the browser says that it is in sight."""
+        """Make the panels, and show their frames; each panel follows when it becomes visible in the browser."""
         self._say()
         self._panels = build_panels(self._theme, is_stepwise=True, is_bag="BAG" in self._source.label.upper())
         self._drawn = self._picture
@@ -109,10 +111,10 @@ class Page:
         self._below.children = [self._panels.layout]
 
     def _place_panels(self) -> None:
-        """Put one panel after another into its frame; before each step the page has its texts of now."""
+        """Put one panel after another into its frame, with an update of the texts before each step."""
         if self._panels is None:
             return
-        self._is_placing = False  # also where one of the next lines fails
+        self._is_placing = False  # also if one of the next lines fails
         self._say()
         self._is_placing = self._panels.place_next(self._source.history, self._drawn)
         if self._is_placing:
@@ -127,7 +129,7 @@ class Page:
         return json.dumps(told, allow_nan=False)
 
     def _choose(self, _name: str, _old: Any, chosen: dict[str, list[Any]]) -> None:
-        """Follow what the person at the browser has chosen; see ``tell`` of the page's script."""
+        """Apply the choices of the user, sent by the page's script."""
         choice = {name: values[0] for name, values in chosen.items()}
         self._is_paused = bool(choice["paused"])
         self._angle = choice["angle"] if choice["angle"] in ANGLES else self._angle
@@ -144,7 +146,7 @@ class Page:
         self._panels.marked = str(choice["marked"])
         if choice["seen"] is not None:
             self._panels.seen = frozenset(str(choice["seen"]).split())
-        # At once, and of a page that is paused the time at which it is.
+        # Draw at once; for a paused page its own time.
         self._panels.update(self._source.history, self._drawn)
         if not self._is_placing:
             self._is_placing = True
@@ -154,12 +156,12 @@ class Page:
 def page_maker(
     open_source: Callable[[], PictureSource], default_theme: str, zone: ZoneInfo | None = None
 ) -> Callable[[Document], None]:
-    """Return a function that fills the document of each browser.
+    """Return a function that fills the document of a browser.
 
     Args:
-        open_source: gives the source of pictures of one browser.
-        default_theme: where the address names none.
-        zone: of the local time that stands beside UTC; None for UTC alone.
+        open_source: returns the source for one browser.
+        default_theme: theme of addresses without one.
+        zone: time zone of the local time; None for UTC only.
     """
 
     def make(document: Document) -> None:
@@ -169,7 +171,7 @@ def page_maker(
         try:
             Page(document, theme, open_source(), zone)
         except Exception:
-            # Bokeh's own answer is an empty white page.
+            # Bokeh itself would answer with an empty white page.
             logging.getLogger(__name__).exception("a page cannot be drawn")
             document.clear()
             document.template = get_env().from_string(_TRIED_AGAIN)
@@ -179,12 +181,12 @@ def page_maker(
 
 
 def json_in_script(text: str) -> str:
-    """JSON that may stand inside a script of a page: no text in it can end the script."""
+    """Escape JSON for the inside of a script of a page, so that no text in it can end the script."""
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
 def colours(theme: Theme) -> str:
-    """The colours of a theme as custom properties of CSS: ``--caution-word`` and the like."""
+    """Return the colours of a theme as custom properties of CSS, as ``--caution-word``."""
     pairs = ((name, value) for name, value in vars(theme).items() if isinstance(value, str) and name != "name")
     return "".join(f"--{name.replace('_', '-')}:{value};" for name, value in pairs)
 
@@ -205,6 +207,6 @@ def _variables(theme: Theme, source: PictureSource, first: str) -> dict[str, Any
 
 @cache
 def _template() -> Template:
-    """The template, with Bokeh's macros at hand."""
+    """Return the template of the page, with Bokeh's macros."""
     template: Template = get_env().from_string((STATIC / "page.html").read_text(encoding="utf-8"))
     return template

@@ -1,7 +1,7 @@
-"""Error budget of one angle: the variances of its sources stacked, the axis labelled by their roots.
+"""Error budget panel of one angle: variances of its sources stacked, the axis labelled with their square roots.
 
-Variances add up, sigmas do not: so the bands add up to the whole, and 2″ stands four times as high as 1″. What a short
-peak hides is cut off, and its height is written.
+Variances add up, sigmas do not: the bands add up to the total, and 2″ is four times as high as 1″. A short peak is cut
+off and its height is written.
 """
 
 import math
@@ -29,20 +29,22 @@ from ship_watch.history import KEPT_S, BudgetPoint, History
 from ship_watch.picture import ANGLES
 
 LARGEST_SHOWN = 5
+"""Number of sources with bands of their own."""
+
 TOPS_ARCSEC = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 100.0, 200.0, 500.0)
-"""Sigmas at which the axis may end, arcsec."""
+"""Possible ends of the axis, sigma, arcsec."""
 
 _HATCHES = (None, "/", ".", "\\", "x", "-")
 _OPACITIES = (0.75, 0.75, 0.75, 0.4, 0.4, 0.25)
 
 
 class BudgetPanel:
-    """The bands of one angle.
+    """Panel with the bands of one angle.
 
     Attributes:
         box: the panel.
-        angle: the angle shown, one of :data:`ship_watch.picture.ANGLES`; empty as long as there is none.
-        chosen: the angle that somebody has chosen; empty as long as nobody has.
+        angle: displayed angle, one of :data:`ship_watch.suite_state.ANGLES`; empty if there is none.
+        chosen_angle: angle chosen by the user; empty for none.
     """
 
     def __init__(self, theme: Theme, times: TimePlots) -> None:
@@ -59,12 +61,12 @@ class BudgetPanel:
         self.box = PanelBox(theme, "Error budget", [self._choice, self._figure])
 
     def choose(self, angle: str) -> None:
-        """Show an angle that somebody has chosen, from the next update on."""
+        """Select an angle chosen by the user; it is drawn at the next update."""
         self.chosen = angle
         self._show(angle)
 
     def _press(self, angle: str) -> None:
-        if angle != self.angle:  # of the angle shown nobody has pressed the button: it follows
+        if angle != self.angle:  # the button of the displayed angle is set by the program
             self.choose(angle)
 
     def _show(self, angle: str) -> None:
@@ -72,17 +74,17 @@ class BudgetPanel:
             self.angle, self._sources = angle, ()
 
     def update(self, history: History, marked: str) -> None:
-        """Draw what is new of the angle.
+        """Draw the new points of the angle.
 
         Args:
-            history: the budgets.
-            marked: the source whose parts have bands of their own, which stand out.
+            history: history with the budgets.
+            marked: marked source: its parts have bands of their own, which are highlighted; empty for none.
         """
         topics = {angle: topic for topic, points in history.budgets.items() if points for angle in points[-1].by_angle}
         self._names = [angle for angle in ANGLES if angle in topics]
         self._choice.labels = self._names
         if not self._names:
-            self.box.say("no error budget is told")
+            self.box.say("no error budget data")
             return
         if self.angle not in self._names:
             self._show(self._names[0])
@@ -99,7 +101,7 @@ class BudgetPanel:
         self._draw(points)
 
     def _begin(self) -> None:
-        """An empty plot: each source of error has a column of its own."""
+        """Create an empty plot with a column for each source of error."""
         columns = [_column(source) for source in self._sources]
         self._trail = Trail((*columns, "total"), by="total", filled=columns)
         self._figure = time_plot(self._theme, self._times, 200, self._height, has_axis=True)
@@ -127,7 +129,7 @@ class BudgetPanel:
         columns = self._trail.source.data
         totals = np.asarray(columns["total"], float)
         if not np.isfinite(totals).any():
-            self.box.say(f"{self.angle}: not known now")
+            self.box.say(f"{self.angle}: currently unknown")
             return
         known = np.isfinite(totals)
         means = {source: float(np.mean(np.asarray(columns[_column(source)])[known])) for source in self._sources}
@@ -143,7 +145,7 @@ class BudgetPanel:
         self._figure.yaxis[0].major_label_overrides = {tick**2: f"{tick:g}″" for tick in ticks}
         times = np.asarray(columns["t"], float)
         found = peaks(times, totals, top)
-        is_late = [at > self._times.range.end - 0.3e3 * KEPT_S for at, _ in found]  # no room for words to the right
+        is_late = [at > self._times.range.end - 0.3e3 * KEPT_S for at, _ in found]  # no room for text to the right
         told = {
             "x": [at for at, _ in found],
             "y": [top**2] * len(found),
@@ -156,10 +158,10 @@ class BudgetPanel:
         last = {source: variances_arcsec2([points[-1]], self.angle, (source,))[0, 0] for source in self._sources}
         self._labels.write(band_labels(last, self._bands, top**2, self._marked))
         sigma = math.sqrt(total) if (total := sum(last.values())) >= 0.0 else math.nan
-        self.box.say(f"{self.angle}, σ {sigma:.2f}″ · variances stacked, axis labelled by their roots")
+        self.box.say(f"{self.angle}, σ {sigma:.2f}″ · stacked variances, axis labelled in σ")
 
     def _stack(self) -> None:
-        """Draw the bands anew: the five largest, and the others together."""
+        """Draw new bands: the five largest sources, and the sum of the others."""
         for renderer in self._filled:
             self._figure.renderers.remove(renderer)
         edges = [[_column(name) for name in self._bands[: count + 1]] for count in range(len(self._bands))]
@@ -187,19 +189,19 @@ class BudgetPanel:
 
 
 def variances_arcsec2(points: Sequence[BudgetPoint], angle: str, sources: Sequence[str]) -> FloatArray:
-    """Variances of an angle, arcsec², shape (points, sources); NaN where a point tells none."""
+    """Return the variances of an angle, arcsec², shape (points, sources); NaN for missing ones."""
     empty: Mapping[str, float] = {}
     rows = [[point.by_angle.get(angle, empty).get(source, np.nan) for source in sources] for point in points]
     return np.array(rows, float).reshape(len(points), len(sources)) * ARCSEC_PER_RAD**2
 
 
 def largest_sources(means: Mapping[str, float], before: tuple[str, ...], wanted: Sequence[str] = ()) -> tuple[str, ...]:
-    """The sources with bands of their own, the largest at the bottom; they change places only for a clear reason.
+    """Return the sources with bands of their own, the largest at the bottom; small changes keep the current bands.
 
     Args:
-        means: mean variance by source.
-        before: the bands until now: one stays until another is a quarter larger.
-        wanted: these are among them however small they are.
+        means: source → mean variance.
+        current_bands: current bands; one is replaced only by a source that is a quarter larger.
+        required: sources that always have bands.
     """
     known = {source: mean for source, mean in means.items() if mean > 0.0}
     weight = {source: mean * (1.25 if source in before else 1.0) for source, mean in known.items()}
@@ -210,7 +212,7 @@ def largest_sources(means: Mapping[str, float], before: tuple[str, ...], wanted:
 
 
 def top_of_axis(totals: FloatArray) -> float:
-    """Sigma at which the axis ends, arcsec: above nine tenths of the time, so that short peaks are cut off.
+    """Return the end of the axis, sigma, arcsec: above the 90 % quantile, so that short peaks are cut off.
 
     Args:
         totals: variances, arcsec²; NaN in gaps.
@@ -220,12 +222,12 @@ def top_of_axis(totals: FloatArray) -> float:
 
 
 def peaks(times: FloatArray, totals: FloatArray, top: float) -> list[tuple[float, float]]:
-    """Where the stack is cut off: time of the highest point of each stretch, and its variance.
+    """Return time and variance of the highest point of each interval that is cut off.
 
     Args:
-        times: as the browser counts them, shape (n,).
-        totals: variances, arcsec²; a gap ends a stretch.
-        top: sigma at which the axis ends, arcsec.
+        times: times in the browser's unit, shape (n,).
+        totals: variances, arcsec²; a gap ends an interval.
+        top: end of the axis, sigma, arcsec.
     """
     over: NDArray[np.bool_] = totals > top**2
     edges = np.flatnonzero(np.diff(np.concatenate(([False], over, [False])).astype(int)))
@@ -235,14 +237,14 @@ def peaks(times: FloatArray, totals: FloatArray, top: float) -> list[tuple[float
         found.append((float(times[at]), float(totals[at])))
     least = 0.15 * 1e3 * KEPT_S
     kept: list[tuple[float, float]] = []
-    for peak in sorted(found, key=lambda one: -one[1]):  # the words of two must not cover one another
+    for peak in sorted(found, key=lambda one: -one[1]):  # two texts must not overlap
         if all(abs(peak[0] - other[0]) >= least for other in kept):
             kept.append(peak)
     return sorted(kept)
 
 
 def root_ticks(top: float) -> list[float]:
-    """Sigmas at which the axis has a label, arcsec: multiples of a round step, none so low that it covers another."""
+    """Return the labels of the axis, sigma, arcsec: multiples of a round step that do not overlap."""
     step = next(step for step in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if top / step <= 6.0)
     ticks = [0.0]
     for count in range(1, int(top / step + 1e-9) + 1):
@@ -252,13 +254,13 @@ def root_ticks(top: float) -> list[float]:
 
 
 def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, marked: str = "") -> dict[float, str]:
-    """Names and sigmas of the bands, at the middle of each as it ends, none on another.
+    """Return height → name and sigma of each band, near the middle of its right end, without overlap.
 
     Args:
-        last: newest variance by source, arcsec².
+        last: source → newest variance, arcsec².
         bands: sources with bands of their own, from below.
-        height: of the axis, arcsec².
-        marked: the source whose parts stand out.
+        height: height of the axis, arcsec².
+        marked: marked source; empty for none.
     """
     others = sum(value for source, value in last.items() if source not in bands)
     parts = [(band, last[band]) for band in bands] + ([("other", others)] if len(last) > len(bands) else [])
@@ -277,7 +279,7 @@ def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, 
 
 
 def _column(source: str) -> str:
-    """Name of a source's column: no source is called as the columns of the time and of the whole are."""
+    """Return the name of a source's column, which differs from those of the time and of the total."""
     return f"of {source}"
 
 

@@ -1,6 +1,6 @@
-"""What a plot draws of many points: the least and largest of each second, gaps left open, labels apart.
+"""Reduction of many points for a plot: minimum and maximum of each second, gaps, and positions of labels.
 
-All of it is pure. Times are UTC as POSIX time in ns, as everywhere; the browser counts in ms.
+All functions are pure. Times are UTC as POSIX time in ns; the browser uses ms.
 """
 
 import math
@@ -16,68 +16,68 @@ from ship_watch.history import Timed, extremes
 TimesNs = NDArray[np.int64]
 
 ROWS_KEPT = 1200
-"""A line has no more points than this: two for each second of ten minutes."""
+"""Maximum number of points of a line: two for each second of ten minutes."""
 
 BUCKET_NS = 1_000_000_000
-"""Of each such stretch of time, ns, a line keeps the least and the largest value."""
+"""Interval of which a line keeps the minimum and maximum, ns."""
 
 LEAST_GAP_NS = 2_000_000_000
-"""Nothing shorter is a gap, ns."""
+"""Minimum length of a gap, ns."""
 
 STEPS_ARCSEC = (15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0)
-"""Half widths that an axis may have, arcsec: fixed, so that small looks small."""
+"""Possible half widths of an axis, arcsec: fixed steps, so that small values look small."""
 
 
 def thinned(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
-    """Which rows a line keeps: of each second the least and the largest value, in the order of their times.
+    """Return the rows of a line: minimum and maximum of each second, in the order of their times.
 
-    The second of the newest row is not over yet: its rows wait for the next call.
+    The second of the newest row is not complete: its rows are left for the next call.
 
     Args:
-        time_ns: rising, shape (n,).
-        value: NaN is neither least nor largest, but a second of nothing else keeps one row, so that a gap stays.
+        time_ns: rising times, shape (n,).
+        value: values, shape (n,); NaN is ignored, but a second of NaN only keeps one row, so that a gap stays.
     """
     ends = np.flatnonzero(np.diff(time_ns // BUCKET_NS)) + 1
-    # The last stretch is that of the second that is not over.
+    # The last section is that of the incomplete second.
     return extremes(value[: ends[-1], None], [0, *ends[:-1]]) if len(ends) else np.empty(0, np.intp)
 
 
 def waits_from(time_ns: TimesNs) -> int:
-    """First of the rows that :func:`thinned` leaves for the next call: those of the newest second."""
+    """Return the first row that :func:`rows_to_draw` leaves for the next call: that of the newest second."""
     return int(np.searchsorted(time_ns // BUCKET_NS, time_ns[-1] // BUCKET_NS)) if len(time_ns) else 0
 
 
 def usual_period_ns(points: Sequence[Timed]) -> float:
-    """The usual time between two of the newest points, ns; 0 where it is not known."""
+    """Return the median time between the newest points, ns; 0 if unknown."""
     times = [point.utc_ns for point in islice(reversed(points), 60)]
     return float(np.median(-np.diff(times))) if len(times) > 1 else 0.0
 
 
 def gaps_before(time_ns: TimesNs, taken_ns: int | None, usual_ns: float) -> NDArray[np.intp]:
-    """Rows before which a line is broken: nothing came for more than three times the usual, 2 s at least.
+    """Return the rows that follow a gap: more than three periods without a point, at least 2 s.
 
     Args:
-        time_ns: rising, shape (n,).
-        taken_ns: time of the row before the first; None where there is none.
-        usual_ns: usual time between two points.
+        time_ns: rising times, shape (n,).
+        previous_ns: time of the row before the first; None without one.
+        period_ns: usual time between two points, ns.
     """
     first = time_ns[0] if taken_ns is None else taken_ns
     return np.flatnonzero(np.diff(time_ns, prepend=first) > max(LEAST_GAP_NS, 3.0 * usual_ns))
 
 
 def fixed_step(largest: float, steps: Sequence[float] = STEPS_ARCSEC) -> float:
-    """The smallest step that holds a size; the first where it is not known, the last where none holds it."""
+    """Return the smallest step not below a size; the first for NaN, the last if all are smaller."""
     return next((step for step in steps if not largest > step), steps[-1])
 
 
 def placed(wanted: Sequence[float], apart: float, low: float, high: float) -> list[float]:
-    """Places of labels as near to the wanted as they can be without covering one another, in the order given.
+    """Return positions of labels near the wanted ones without overlap, in the given order.
 
     Args:
-        wanted: where they would best be.
-        apart: least distance of two.
-        low: no label is below it; where there are too many, they stand closer.
-        high: none is above it.
+        wanted: best positions.
+        spacing: minimum distance of two labels; less if there are too many labels.
+        low: lowest position.
+        high: highest position.
     """
     if not wanted:
         return []
@@ -94,7 +94,7 @@ def placed(wanted: Sequence[float], apart: float, low: float, high: float) -> li
 
 
 def signed(value: float, digits: int = 1) -> str:
-    """A number with its sign, the minus a real one."""
+    """Return a number with its sign, with "−" (U+2212) as minus; "unknown" if it is not finite."""
     if not math.isfinite(value):
         return "unknown"
     text = f"{value:+.{digits}f}"

@@ -1,4 +1,4 @@
-"""Error of each angle against the truth, inside ±3 sigma: only where a suite has a truth, in simulation."""
+"""Error panel: error of each angle against the truth, with ±3 sigma; only in simulation, where a truth is known."""
 
 from collections.abc import Mapping, Sequence
 from itertools import islice
@@ -21,17 +21,17 @@ CHANNELS: Mapping[tuple[str, str], str] = {
     ("theodolite/error_arcsec", "azimuth_cos_elevation"): "azimuth · cos elevation",
     ("theodolite/error_arcsec", "elevation"): "elevation",
 }
-"""Topic and channel → what a plot is called."""
+"""Topic and channel → title of a plot."""
 
 LATELY_NS = 60_000_000_000
-"""Figures beside a plot are of so long, ns."""
+"""Window of the figures at a plot, ns."""
 
 NOW_NS = 15_000_000_000
-"""The height of a plot holds what came within so long, ns: what was before may be cut off, as at a start."""
+"""Window whose values determine the height of a plot, ns: earlier values may be cut off, as after a start."""
 
 
 def has_truth(history: History) -> bool:
-    """Whether any error is known of late."""
+    """True if any of the newest errors is known."""
     for points in history.errors.values():
         if any(np.isfinite(error) for point in islice(reversed(points), 20) for error in point.error.values()):
             return True
@@ -39,11 +39,11 @@ def has_truth(history: History) -> bool:
 
 
 class ErrorPanel:
-    """A plot for each angle that has an error.
+    """Panel with a plot for each angle that has an error.
 
     Attributes:
-        box: the panel; it is not shown where there is no truth.
-        plots: one for each angle.
+        box: the panel; hidden without truth.
+        plots: plots, one for each angle.
     """
 
     def __init__(self, theme: Theme, times: TimePlots) -> None:
@@ -53,11 +53,11 @@ class ErrorPanel:
         )
 
     def update(self, history: History, chosen: str) -> None:
-        """Draw what is new.
+        """Draw the new points.
 
         Args:
-            history: the errors.
-            chosen: the angle that stands out; empty for none.
+            history: history with the errors.
+            chosen: highlighted angle; empty for none.
         """
         newest = {topic: points[-1].error for topic, points in history.errors.items() if points}
         shown = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]
@@ -65,12 +65,12 @@ class ErrorPanel:
         steps = {row.update(history.errors[topic], chosen) for (topic, _), row in rows.items()}
         self.plots.show()
         steps.discard(15.0)
-        wider = " · wider where it says so" if steps else ""
+        wider = " · wider where stated" if steps else ""
         self.box.say(f"against the truth of the simulation · axis ±15″{wider}")
 
 
 class _ErrorRow:
-    """The plot of one angle."""
+    """Plot of one angle."""
 
     def __init__(self, theme: Theme, times: TimePlots, key: tuple[str, str], *, has_axis: bool) -> None:
         self._theme, self._channel, self._title = theme, key[1], CHANNELS[key]
@@ -86,7 +86,7 @@ class _ErrorRow:
         hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line], is_line=True)
 
     def update(self, points: Sequence[ErrorPoint], chosen: str) -> float:
-        """Draw what is new; the answer is half the height of the axis, arcsec."""
+        """Draw the new points; return half the height of the axis, arcsec."""
         self._trail.follow(points, self._columns)
         newest_ns = points[-1].utc_ns
         error, sigma = self._known(newer(points, newest_ns - LATELY_NS))
@@ -105,7 +105,7 @@ class _ErrorRow:
         return step
 
     def _known(self, points: Sequence[ErrorPoint]) -> tuple[FloatArray, FloatArray]:
-        """Errors and sigmas that are known."""
+        """Return the finite errors and sigmas, arcsec."""
         columns = self._columns(points)
         error, sigma = columns["error"], columns["sigma"]
         return error[np.isfinite(error)], sigma[np.isfinite(sigma)]

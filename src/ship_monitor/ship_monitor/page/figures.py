@@ -1,4 +1,4 @@
-"""Figures and panels in the colours of a theme: no toolbar, no legend, drag zooms the time of all, nothing is white."""
+"""Figures and panels in the colours of a theme, without toolbar and legend; a drag zooms the time axis of all plots."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -33,13 +33,13 @@ ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
 """Arcseconds in a radian."""
 
 NARROW = "@media (max-width: 700px)"
-"""Small screens: one column, plots 180 px high."""
+"""Media query of small screens: one column, plots 180 px high."""
 
 _SIDE_PX = 118
 
 
 class HasFigure(Protocol):
-    """Anything that draws into one plot."""
+    """An object with one plot."""
 
     figure: Any
 
@@ -51,7 +51,7 @@ _FORMULA_BEGIN = re.compile(r"(?<=\$)(?=\$)|(?<=\\)(?=[(\[])")
 
 
 def plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **options: Any) -> figure:
-    """An empty plot."""
+    """Return an empty plot."""
     tools = [BoxZoomTool(dimensions="width")] if isinstance(options.get("x_axis_type"), str) else []
     for tool in tools:
         tool.overlay.update(fill_color=theme.series[0], fill_alpha=0.15, line_color=theme.second_text, line_alpha=1.0)
@@ -78,7 +78,7 @@ def plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **option
 
 
 def time_plot(theme: Theme, times: TimePlots, height: int, y_range: Range1d, *, has_axis: bool) -> figure:
-    """An empty plot along the shared time; double click returns to live."""
+    """Return an empty plot with the shared time axis; a double click returns to live."""
     made = plot(theme, height, times.range, y_range, x_axis_type="datetime")
     made.on_event("doubletap", lambda _event: times.go_live())
     clock = DatetimeTickFormatter(
@@ -91,7 +91,7 @@ def time_plot(theme: Theme, times: TimePlots, height: int, y_range: Range1d, *, 
 
 
 def dress(theme: Theme, made: figure) -> None:
-    """Give axes and grids of a plot the colours of the theme."""
+    """Apply the colours of the theme to axes and grids of a plot."""
     for axis in made.axis:
         axis.update(axis_line_color=None, major_tick_line_color=None, minor_tick_line_color=None)
         axis.update(major_label_text_color=theme.second_text, major_label_text_font=FONT)
@@ -102,18 +102,18 @@ def dress(theme: Theme, made: figure) -> None:
 
 
 def frame(theme: Theme, made: figure, is_marked: bool, colour: str = "") -> None:
-    """Draw the frame of a plot: thick and in the colour of the text where the plot is of what somebody has marked."""
+    """Draw the frame of a plot: thick and in the colour of the text if the plot is marked."""
     usual = colour or theme.border
     made.update(outline_line_color=theme.text if is_marked else usual, outline_line_width=3 if is_marked else 1)
 
 
 def without_formulas(text: str) -> str:
-    """Return a text that Bokeh draws letter by letter: what would begin a formula of TeX is split, unseen."""
+    """Return a text that Bokeh does not draw as a TeX formula: invisible characters split the start of a formula."""
     return _FORMULA_BEGIN.sub("\u2060", text)
 
 
 class SideLabels:
-    """Words at the right of a plot, at the heights of what they name."""
+    """Labels at the right of a plot, at given heights."""
 
     def __init__(self, theme: Theme, made: figure) -> None:
         self._axis = LinearAxis(ticker=FixedTicker(ticks=[]), axis_line_color=None, minor_tick_line_color=None)
@@ -123,15 +123,15 @@ class SideLabels:
         made.add_layout(self._axis, "right")
 
     def write(self, texts: Mapping[float, str]) -> None:
-        """Show these words, each at its height."""
+        """Show these texts, each at its height."""
         self._axis.ticker.ticks = sorted(texts)
         self._axis.major_label_overrides = {height: without_formulas(text) for height, text in texts.items()}
 
 
 def hover(theme: Theme, made: figure, html: str, renderers: list[Any], *, is_line: bool = False) -> None:
-    """Show a point's figures under the pointer, of a line wherever the pointer is above or below it.
+    """Add a tooltip with a point's values; for a line at any height of the pointer.
 
-    ``html`` names columns as ``@column{0.0}``.
+    ``html`` refers to columns as ``@column{0.0}``.
     """
     body = f'<div style="color:{theme.text};font:13px {FONT}">@t{{%H:%M:%S}} {html}</div>'
     made.add_tools(
@@ -147,35 +147,35 @@ def hover(theme: Theme, made: figure, html: str, renderers: list[Any], *, is_lin
 
 
 def tooltip_style(theme: Theme) -> GlobalInlineStyleSheet:
-    """Tooltips in the colours of the theme, for the whole page, where Bokeh puts them; without it they are white."""
+    """Return a style of the tooltips in the colours of the theme; without it they are white."""
     return GlobalInlineStyleSheet(css=f".bk-Tooltip{{background:{theme.background};border-color:{theme.border}}}")
 
 
 def narrow_height(height_px: int) -> InlineStyleSheet:
-    """Another height of a plot on a small screen."""
+    """Return a style with another height of a plot on a small screen."""
     return InlineStyleSheet(
         css=f"{NARROW}{{:host{{height:{height_px}px !important;flex-basis:{height_px}px !important}}}}"
     )
 
 
 def models_at_once(layout: Model) -> AbstractContextManager[None]:
-    """While many models come or go: a document looks through all that it has after each, or once at the end of this."""
+    """Return a context for adding or removing many models: the document checks all its models once at the end."""
     made: AbstractContextManager[None] = nullcontext() if layout.document is None else layout.document.models.freeze()
     return made
 
 
 def words(made: figure, source: ColumnDataSource, **options: Any) -> None:
-    """Words at places of a plot: columns ``x``, ``y`` and ``text`` of a source; ``options`` as of Bokeh's text."""
+    """Draw texts in a plot: columns ``x``, ``y`` and ``text`` of a source; ``options`` as in Bokeh's text."""
     made.text("x", "y", "text", source=source, text_font=value(FONT), text_font_size="13px", **options)
 
 
 class ResidualBars:
-    """Bars at places of a plot, true in direction whatever the scales of its axes, and one that tells their length.
+    """Bars of residuals in a plot, with true direction for any scales of its axes.
 
     Args:
         theme: colours.
         made: the plot.
-        steps_arcsec: residuals that a bar of the full length may stand for.
+        steps_arcsec: possible residuals of a bar of full length, arcsec.
     """
 
     FULL_PX = 42.0
@@ -188,10 +188,17 @@ class ResidualBars:
         )
 
     def draw(self, x: FloatArray, y: FloatArray, right: FloatArray, up: FloatArray, colour: str) -> float:
-        """Draw a bar at each place, from what it is off to the right and up, rad; NaN has none.
+        """Draw a bar at each position.
+
+        Args:
+            x: positions, shape (n,).
+            y: positions, shape (n,).
+            right: residuals to the right, rad, shape (n,); no bar for NaN.
+            up: residuals up, rad, shape (n,).
+            colour: colour of the bars.
 
         Returns:
-            What the full length stands for, arcsec.
+            Residual of a bar of full length, arcsec.
         """
         off = ARCSEC_PER_RAD * np.hypot(right, up)
         known = np.isfinite(off)
@@ -207,15 +214,16 @@ class ResidualBars:
 
 
 class GrowingRows(Generic[Key, Row]):
-    """Plots below one another, of which few are made at a time: each takes a computer, and a browser, a while.
+    """Plots below each other, made few at a time because each takes some time on server and browser.
 
     Args:
-        box: panel that holds them.
+        box: panel of the plots.
         make: makes the plot of a key; the last one has the axis.
 
     Attributes:
-        at_once: most plots that are made in one call of :meth:`grow`.
-        are_complete: True if there is one for each key.
+        rows: key → plot.
+        max_new_rows: maximum number of plots made in one call of :meth:`grow`.
+        are_complete: True if there is a plot for each key.
     """
 
     def __init__(self, box: "PanelBox", make: Callable[[Key, bool], Row]) -> None:
@@ -226,10 +234,10 @@ class GrowingRows(Generic[Key, Row]):
         self.are_complete = False
 
     def grow(self, keys: Sequence[Key]) -> dict[Key, Row]:
-        """Make plots of keys that have none, in the order of the keys; return all that there are.
+        """Make plots for keys without one, in the order of the keys; return all plots.
 
-        The caller draws them, and only then shows them (:meth:`show`): what is drawn into a plot that is on its way to
-        a browser would not follow it, because the document does not know the plot yet.
+        The caller draws them before :meth:`show`: changes of a plot that is being sent to a browser would be lost,
+        because the document does not contain the plot yet.
         """
         if list(keys) != self._keys:
             self._keys, self.rows = list(keys), {}
@@ -238,17 +246,17 @@ class GrowingRows(Generic[Key, Row]):
         return self.rows
 
     def show(self) -> None:
-        """Put the plots that there are into the panel."""
+        """Put the existing plots into the panel."""
         self.are_complete = len(self.rows) == len(self._keys)
         self._box.hold([row.figure for row in self.rows.values()])
 
 
 class PanelBox:
-    """A panel: its title, what is said beside it, and what it holds.
+    """A panel: title, subtitle and content.
 
     Attributes:
-        title: its name.
-        layout: what the page places.
+        title: title of the panel.
+        layout: layout that the page places.
     """
 
     def __init__(self, theme: Theme, title: str, children: Sequence[Any]) -> None:
@@ -264,11 +272,11 @@ class PanelBox:
         self.say("")
 
     def say(self, text: str) -> None:
-        """Write what stands beside the title, small."""
+        """Set the subtitle, in small letters after the title."""
         self._head.text = f"<b>{escape(self.title)}</b><span>{escape(text)}</span>"
 
     def hold(self, children: Sequence[Any]) -> None:
-        """Hold other things than before."""
+        """Set the content of the panel."""
         if self.layout.children[1:] != list(children):
             self.layout.children = [self._head, *children]
 

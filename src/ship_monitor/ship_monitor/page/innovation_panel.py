@@ -1,7 +1,6 @@
-"""Innovations by source: what was measured minus what was predicted, inside the band that was promised.
+"""Innovation panel: measured minus predicted values by source, with the band of ±3 sigma.
 
-A dot is the mean of a measurement along one axis, a cross one that was refused. The band is ±3 sigma. While a source
-is out, its plot is shaded.
+A dot is the mean of a measurement along one axis, a cross a rejected one. While a source is OUT, its plot is shaded.
 """
 
 import math
@@ -30,20 +29,20 @@ from ship_watch.history import History, InnovationPoint, newer
 from ship_watch.picture import Picture, Presence, SourceShown
 
 LATELY_NS = 10_000_000_000
-"""Means beside a plot are over so long, ns; its height holds what came within six times that."""
+"""Window of the means at a plot, ns; its height is determined by six windows."""
 
 AXES_DRAWN = (("up", "z"), ("right", "x"))
-"""Axes of star sensors and of lights that are drawn, each by a marker; a turn about the boresight is far coarser."""
+"""Drawn axes of star sensors and lights, one marker each; rotations about the boresight are far less accurate."""
 
 _MARKERS = (("circle", "●"), ("square", "■"))
 
 
 class InnovationPanel:
-    """A plot for each source that is compared with a prediction.
+    """Panel with a plot for each source with innovations.
 
     Attributes:
         box: the panel.
-        plots: one for each source.
+        plots: plots, one for each source.
     """
 
     def __init__(self, theme: Theme, times: TimePlots) -> None:
@@ -53,13 +52,13 @@ class InnovationPanel:
         )
 
     def update(self, history: History, picture: Picture, marked: str, *, has_truth: bool) -> None:
-        """Draw what is new; the panel says where the error itself cannot be known.
+        """Draw the new points; the subtitle states if there is no truth.
 
         Args:
-            history: the innovations.
-            picture: the sources.
-            marked: the source that stands out.
-            has_truth: whether the error is known.
+            history: history with the innovations.
+            suite_state: state with the sources.
+            marked: marked source; empty for none.
+            has_truth: True if the errors against truth are known.
         """
         sources = {source.name: source for source in picture.sources}
         shown = [name for name, points in history.innovations.items() if any(point.axes for point in points)]
@@ -68,13 +67,13 @@ class InnovationPanel:
         for name, row in rows.items():
             row.update(history.innovations[name], sources.get(name), picture.utc_ns, is_marked=name == marked)
         self.plots.show()
-        nothing = "" if rows else "no source is compared with a prediction yet. "
-        markers = "means, ″ · ● up, z · ■ right, x · ✕ refused"
-        self.box.say(nothing + (markers if has_truth else f"no truth here, so no error · {markers}"))
+        nothing = "" if rows else "no innovations yet. "
+        markers = "means, ″ · ● up, z · ■ right, x · ✕ rejected"
+        self.box.say(nothing + (markers if has_truth else f"no truth data, errors unknown · {markers}"))
 
 
 class _SourceRow:
-    """The plot of one source."""
+    """Plot of one source."""
 
     def __init__(self, theme: Theme, times: TimePlots, name: str, *, has_axis: bool) -> None:
         self._theme, self._name = theme, name
@@ -112,7 +111,7 @@ class _SourceRow:
     def update(
         self, points: Sequence[InnovationPoint], source: SourceShown | None, utc_ns: int, *, is_marked: bool
     ) -> None:
-        """Draw what is new of the source."""
+        """Draw the new points of the source."""
         for trail, axes in zip(self._trails, AXES_DRAWN, strict=True):
             trail.follow(points, partial(_columns, axes=axes))
         lately = newer(points, utc_ns - 6 * LATELY_NS)
@@ -127,7 +126,7 @@ class _SourceRow:
         self._shade(source, utc_ns)
 
     def _shade(self, source: SourceShown | None, utc_ns: int) -> None:
-        """The times for which it was out: the last one grows as long as it is. What is yet to come is not known."""
+        """Shade the times for which the source was OUT; times after now are removed."""
         now = MS * utc_ns
         spans = [
             (start, min(end, now))
@@ -138,17 +137,17 @@ class _SourceRow:
             since = MS * source.out_since_ns
             spans = [*(span for span in spans if span[0] < since), (since, now)]
         shade = {"start": [start for start, _ in spans], "end": [end for _, end in spans]}
-        if shade != self._out.data:  # the same data once more would be sent once more
+        if shade != self._out.data:  # unchanged data would be sent again
             self._out.data = shade
 
 
 def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str, bool]:
-    """What stands above a source's plot, and whether it is out: the glyph, the word, and the verdict or the reason.
+    """Return the title of a source's plot, with presence and reason or NIS consistency, and True if it is OUT.
 
     Args:
-        name: of the source.
-        source: what is shown of it; None where nothing is.
-        step: half the height of the axis, arcsec, which is said where it is not the usual.
+        name: name of the source.
+        source: state of the source; None if unknown.
+        step: half the height of the axis, arcsec; stated if it is not the smallest.
     """
     axis = f" · axis ±{step:g}″" if step > STEPS_ARCSEC[0] else ""
     if source is None:
@@ -162,8 +161,8 @@ def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str
 
 
 def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[str, FloatArray]:
-    """The columns of one axis, arcsec; NaN where a measurement has none of it."""
-    # Hundreds of points are looked through for each browser once a second, and nearly all have the same axes.
+    """Return the columns of one axis, arcsec; NaN for measurements without it."""
+    # Hundreds of points for each browser once a second, nearly all with the same axes: looked up once per axes.
     places = {
         told: next((place for place, axis in enumerate(told) if axis in axes), None)
         for told in {p.axes for p in points}
@@ -183,9 +182,9 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
 
 
 def _largest(points: Sequence[InnovationPoint]) -> float:
-    """What the height of a plot must hold, arcsec: nearly all values, and the band where it is narrowest.
+    """Return the size that the height of a plot must contain, arcsec: nearly all values, and the narrowest band.
 
-    While another source is out, a prediction may be so uncertain that its band would leave nothing else to be seen.
+    While another source is OUT, the band of a prediction may be so wide that nothing else would be visible.
     """
     largest = 0.0
     for axes in AXES_DRAWN:
@@ -197,14 +196,14 @@ def _largest(points: Sequence[InnovationPoint]) -> float:
 
 
 def _side_texts(points: Sequence[InnovationPoint], step: float) -> dict[float, str]:
-    """The mean of each axis lately, at its height beside the plot."""
+    """Return the recent mean of each axis as text, at its height."""
     means: list[tuple[float, str]] = []
     for axes, (_, glyph) in zip(AXES_DRAWN, _MARKERS, strict=True):
         known = (values := _columns(points, axes)["value"])[np.isfinite(values)]
         if len(known):
             name = next(axis for point in points for axis in point.axes if axis in axes)
             means.append((float(np.mean(known)), f"{glyph} {name} {signed(float(np.mean(known)))}″"))
-    # At one of forty heights: labels that move by less than a pixel or two would be sent anew each time.
+    # At one of forty heights: otherwise labels that move by a pixel would be sent at each update.
     wanted = [round(20.0 * mean / step) * step / 20.0 for mean, _ in means]
     heights = placed(wanted, 0.32 * step, -0.9 * step, 0.9 * step)
     return {height: text for height, (_, text) in zip(heights, means, strict=True)}

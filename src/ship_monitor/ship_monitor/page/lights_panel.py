@@ -1,4 +1,4 @@
-"""Lights on the detector of the calibration telescope over the last minute, and by how much the last ones were off."""
+"""Lights panel: lights on the detector of the calibration telescope in the last minute, and their last residuals."""
 
 import math
 
@@ -14,13 +14,13 @@ from ship_watch.picture import Picture
 SHOWN_NS = 60_000_000_000
 STEPS_MM = (2.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0)
 BAR_STEPS_ARCSEC = (2.5, 5.0, 10.0, 25.0, 50.0, 100.0, 250.0)
-"""Residuals that a full bar may stand for, arcsec."""
+"""Possible residuals of a bar of full length, arcsec."""
 
 _MARKERS = ("circle", "square", "triangle", "diamond")
 
 
 class LightsPanel:
-    """The detector.
+    """Panel with the detector.
 
     Attributes:
         box: the panel.
@@ -55,7 +55,7 @@ class LightsPanel:
         self.box = PanelBox(theme, "Lights on the detector", [self.figure])
 
     def update(self, history: History, picture: Picture, marked: str) -> None:
-        """Draw the last minute; the lights stand out where they are the source that is marked."""
+        """Draw the last minute; the lights are highlighted if they are marked."""
         frame(self._theme, self.figure, marked == "lights")
         self._last.glyph.line_width = 4 if marked == "lights" else 2
         shown = {
@@ -67,7 +67,7 @@ class LightsPanel:
             for source in (self._past, self._now, self._bar):
                 source.data = {name: [] for name in source.data}
             self._bars.draw(*(np.empty(0),) * 4, self._theme.text)
-            self.box.say("no light seen in the last 60 s")
+            self.box.say("no lights in the last 60 s")
             return
         places = [1e3 * abs(place) for points in shown.values() for point in points for place in (point.x, point.z)]
         half = fixed_step(1.05 * max(places), STEPS_MM)
@@ -103,7 +103,7 @@ class LightsPanel:
                 "y": 1e3 * point.z,
                 "colour": self._colour(index) if point.is_used else self._theme.caution_border,
                 "marker": _MARKERS[index % len(_MARKERS)] if point.is_used else "x",
-                "text": text if point.is_used else f"✕ {text} refused",
+                "text": text if point.is_used else f"✕ {text} rejected",
                 "ahead": 12 if is_right else -12,
                 "align": "right" if is_right else "left",
                 "over": 14 if is_high else -14,

@@ -1,7 +1,7 @@
-"""What belongs to the source that somebody has marked: every panel asks it by the names that are told there.
+"""Assignment of names to the marked source, for all panels.
 
-States, alerts and events are called after their source. An error budget tells causes, and those of several instruments
-of a kind together: the noise of stars is that of all star sensors.
+States, alerts and events are named after their source. An error budget has sources of error, common to all instruments
+of a kind: the noise of stars is that of all star sensors.
 """
 
 import re
@@ -10,7 +10,7 @@ from ship_watch.picture import Event
 from ship_watch.topics import source_of_name
 
 MARK = "▶ "
-"""Stands before the name of what belongs to the marked source; its frame has the colour of the text."""
+"""Prefix of names that belong to the marked source."""
 
 _CAUSES = {
     "ins": ("ins_", "interpolation"),
@@ -23,27 +23,27 @@ _CAUSES = {
     "gnss": ("ship_position",),
     "weather": ("refraction",),
 }
-"""First word of a source → how the parts of an error budget begin that it brings. What is left over is the hull's, the
-theodolite's own, or of what is known of the Earth."""
+"""Kind of a source → prefixes of its sources of error in a budget. The others belong to the hull, the theodolite or the
+Earth's orientation."""
 
 
 def is_of(name: str, source: str) -> bool:
-    """Whether a state or an alert is one of a source: "star.bow.azimuth" is one of "star.bow"; nothing is of ""."""
+    """True if a state or an alert belongs to a source, as "star.bow.azimuth" to "star.bow"; False for source ""."""
     return bool(source) and (name == source or name.startswith(f"{source}.") or source_of_name(name) == source)
 
 
 def is_about(event: Event, source: str) -> bool:
-    """Whether an event tells of a source: by its subject, or by the name as a word of its text."""
+    """True if an event concerns a source: by its subject, or by the name as a word of its text."""
     return is_of(event.subject, source) or (
         bool(source) and re.search(rf"(?<![\w.]){re.escape(source)}(?!\w|\.\w)", event.text) is not None
     )
 
 
 def is_error_of(part: str, source: str) -> bool:
-    """Whether a part of an error budget is what a source brings into it."""
+    """True if a source of error in a budget belongs to a source."""
     return part.startswith(_CAUSES.get(source.partition(".")[0], ())) if source else False
 
 
 def with_mark(name: str, is_marked: bool) -> str:
-    """A name with the mark before it, or without."""
+    """Return a name with the mark as prefix if it is marked."""
     return MARK + name if is_marked else name

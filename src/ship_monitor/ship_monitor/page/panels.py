@@ -1,7 +1,7 @@
-"""The panels below the first screenful, in two columns: why the tiles say what they say.
+"""Panels below the first screen, in two columns, with the data behind the tiles.
 
-A panel is put into its frame when it comes into sight, one at a time: between two of them the page has time for its
-texts. A panel that is out of sight rests: it takes what it has missed when it comes into sight.
+A panel is put into its frame when it becomes visible, one at a time, so that the texts are updated in between. A panel
+that is not visible is not updated; it catches up when it becomes visible.
 """
 
 from collections.abc import Callable, Collection
@@ -28,15 +28,15 @@ class Panels:
 
     Args:
         theme: colours.
-        is_stepwise: True to begin with empty frames, which :meth:`place_next` fills.
-        is_bag: True where the data are from a bag, for what is said of data that are missing.
+        is_stepwise: True to start with empty frames, which :meth:`place_next` fills.
+        is_bag: True if the data are from a bag; for texts about missing data.
 
     Attributes:
-        layout: what the page places below its first screenful.
-        times: the time that the plots show; it says whether they are paused.
-        marked: name of the source that somebody has marked; empty for none.
-        seen: names of the panels in sight, which are drawn; None where all are, at once.
-        frames: where the panels stand.
+        layout: layout that the page places below its first screen.
+        times: time axis of the plots.
+        marked: name of the marked source; empty for none.
+        visible_panels: names of the visible panels, which are drawn; None for all panels at once.
+        frames: name → frame of the panel.
     """
 
     def __init__(self, theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> None:
@@ -73,15 +73,15 @@ class Panels:
         )
 
     def choose(self, angle: str) -> None:
-        """Show the budget and the error of an angle, one of :data:`ship_watch.picture.ANGLES`."""
+        """Show the budget and highlight the error of an angle, one of :data:`ship_watch.suite_state.ANGLES`."""
         self._budget.choose(angle)
 
     def update(self, history: History, picture: Picture) -> None:
-        """Draw what is new in the panels in sight.
+        """Draw the new data in the visible panels.
 
         Args:
-            history: what plots draw.
-            picture: what is shown of this moment.
+            history: data of the plots.
+            suite_state: state of the suite.
         """
         for name in self._follow(history, picture):
             if self.seen is None and name not in self._placed:
@@ -90,9 +90,9 @@ class Panels:
                 self._draw(name, history, picture)
 
     def place_next(self, history: History, picture: Picture) -> bool:
-        """Draw some of a panel in sight that is not complete, in its frame; return False where all are.
+        """Draw part of a visible, incomplete panel and put it into its frame; return False if all are complete.
 
-        It is drawn before: a browser would otherwise speak of models that drawing has replaced since.
+        It is drawn before it is placed: otherwise a browser could refer to models that drawing has replaced.
         """
         name = next((each for each in self._follow(history, picture) if each not in self._complete), None)
         if name is not None:
@@ -108,12 +108,12 @@ class Panels:
 
     def _place(self, name: str) -> None:
         self._placed.add(name)
-        # A style that is not named again would stay in the browser.
+        # A style that is not set again would stay in the browser.
         styles = {"grid-area": name, "min-height": "0"}
         self.frames[name].update(children=[self._boxes[name].layout], styles=styles)
 
     def _follow(self, history: History, picture: Picture) -> list[str]:
-        """Show the time, and frames for what is known; return the panels in sight."""
+        """Update the time axis and the visible frames; return the visible panels."""
         self.times.follow(picture.utc_ns)
         is_simulated, has_telescope = has_truth(history), bool(history.lights)
         self.frames["error"].visible = is_simulated
@@ -140,7 +140,7 @@ class Panels:
 
 
 def build_panels(theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> Panels:
-    """Return the panels of one browser, empty as yet (:class:`Panels`)."""
+    """Return the panels of one browser, still empty (:class:`Panels`)."""
     return Panels(theme, is_stepwise=is_stepwise, is_bag=is_bag)
 
 
@@ -148,11 +148,11 @@ _ROWS_AT_ONCE = 1
 """Plots of one panel that are made in one step."""
 
 _HEIGHTS_PX = {"innovations": 420, "error": 420, "alignment": 300, "inputs": 200}
-"""Heights of frames without a panel; the others have 260 px."""
+"""Heights of frames without a panel; others have 260 px."""
 
 
 def _frame(theme: Theme, name: str, box: PanelBox) -> Column:
-    """A frame with the title of a panel, as high as that will be."""
+    """Return a frame with the title of a panel and about its height."""
     head = PanelBox(theme, box.title, []).layout
     box.layout.styles = {"flex": "1 1 auto"}
     head.styles = {"flex": "1 1 auto"}
@@ -167,11 +167,11 @@ def _frame(theme: Theme, name: str, box: PanelBox) -> Column:
 
 
 _ONE_COLUMN = ("error", "budget", "innovations", "sky", "lights", "alignment", "events", "inputs")
-"""The order on a small screen."""
+"""Order of the panels on a small screen."""
 
 
 def _grid_css(*, is_simulated: bool, has_telescope: bool) -> str:
-    """Where the panels stand: error and budget of an angle are seen at once, and beside them who is to blame."""
+    """Return the grid of the panels: error and budget of an angle next to the innovations of the sources."""
     sky = ("sky", "lights" if has_telescope else "sky")
     rows = [("innovations", "budget"), ("innovations", "events"), sky, ("alignment", "alignment")]
     if is_simulated:

@@ -1,7 +1,6 @@
-"""Where the page has its pictures from: a running suite, or a bag.
+"""Source of the page's data: a running suite or a bag.
 
-Of a running suite one source serves all browsers. Of a bag each browser has one of its own, because each looks at
-another time.
+One source of a running suite serves all browsers. For a bag each browser has its own, because each has its own time.
 """
 
 from collections.abc import Callable
@@ -14,17 +13,17 @@ from ship_watch.picture import Pictures
 
 
 class PictureSource(Pictures, Protocol):
-    """What the page asks of a running suite or of a bag."""
+    """Interface of a running suite or a bag for the page."""
 
     @property
     def history(self) -> History:
-        """What the plots show."""
+        """Data of the plots."""
         ...
 
     def controls(self, moved: Callable[[], None]) -> UIElement | None:
-        """What stands under the top bar, as the time slider of a bag, made anew for each browser; None for nothing.
+        """Return new controls for the place under the top bar, as the time slider of a bag; None for none.
 
         Args:
-            moved: to be called where the controls have changed the picture, which is then looked at once more.
+            on_move: called after the controls have changed the displayed time; the page then updates.
         """
         ...

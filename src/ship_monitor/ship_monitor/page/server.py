@@ -1,4 +1,4 @@
-"""The server of the page: Bokeh on one address and port; scripts, styles and fonts from itself alone."""
+"""Server of the page: Bokeh on one address and port, with its own scripts, styles and fonts."""
 
 import gc
 import logging
@@ -27,23 +27,24 @@ from ship_monitor.web.bounded_server import (
 from ship_monitor.web.own_hosts import OwnHosts
 
 TICK_MS = 250
+"""Period of the server's tick."""
 
 MOST_BROWSERS = 32
-"""Pages that are open at once: all others wait for one second while so many are left at the same time."""
+"""Maximum number of open pages: closing that many at once delays all others by a second."""
 
 _PAGES = "/", "/autoload.js"
-"""Addresses at which Bokeh makes a document."""
+"""Paths at which Bokeh makes a document."""
 
 
 class _Refusal(RequestHandler):
-    """Answer for pages that do not exist or are refused, in the colours of the night: the bridge may be dark."""
+    """Error page for unknown or refused requests, in the night theme: the bridge may be dark."""
 
     def initialize(self, status_code: int, reason: str | None = None) -> None:
-        """Called by tornado with the arguments of the route."""
+        """Set the status; called by tornado with the arguments of the route."""
         self.set_status(status_code, reason)
 
     def prepare(self) -> None:
-        """Answer every method alike, with one line."""
+        """Answer every method with one line."""
         night, status = THEMES["night"], self.get_status()
         style = f"background:{night.background};color:{night.text}"
         self.finish(
@@ -52,32 +53,32 @@ class _Refusal(RequestHandler):
         )
 
     def check_xsrf_cookie(self) -> None:
-        """Nothing is changed here."""
+        """Do nothing: the server changes nothing on a request."""
 
 
 class _Health(RequestHandler):
-    """Answers while the server lives: a page that has lost its link asks."""
+    """Health check for pages that have lost their link."""
 
     def get(self) -> None:
-        """Nothing but yes."""
+        """Answer "alive"."""
         self.set_header("Cache-Control", "no-store")
         self.finish("alive")
 
 
 class _Socket(WSHandler):
-    """A connection of Bokeh that may have left its session already.
+    """Bokeh connection that tolerates a session that is already closed.
 
-    A tab that is closed while the server is busy leaves messages behind, and its end is noticed more than once: by a
-    ping, by a write, by tornado. Bokeh asserts at each that there is still a session.
+    A tab closed while the server is busy leaves messages behind, and its end is detected several times: by a ping, by a
+    write, by tornado. Bokeh asserts each time that the session still exists.
     """
 
     async def on_message(self, fragment: str | bytes) -> None:
-        """Take a message of a page that is still open."""
+        """Process a message if its page is still open."""
         if not self._has_left():
             await super().on_message(fragment)
 
     def on_close(self) -> None:
-        """Leave the session, once."""
+        """Close the session, once."""
         if not self._has_left():
             super().on_close()
 
@@ -89,10 +90,10 @@ class _Socket(WSHandler):
 
 
 class _Application(BokehTornado):
-    """Bokeh's application, for pages of its own address only.
+    """Bokeh application that answers only pages of its own address.
 
-    A page of another site may be open in the same browser: its requests are refused. The port does not matter: the page
-    opens through an ssh tunnel.
+    Requests of pages of other sites in the same browser are refused. The port is not compared, because the page may be
+    opened through an ssh tunnel.
     """
 
     def __init__(self, make: Callable[[Document], None], hosts: OwnHosts) -> None:
@@ -100,20 +101,20 @@ class _Application(BokehTornado):
         fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
         super().__init__(
             {"/": make},
-            # Origins are looked at below, where the request's own host is known.
+            # Origins are checked in find_handler, where the request's host is known.
             extra_websocket_origins=["*"],
             extra_patterns=[
                 (r"/health", _Health),
                 (r"/fonts/(DejaVuSans(?:-Bold)?\.ttf)", StaticFileHandler, {"path": str(fonts)}),
             ],
             use_index=False,
-            # Only this server makes documents: a websocket cannot ask for one that was not counted.
+            # Only this server makes sessions: a websocket cannot open one that is not counted.
             sign_sessions=True,
             secret_key=secrets.token_bytes(32),
-            # A browser that comes again gets a page of its own; what a closed one had goes soon.
+            # A browser that reconnects gets a new session; that of a closed page is removed soon.
             unused_session_lifetime_milliseconds=5000,
             check_unused_sessions_milliseconds=5000,
-            # News that wait longer than this for a browser are of no use.
+            # Updates that wait longer than this for a browser are useless.
             keep_alive_milliseconds=10000,
             websocket_max_message_size_bytes=MOST_MESSAGE_BYTES,
             default_handler_class=_Refusal,
@@ -124,14 +125,14 @@ class _Application(BokehTornado):
                 rule.target = _Socket
 
     def find_handler(self, request: HTTPServerRequest, **arguments: Any) -> Any:
-        """Return the handler of a request; one that refuses, of another site's, and of one page too many."""
+        """Return the handler of a request; an error page for other sites, or for too many pages."""
         origin = request.headers.get("Origin")
         if not self._hosts.is_asked(request) or (origin is not None and _place(origin) != request.host.lower()):
-            return self._refusal(request, 403, "Forbidden by this name: monitor --allow-host NAME allows it")
+            return self._refusal(request, 403, "Host name not allowed: allow it with monitor --allow-host NAME")
         if b"\0" in unquote_to_bytes(request.path):
             return self._refusal(request, 404)
         if request.path in _PAGES and len(self.get_sessions("/")) >= MOST_BROWSERS:
-            return self._refusal(request, 503, f"{MOST_BROWSERS} pages are open, the most that are served")
+            return self._refusal(request, 503, f"{MOST_BROWSERS} pages are open, the maximum")
         return super().find_handler(request, **arguments)
 
     def _refusal(self, request: HTTPServerRequest, status_code: int, reason: str | None = None) -> Any:
@@ -139,7 +140,7 @@ class _Application(BokehTornado):
 
 
 def _place(origin: str) -> str:
-    """Return host and port of an origin; empty where there are none."""
+    """Return host and port of an origin; empty if there are none."""
     try:
         return urlsplit(origin).netloc.lower()
     except ValueError:
@@ -147,17 +148,17 @@ def _place(origin: str) -> str:
 
 
 class PageServer:
-    """Listens from the start, and serves pages while it runs.
+    """Server of pages; it listens from its creation and serves while :meth:`run` runs.
 
     Attributes:
-        address: of the page, as a browser takes it.
+        address: address of the page for a browser.
 
     Args:
-        make: fills the document of each browser.
-        host: address to listen on; loopback serves this machine alone.
-        port: TCP port; 0 takes any.
-        tick: called four times a second, whether anybody watches or not.
-        allowed_hosts: names of this machine in the address of the page, beyond its own.
+        make: fills the document of a browser.
+        host: address to listen on; loopback serves this machine only.
+        port: TCP port; 0 takes a free one.
+        tick: called four times a second, with or without a browser.
+        allowed_hosts: further host names in the address of the page.
 
     Raises:
         BadInput: the port is in use, or the address is not one of this machine.
@@ -172,7 +173,7 @@ class PageServer:
         allowed_hosts: Sequence[str] = (),
     ) -> None:
         sockets = listening_sockets(host, port, "--port")
-        # A browser that has gone is no news; and Bokeh would say it once for each value that was on its way.
+        # Bokeh would log a closed browser once for each value that was being sent.
         logging.getLogger("bokeh").setLevel(logging.ERROR)
         self.address = f"http://{address_in_url(host)}:{sockets[0].getsockname()[1]}/"
         self._loop = IOLoop(make_current=True)
@@ -185,7 +186,7 @@ class PageServer:
     def run(self) -> None:
         """Serve until :meth:`stop`."""
         self._server.start()
-        # Bokeh collects garbage for each page that was left; what is there already is none.
+        # Bokeh collects garbage after each closed page; the objects made so far are excluded from it.
         gc.freeze()
         self._ticking.start()
         try:
@@ -196,5 +197,5 @@ class PageServer:
             self._http.stop()
 
     def stop(self) -> None:
-        """End soon; from a signal handler or another thread."""
+        """Request the end; from a signal handler or another thread."""
         self._loop.add_callback(self._loop.stop)

@@ -1,6 +1,6 @@
-"""A picture as the texts, words and lengths that the page writes into its first screenful.
+"""Texts and lengths of the page's first screen, from the state of a suite.
 
-The page's script only puts them in their places. Texts from the network stay texts there: nothing of them is markup.
+The page's script only puts them in their places. Texts from the network stay plain texts and are never markup.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ _TICK_S = 120
 _NO_ALERT = {"icon": "", "state": "", "text": "No alerts", "sub": "", "advice": "", "unack": 0, "all": []}
 _BANNERS = 3  # with more, the list of sources would have no room
 _NS_PER_S = 1_000_000_000
-# Alert.state of ship_msgs: how an alert's icon and words say it.
+# Alert.state of ship_msgs: icon and text.
 _ALERT_STATES = {
     1: ("unack", "not acknowledged"),
     2: ("unack", "silenced, not acknowledged"),
@@ -30,14 +30,14 @@ _ALERT_STATES = {
 
 
 def shown(picture: Picture, history: History, label: str, place: str, local: str = "") -> dict[str, Any]:
-    """All that the first screenful says, ready for JSON.
+    """Return the content of the first screen, ready for JSON.
 
     Args:
-        picture: what is said.
-        history: its ribbons.
-        label: LIVE, BAG or SIMULATED, as the source of the pictures says now.
-        place: where it was listened, for a page that waits.
-        local: local time, as it stands under UTC; empty for none.
+        suite_state: state of the suite.
+        history: history with the safety of the last ten minutes.
+        label: LIVE, BAG or SIMULATED, from the source of the state.
+        location: namespace and domain, for a page that waits for data.
+        local: local time, displayed under UTC; empty for none.
     """
     has_lights = any(angle.name in _OF_THEODOLITE for angle in picture.angles)
     waiting = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
@@ -73,7 +73,7 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
         "number": reading.number,
         "sense": reading.sense or ("theodolite" if angle.name in _OF_THEODOLITE else ""),
         "accuracy": words.accuracy(angle),
-        # The limit is in the middle of the bar. Nothing is drawn without a number.
+        # The limit is in the middle of the bar. No bar without a number.
         "bar": min(ratio, 1.0) if ratio >= 0.0 and not angle.is_old else None,
         "reason": reason,
         "is_reason": bool(angle.reason),
@@ -85,7 +85,7 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
 
 
 def _tip(angle: AngleShown) -> list[str]:
-    """All digits, sigma, protection level and stamp, a line each."""
+    """Return lines with all digits, sigma, protection level and stamp."""
     degrees = angle.value / (3600.0 * ARCSEC)
     lines = [
         f"{degrees:.6f}°".replace("-", "−"),
@@ -99,7 +99,7 @@ def _tip(angle: AngleShown) -> list[str]:
 
 
 def _foot(picture: Picture) -> str:
-    """Below the ages: by what is pointed and which horizon the tilt refers to."""
+    """Return the text below the ages: method of the pointing and horizon of the tilt."""
     by = picture.pointing_by
     parts = [by if not by or by.startswith("no ") else f"by {by}"]
     parts.append(f"horizon: {picture.horizon}" if picture.horizon else "")
@@ -108,7 +108,7 @@ def _foot(picture: Picture) -> str:
 
 def _alert_line(alerts: tuple[AlertShown, ...] | None) -> dict[str, Any]:
     if alerts is None:
-        return _NO_ALERT | {"text": "No alert node", "sub": "alerts are not judged"}
+        return _NO_ALERT | {"text": "No alert node", "sub": "alerts are not evaluated"}
     if not alerts:
         return _NO_ALERT | {"icon": "ok"}
     entries = [_alert(alert) for alert in alerts]
@@ -129,16 +129,16 @@ def _alert(alert: AlertShown) -> dict[str, str]:
 
 
 def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, Any]:
-    """OUT in large with why, then the list; those that are not configured come last and are not counted.
+    """Return banners of the sources that are OUT, then the list; sources not configured come last, not counted.
 
-    A source that is OUT because of another one, or of a node that is behind, stands below that one, and has no banner
-    of its own.
+    A source that is OUT because of another one, or of an overloaded node, is listed below that one without a banner.
     """
     used = [source for source in sources if source.presence is not Presence.OFF]
     out = [source for source in used if source.presence is Presence.OUT]
     names = {source.name for source in sources}
     roots = [source for source in out if not source.because_of or source.because_of == ITS_NODE]
-    roots += [source for source in out if source.because_of in names - {each.name for each in out}]  # in again
+    # Sources whose cause is IN again.
+    roots += [source for source in out if source.because_of in names - {each.name for each in out}]
     below = [source for source in out if source not in roots]
     nodes = {source.because_of: source.reason for source in below if source.because_of not in names}
     banners = [*((source.name, f"{source.name} OUT") for source in roots), *nodes.items()]
@@ -160,9 +160,9 @@ def _more(banners: list[tuple[str, str]]) -> tuple[str, str]:
 
 
 def _why(source: SourceShown) -> list[str]:
-    """Two lines about the only one that is OUT by itself."""
+    """Return two lines about the only source that is OUT by a fault of its own."""
     since = f"since {words.clock(source.out_since_ns)}"
-    refused = f"{source.refused} refused" if source.refused else ""
+    refused = f"{source.refused} rejected" if source.refused else ""
     if not source.disagreement:
         return [f"{source.reason} {since}"]
     return [f"disagrees: {source.disagreement}", " · ".join(filter(None, (since, refused)))]
@@ -173,7 +173,7 @@ def _source_row(source: SourceShown, *, is_because: bool, is_alone: bool) -> dic
     shift = f"mounting shifted by {words.angle_size(source.mounting_shift)}" if source.mounting_shift > 0.0 else ""
     sub = source.disagreement or shift or verdict
     if source.presence is Presence.OUT:
-        # What stands in large about one that is alone stands here about each of several.
+        # With several banners the list has the details that are otherwise under the banner.
         since = f"{source.reason} since {words.clock(source.out_since_ns)}" if source.out_since_ns else source.reason
         sub = source.reason if is_alone or is_because else " · ".join(filter(None, (source.disagreement, since)))
     is_used = source.presence is not Presence.OFF
@@ -188,12 +188,12 @@ def _source_row(source: SourceShown, *, is_because: bool, is_alone: bool) -> dic
 
 
 def _finite(seconds: float) -> float | None:
-    """An age as JSON may hold it; None where it is infinite or unknown."""
+    """Return an age for JSON, s; None if it is infinite or unknown."""
     return seconds if seconds < float("inf") else None
 
 
 def _ribbons(history: History, picture: Picture) -> dict[str, Any]:
-    """Stretches of the same word of each angle, as parts of the last ten minutes: 0 is their start, 1 now."""
+    """Return the intervals of equal safety of each angle, as fractions of the last ten minutes: 0 start, 1 now."""
     end_s = picture.utc_ns // _NS_PER_S
     start_s = end_s - RIBBON_S
     points = [point for point in history.ribbons if point.utc_ns // _NS_PER_S >= start_s]
@@ -218,7 +218,7 @@ def _ribbons(history: History, picture: Picture) -> dict[str, Any]:
 
 
 def _stretches(points: list[SafetyPoint], name: str) -> Iterator[tuple[int, int, Safety]]:
-    """First second, last second and word of each stretch; a second that tells nothing ends one."""
+    """Yield first second, last second and safety of each interval; a second without data ends one."""
     first_s = last_s = 0
     word: Safety | None = None
     for point in points:

@@ -1,7 +1,7 @@
-"""Where things stand in the sky over the ship, and where that is on a round map with North up.
+"""Directions in the sky over the ship, and their positions on a round map with North up.
 
-The map shows the sky as a chart shows the sea: azimuth clockwise from North, so that East is to the right; the zenith
-is in the middle, the horizon its rim, elevation even in between.
+Azimuth on the map is clockwise from North, as on a chart: East is to the right. The zenith is the centre and the
+horizon the rim; the radius is linear in elevation.
 """
 
 import math
@@ -28,7 +28,11 @@ def _rotating_sky() -> RefreshedSky:
 
 
 def on_map(azimuth: float, elevation: float) -> tuple[float, float]:
-    """Place on the map, East and North, the horizon at 1; beyond it what is below the horizon.
+    """Return the position on the map, East and North, with the horizon at radius 1; larger radii are below it.
+
+    Args:
+        azimuth: from North to East, rad.
+        elevation: rad.
 
     Example:
         >>> east, north = on_map(np.deg2rad(90.0), np.deg2rad(45.0))
@@ -40,14 +44,14 @@ def on_map(azimuth: float, elevation: float) -> tuple[float, float]:
 
 
 def boresight(name: str, alignment: Sequence[ParameterShown], angles: Sequence[AngleShown]) -> tuple[float, float]:
-    """Azimuth and elevation of a star sensor's boresight over the horizon, rad, from its installation and the attitude.
+    """Return azimuth and elevation of a star sensor's boresight, rad, from its installation and the attitude.
 
-    A sensor that tells its attitude and not its stars has no solution. NaN where one of the angles is not known.
+    It is used for sensors that publish attitudes without stars, which have no solution. NaN if an angle is unknown.
 
     Args:
-        name: of the source, "star.<id>".
-        alignment: states; the installation angles are among them.
-        angles: as shown; heading, pitch and roll are among them.
+        name: name of the source, "star.<id>".
+        alignment: states with the installation angles.
+        angles: angles with heading, pitch and roll.
     """
     installed = {state.name: state.value for state in alignment}
     shown = {angle.name: angle.value for angle in angles}
@@ -55,17 +59,17 @@ def boresight(name: str, alignment: Sequence[ParameterShown], angles: Sequence[A
     deck = [shown.get(angle, math.nan) for angle in ("heading", "pitch", "roll")]
     if not np.isfinite([azimuth, elevation, *deck]).all():
         return math.nan, math.nan
-    # The installation's azimuth is from the bow to starboard: of a deck that heads North, in the horizon.
+    # The installation's azimuth is from the bow to starboard, as an azimuth of a level deck that heads North.
     forward_d = rotation_from_angles(np.asarray(azimuth), np.asarray(elevation), np.asarray(0.0))[:, 0]
     north, up, east = rotation_from_angles(*map(np.asarray, deck)) @ forward_d
     return math.atan2(east, north) % (2.0 * math.pi), math.atan2(up, math.hypot(north, east))
 
 
 def moon_direction(utc_ns: int, latitude: float, longitude: float) -> tuple[float, float] | None:
-    """Azimuth and elevation of the Moon from a place at sea, rad, without refraction.
+    """Return azimuth and elevation of the Moon from a position at sea level, rad, without refraction.
 
-    The series of Meeus, as ERFA has them, is good to some 10″. The Moon is so near that the ship's place on the Earth
-    matters by up to a degree.
+    The series of Meeus (ERFA ``moon98``) is accurate to about 10″. The parallax of the ship's position is up to a
+    degree.
 
     Args:
         utc_ns: UTC as POSIX time.
@@ -73,7 +77,7 @@ def moon_direction(utc_ns: int, latitude: float, longitude: float) -> tuple[floa
         longitude: rad.
 
     Returns:
-        None where the orientation of the Earth is not known for that time.
+        Azimuth and elevation; None if the Earth's orientation is unknown for that time.
     """
     place = GeodeticPosition(latitude, longitude, height_m=0.0)
     try:

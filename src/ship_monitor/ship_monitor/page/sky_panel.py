@@ -1,6 +1,6 @@
-"""Sky over the ship, and what each star sensor sees: stars used and refused, the residual of each as a bar.
+"""Sky panel: sky over the ship and field of view of each star sensor, with used and rejected stars and residuals.
 
-Bars that are alike say that the sensor has moved, bars at random that stars are misidentified.
+Equal residual bars indicate a shifted sensor, random bars misidentified stars.
 """
 
 import math
@@ -16,17 +16,19 @@ from ship_watch.history import History, StarsSeen
 from ship_watch.picture import Picture, Presence, SourceShown
 
 FIELDS_SHOWN = 3
+"""Maximum number of fields of view."""
+
 BAR_STEPS_ARCSEC = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
-"""Residuals that a full bar may stand for, arcsec."""
+"""Possible residuals of a bar of full length, arcsec."""
 
 _FIELD_ON_MAP = 0.085
-"""Half side of a field of view on the map: larger than in the sky, so that stars can be told apart."""
+"""Half side of a field of view on the map: not to scale, so that single stars are visible."""
 
 _FIELD_PX = 256.0
 
 
 class SkyPanel:
-    """The map, and a field for each sensor that tells single stars.
+    """Panel with the map, and a field of view for each sensor that publishes single stars.
 
     Attributes:
         box: the panel.
@@ -47,9 +49,9 @@ class SkyPanel:
         """Draw the last exposures.
 
         Args:
-            history: the exposures.
-            picture: the sources and the attitude.
-            marked: the source that stands out; it has a field of its own before others that are IN.
+            history: history with the exposures.
+            suite_state: state with the sources and the attitude.
+            marked: marked source; its field is drawn before those of other sources that are IN. Empty for none.
         """
         sources = {source.name: source for source in picture.sources}
         shown = [name for name, seen in sorted(history.stars.items()) if len(seen.u)]
@@ -65,7 +67,7 @@ class SkyPanel:
 
 
 def _columns_css(*, has_fields: bool) -> str:
-    """The map alone in the middle, or with the fields at its right."""
+    """Return the columns: the map in the middle, or with the fields at its right."""
     columns = "minmax(0,11fr) minmax(0,9fr)" if has_fields else "minmax(0,560px)"
     return (
         f":host{{display:grid;justify-content:center;grid-template-columns:{columns}}}"
@@ -74,7 +76,7 @@ def _columns_css(*, has_fields: bool) -> str:
 
 
 class _SkyMap:
-    """The sky as a chart."""
+    """Map of the sky."""
 
     def __init__(self, theme: Theme, *, is_bag: bool) -> None:
         self._theme = theme
@@ -117,7 +119,7 @@ class _SkyMap:
         words(self.figure, self._names, text_color="colour", text_baseline="middle")
 
     def update(self, history: History, picture: Picture, sources: dict[str, SourceShown], marked: str) -> str:
-        """Draw where the sensors look; the answer is what else is to be said."""
+        """Draw the directions of the sensors; return an addition to the subtitle."""
         theme = self._theme
         squares: dict[str, list[object]] = {"xs": [], "ys": [], "colour": [], "dash": [], "width": []}
         stars: dict[str, list[object]] = {"x": [], "y": [], "colour": [], "marker": []}
@@ -167,7 +169,7 @@ class _SkyMap:
 
 
 class _Field:
-    """What one sensor sees."""
+    """Field of view of one sensor."""
 
     def __init__(self, theme: Theme) -> None:
         self._theme = theme
@@ -189,7 +191,7 @@ class _Field:
         words(self.figure, self._word, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
 
     def update(self, name: str, seen: StarsSeen, source: SourceShown | None, shown: int, *, is_marked: bool) -> None:
-        """Draw the last exposure; the field is as large as any star has shown it to be."""
+        """Draw the last exposure; the size of the detector is estimated from all stars so far."""
         theme, is_bad = self._theme, _is_out(source) or not seen.is_accepted
         width, height = max(self._size[0], _rounded(seen.u)), max(self._size[1], _rounded(seen.v))
         self._size = width, height
@@ -206,40 +208,40 @@ class _Field:
         self._word.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}
         frame(theme, self.figure, is_marked, theme.caution_border if is_bad else theme.border)
         self.figure.outline_line_dash = "dashed" if is_bad else "solid"
-        fate = "REFUSED" if is_bad else "used"
-        left_out = f" · {seen.rejected_count} left out" if seen.rejected_count else ""
+        fate = "REJECTED" if is_bad else "used"
+        left_out = f" · {seen.rejected_count} excluded" if seen.rejected_count else ""
         text = f"{'✕' if is_bad else '✓'} {name}  {seen.star_count} stars {fate}{left_out}"
         self.figure.title.text = without_formulas(with_mark(text, is_marked))
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
 
 
 def used_residuals(seen: StarsSeen) -> np.ndarray:
-    """Which stars have a residual; none where none is told at all."""
+    """Return a mask of the stars with a residual, shape (n,)."""
     if len(seen.residual_right) != len(seen.u):
         return np.zeros(len(seen.u), bool)
     return np.asarray(np.isfinite(seen.residual_right) & np.isfinite(seen.residual_up))
 
 
 def used_stars(seen: StarsSeen) -> np.ndarray:
-    """Which stars are drawn as used: those with a residual, or all where none is told."""
+    """Return a mask of the stars drawn as used, shape (n,): those with a residual; all if no star has one."""
     told = used_residuals(seen)
     return told if told.any() else np.ones(len(seen.u), bool)
 
 
 def places_in_field(seen: StarsSeen) -> tuple[np.ndarray, np.ndarray]:
-    """Stars across and up within a field of view whose half side is one."""
+    """Return the positions of the stars, across and up, in a field of view with half side 1."""
     if not len(seen.u):
         return np.empty(0), np.empty(0)
     return 2.0 * seen.u / _rounded(seen.u) - 1.0, 1.0 - 2.0 * seen.v / _rounded(seen.v)
 
 
 def _rounded(places: np.ndarray) -> float:
-    """Side of a detector that holds places: no topic tells it, so the next multiple of 256 px."""
+    """Return the side of a detector, px: the next multiple of 256 that contains all positions; no topic states it."""
     return _FIELD_PX * max(1.0, math.ceil((float(np.max(places)) + 1.0) / _FIELD_PX)) if len(places) else _FIELD_PX
 
 
 def _short(name: str) -> str:
-    """A sensor's own name: that it is one of stars is plain here."""
+    """Return a sensor's name without "star."."""
     return name.removeprefix("star.")
 
 

@@ -1,4 +1,4 @@
-"""Events, the newest first, and inputs with what was refused of them: tables of words."""
+"""Tables of the events, the newest first, and of the inputs with their rejections."""
 
 import math
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ REASONS_SHOWN = 4
 
 
 class EventsPanel:
-    """What changed lately.
+    """Panel with the newest events.
 
     Attributes:
         box: the panel.
@@ -28,15 +28,15 @@ class EventsPanel:
         self.box = PanelBox(theme, "Events", [self._table])
 
     def update(self, picture: Picture, marked: str) -> None:
-        """Write the newest; those of the source that is marked stand out."""
+        """Write the newest events; those of the marked source are highlighted."""
         shown = picture.events[:EVENTS_SHOWN]
         self._table.text = f"<table>{''.join(event_row(event, marked) for event in shown)}</table>"
         more = len(picture.events) - len(shown)
-        self.box.say(f"{more} more" if more else "" if shown else "nothing has changed yet")
+        self.box.say(f"{more} more" if more else "" if shown else "no events yet")
 
 
 class InputsPanel:
-    """How each input does.
+    """Panel with the state of each input.
 
     Attributes:
         box: the panel.
@@ -47,24 +47,24 @@ class InputsPanel:
         self.box = PanelBox(theme, "Inputs", [self._table])
 
     def update(self, picture: Picture, marked: str) -> None:
-        """Write them; the rows of a source that is out stand out, and those of the one that is marked have a frame."""
+        """Write the inputs; rows of a source that is OUT are highlighted, those of the marked source have a frame."""
         guilty = {
             topic: source for source in picture.sources if source.presence is Presence.OUT for topic in source.topics
         }
         framed = {topic for source in picture.sources if source.name == marked for topic in source.topics}
         rows = "".join(input_row(shown, guilty, is_marked=shown.topic in framed) for shown in picture.inputs)
         self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
-        self.box.say("" if picture.inputs else "no node tells of its inputs")
+        self.box.say("" if picture.inputs else "no input health data")
 
 
 _HEADINGS = (
-    "<tr><th>topic<th class=n>rate Hz<th class='n wide'>latency s<th class=n>age s<th class=n>refused 60 s"
+    "<tr><th>topic<th class=n>rate Hz<th class='n wide'>latency s<th class=n>age s<th class=n>rejected 60 s"
     "<th class=reasons>reasons"
 )
 
 
 def event_row(event: Event, marked: str = "") -> str:
-    """A row of the events; an alert is bold, and what tells of the source that is marked has a frame."""
+    """Return a row of the events; an alert is bold, an event of the marked source has a frame."""
     time = utc_text(event.utc_ns)[11:19] if event.utc_ns else ""
     text = escape(
         event.text if event.kind == "alert" or event.subject in event.text else f"{event.subject}: {event.text}"
@@ -74,9 +74,9 @@ def event_row(event: Event, marked: str = "") -> str:
 
 
 def input_row(shown: InputShown, guilty: Mapping[str, SourceShown], *, is_marked: bool = False) -> str:
-    """A row of the inputs: what its node refused and what the filter behind it refused are in one number.
+    """Return a row of the inputs; rejections at the input and by the filter are one number.
 
-    The row of a source that is to blame stands out, not that of one which only needs it.
+    The row of a source that is OUT by a fault of its own is highlighted, not that of a source that needs it.
     """
     source = guilty.get(shown.topic)
     refused = shown.refused_60s
@@ -100,7 +100,7 @@ def input_row(shown: InputShown, guilty: Mapping[str, SourceShown], *, is_marked
 
 
 def reasons_text(reasons: Mapping[str, int]) -> str:
-    """Reasons with their counts, the most frequent first."""
+    """Return reasons with their counts, the most frequent first."""
     ordered = sorted(((count, word) for word, count in reasons.items() if count), key=lambda one: (-one[0], one[1]))
     words = [f"{word.replace('_', ' ')} {count}" for count, word in ordered[:REASONS_SHOWN]]
     more = len(ordered) - len(words)

@@ -1,8 +1,8 @@
-"""The colours of the page: day (dark), dusk and night (red light), one table for everything that is drawn.
+"""Colours of page and terminal: day (dark), dusk and night (red light).
 
-Red, orange and yellow belong to states and alerts; series are blue, violet and teal. At night nothing but red light may
-leave the screen, so that states differ by outline, dark fill and bright fill, and series by marker and dash: whoever
-draws must never let colour alone tell two things apart.
+Red, orange and yellow are for states and alerts; series are blue, violet and teal. At night all colours are red light:
+states then differ by outline, dark fill and bright fill, series by marker and dash. Colour must never be the only
+difference.
 """
 
 from collections.abc import Mapping
@@ -12,26 +12,26 @@ from types import MappingProxyType
 
 @dataclass(frozen=True)
 class Theme:
-    """The colours of one theme, as ``#RRGGBB``.
+    """Colours of one theme, as ``#RRGGBB``.
 
     Attributes:
-        name: "day", "dusk" or "night"; the one in the address of the page.
-        background: behind everything; in the first bytes of the page.
-        panel: of tiles and panels.
+        name: "day", "dusk" or "night", as in the address of the page.
+        background: background; also in the first bytes of the page.
+        panel: background of tiles and panels.
         border: lines around panels.
         grid: lines inside plots.
         text: values and titles.
-        second_text: labels, ticks and what is less important.
-        safe: line and word of SAFE; nothing is filled with it.
-        caution_fill: fill of CAUTION, ``caution_word`` the word on it and ``caution_border`` its frame.
-        caution_word: see ``caution_fill``.
-        caution_border: see ``caution_fill``; also what is written in the colour of CAUTION on a panel.
-        unsafe_fill: fill of UNSAFE, also what is written in its colour on a panel.
-        unsafe_word: the word on ``unsafe_fill``.
-        old: values that are no longer current.
-        alarm: icon of an alarm; ``warning`` and ``caution`` likewise.
-        warning: see ``alarm``.
-        caution: see ``alarm``.
+        second_text: labels, ticks and less important texts.
+        safe: line and text of SAFE; never a fill.
+        caution_fill: fill of CAUTION.
+        caution_word: text on ``caution_fill``.
+        caution_border: frame of CAUTION; also texts in its colour on a panel.
+        unsafe_fill: fill of UNSAFE; also texts in its colour on a panel.
+        unsafe_word: text on ``unsafe_fill``.
+        old: values that are too old.
+        alarm: icon of an alarm.
+        warning: icon of a warning.
+        caution: icon of a caution.
         series: three colours of lines and dots.
     """
 
@@ -119,7 +119,7 @@ _NIGHT = Theme(
 )
 
 THEMES: Mapping[str, Theme] = MappingProxyType({theme.name: theme for theme in (_DAY, _DUSK, _NIGHT)})
-"""The themes by their names, in the order of the keys 1 to 3."""
+"""Name → theme, in the order of the keys 1 to 3."""
 
 FONT = "B612, 'Wide Watch', sans-serif"
-"""Families of the page's writing: a cockpit's face where the system has it, else what matplotlib brings."""
+"""Font families of the page: B612 if the system has it, else the font of matplotlib."""

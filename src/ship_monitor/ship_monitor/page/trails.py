@@ -1,4 +1,4 @@
-"""What goes to the browsers along time: lines of which only what is new is sent, and the minutes of all plots."""
+"""Lines over time of which only new points are sent to the browsers, and the common time axis of all plots."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -10,22 +10,22 @@ from ship_monitor.page.curves import ROWS_KEPT, gaps_before, thinned, usual_peri
 from ship_watch.history import Point, newer
 
 MS = 1e-6
-"""Milliseconds, in which browsers count time, in a nanosecond."""
+"""Milliseconds, the browser's unit of time, per nanosecond."""
 
 BAND = ("low", "high", "edge_low", "edge_high")
-"""Columns of a band: the two that bound its area, and the two that its edges are drawn by."""
+"""Columns of a band: two for its area, two for the lines at its edges."""
 
 
 class Trail:
-    """A line's data in the browsers: what is new is streamed, what is older than ten minutes rolls over.
+    """Data of a line in the browsers: new points are streamed, points older than ten minutes roll over.
 
     Args:
-        columns: names of its columns beside ``t``, the time in ms.
-        by: the column whose least and largest values are kept.
-        filled: columns that bound areas. A browser fills across what is not known, so in a gap they are 0, not NaN.
+        columns: names of its columns in addition to ``t``, the time in ms.
+        by: column whose minima and maxima are kept.
+        filled: columns that bound areas. In a gap they are 0, not NaN, because browsers fill across NaN.
 
     Attributes:
-        source: what glyphs draw.
+        source: data source of the glyphs.
     """
 
     def __init__(self, columns: Sequence[str], by: str, filled: Sequence[str] = ()) -> None:
@@ -36,11 +36,11 @@ class Trail:
         self._oldest_ns = 0
 
     def follow(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
-        """Take what is new of the points; all of them where they begin anew.
+        """Stream the new points; all of them if the data have restarted.
 
         Args:
-            points: in the order of their times.
-            rows: makes the columns of some of them.
+            points: points in the order of their times.
+            rows: returns the columns of some points.
         """
         begins_anew = not points or points[-1].utc_ns < (self._taken_ns or 0) or points[0].utc_ns < self._oldest_ns
         if self._taken_ns is not None and begins_anew:
@@ -57,7 +57,7 @@ class Trail:
         broken = gaps_before(time_ns[kept], self._last_ns, usual_period_ns(points))
         self._taken_ns = int(time_ns[over - 1])
         before = np.concatenate(([MS * (self._last_ns or 0)], columns["t"][kept]))[broken]
-        gaps = np.repeat(broken, 2)  # a row right after what was before it, and one right before what is behind it
+        gaps = np.repeat(broken, 2)  # one row right after the gap starts, one right before it ends
         shown = {}
         for name, column in columns.items():
             known = np.nan_to_num(column[kept]) if name in self._filled else column[kept]
@@ -68,15 +68,18 @@ class Trail:
 
 
 def band(sigma: FloatArray) -> dict[str, FloatArray]:
-    """The columns of :data:`BAND`: ±3 sigma, for the area and for the lines at its edges."""
+    """Return the columns of :data:`BAND` for ±3 sigma."""
     return {"low": -3.0 * sigma, "high": 3.0 * sigma, "edge_low": -3.0 * sigma, "edge_high": 3.0 * sigma}
 
 
 class TimePlots:
-    """The time that all plots of a page show: the last ten minutes, until somebody zooms.
+    """Common time axis of all plots of a page: the last ten minutes, unless the user zooms.
+
+    Args:
+        length_s: length of the axis, s.
 
     Attributes:
-        range: shared by the plots; whoever draws along time may share it.
+        range: range shared by the plots.
     """
 
     def __init__(self, length_s: float) -> None:
@@ -86,17 +89,17 @@ class TimePlots:
 
     @property
     def is_paused(self) -> bool:
-        """Whether somebody has zoomed, so that the plots do not follow the time."""
+        """True if the user has zoomed, so that the plots do not follow the time."""
         return (self.range.start, self.range.end) != self._live
 
     def follow(self, utc_ns: int) -> None:
-        """Show the minutes up to a time, unless paused."""
+        """Show the time up to ``utc_ns``, unless paused."""
         paused, end = self.is_paused, MS * utc_ns
         self._latest = (end - self._length_ms, end)
         if not paused:
             self.go_live()
 
     def go_live(self) -> None:
-        """Leave the zoom."""
+        """End the zoom."""
         self._live = self._latest
         self.range.update(start=self._live[0], end=self._live[1])

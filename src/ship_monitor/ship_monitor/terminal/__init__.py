@@ -1,5 +1,5 @@
-"""The terminal view: the same essentials as the page, over ssh at 80 columns by 24 rows.
+"""The terminal view: the page's first screen over ssh, at 80 columns by 24 rows.
 
-A picture becomes lines of text by pure functions (``pen``, ``screen``, ``details``); only ``app`` knows textual. It
-draws what :mod:`ship_watch` has decided, in the colours of the page, and knows no ROS.
+Pure functions (``styled_text``, ``screen``, ``details``) convert a state to lines of text; only ``app`` uses textual.
+The state is computed in :mod:`ship_watch`; the colours are those of the page. No ROS is used.
 """

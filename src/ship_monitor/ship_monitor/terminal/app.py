@@ -1,4 +1,4 @@
-"""The terminal view as a program: draws twice a second, and listens to the keys."""
+"""Program of the terminal view: draws twice a second and handles the keys."""
 
 import asyncio
 import math
@@ -28,13 +28,13 @@ NOTE_S = 5.0
 
 
 class Suite(Pictures, Protocol):
-    """What the terminal shows: a suite on the network."""
+    """Source of the terminal view: a suite on the network."""
 
     def tick(self) -> None:
-        """Take what has come."""
+        """Process the received messages."""
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
-        """Acknowledge one instance of an alert, and say in words what came of it. It may wait for seconds."""
+        """Acknowledge one instance of an alert; return the result in words. It may wait for seconds."""
 
 
 class _Lines(Widget):
@@ -48,26 +48,26 @@ class _Lines(Widget):
         self._styles: dict[Look, Style] = {}
 
     def show(self, lines: tuple[Line, ...], styles: dict[Look, Style]) -> None:
-        """Draw lines from now on."""
+        """Draw these lines."""
         if (lines, styles) != (self._lines, self._styles):
             self._lines, self._styles = lines, styles
             self.refresh()
 
     def render_line(self, y: int) -> Strip:
-        """One row, as textual asks for it."""
+        """Return one row for textual."""
         if y >= len(self._lines):
             return Strip.blank(self.size.width, self._styles.get(Look.TEXT))
         return Strip([Segment(text, self._styles[look]) for text, look in self._lines[y]])
 
 
 class TerminalApp(App[int]):
-    """The terminal view of one suite.
+    """Terminal view of one suite.
 
     Args:
-        suite: what is shown.
-        theme_name: theme to begin with.
-        is_ascii: whether the terminal shows ASCII alone.
-        zone: time zone whose clock is shown beside UTC; None for none.
+        suite: the suite.
+        theme_name: theme at the start.
+        is_ascii: True if the terminal shows ASCII only.
+        zone: time zone of the local time; None for UTC only.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -96,11 +96,11 @@ class TerminalApp(App[int]):
         self._note_until_s = 0.0
 
     def compose(self) -> ComposeResult:
-        """One widget fills the terminal."""
+        """Yield the only widget, which fills the terminal."""
         yield self._drawing
 
     def on_mount(self) -> None:
-        """Begin to draw, and end as a program does that is told to."""
+        """Start drawing, and install the signal handlers that end the program."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, self.exit, EXIT_INTERRUPTED)
@@ -109,18 +109,18 @@ class TerminalApp(App[int]):
         self.draw()
 
     def on_resize(self) -> None:
-        """The terminal has another size, which is known after this."""
+        """Draw with the new size, which is known after this call."""
         self.call_after_refresh(self.draw)
 
     def _take(self) -> None:
-        """Take what has come. What cannot be watched is said and passed over: the others go on."""
+        """Process the received messages; an invalid one is skipped with a note."""
         try:
             self._suite.tick()
         except Exception as problem:
-            self._say(f"a message is passed over: {type(problem).__name__}: {problem}")
+            self._say(f"message skipped: {type(problem).__name__}: {problem}")
 
     def draw(self) -> None:
-        """Show what is so now; paused, the picture of then with the alerts of now."""
+        """Draw the current state; while paused, the held state with the current alerts."""
         now, now_s = self._suite.look(), _now_s()
         if self._picture is None or math.isnan(self._paused_s):
             self._picture = now
@@ -145,17 +145,17 @@ class TerminalApp(App[int]):
         self._drawing.show(lines, styles_of(THEMES[self._theme_name]))
 
     def action_toggle_page(self, page: str) -> None:
-        """Open a page, or go back from it."""
+        """Open a page, or close the open one."""
         self._page = "" if self._page else page
         self.draw()
 
     def action_go_back(self) -> None:
-        """Back to the first screenful; there, nothing is chosen any more."""
+        """Go back to the first screen; on the first screen clear the selection."""
         self._page, self._chosen = "", self._chosen if self._page else ""
         self.draw()
 
     def action_choose(self, step: int) -> None:
-        """Choose the next angle or source."""
+        """Select the next angle or source."""
         if self._picture is None:
             return
         names = choices(self._picture)
@@ -164,25 +164,25 @@ class TerminalApp(App[int]):
         self.draw()
 
     def action_next_theme(self) -> None:
-        """The next of day, dusk and night."""
+        """Switch to the next theme: day, dusk, night."""
         names = tuple(THEMES)
         self._theme_name = names[(names.index(self._theme_name) + 1) % len(names)]
         self.draw()
 
     def action_pause(self) -> None:
-        """Let the picture stand still, or go on."""
+        """Pause or resume."""
         self._paused_s = _now_s() if math.isnan(self._paused_s) else math.nan
         self.draw()
 
     def action_leave(self, exit_code: int) -> None:
-        """End."""
+        """End with an exit code."""
         self.exit(exit_code)
 
     def action_acknowledge(self) -> None:
-        """Acknowledge the alert of the alert line, the instance that is shown."""
+        """Acknowledge the displayed instance of the alert in the alert line."""
         alert = shown_alert(self._suite.look().alerts)
         if alert is None or alert.is_acknowledged:
-            self._say("there is nothing to acknowledge")
+            self._say("no alert to acknowledge")
             return
         self._say(f"acknowledging {alert.id} ...")
         self.run_worker(self._ask(lambda: self._suite.acknowledge(alert.id, alert.instance)))
@@ -196,12 +196,12 @@ class TerminalApp(App[int]):
 
 
 def _now_s() -> float:
-    """Seconds of a clock that never steps and goes on while the machine sleeps: what stands still grows older."""
+    """Return a time that never steps and runs while the computer sleeps, s."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) * 1e-9
 
 
 def styles_of(theme: Theme) -> dict[Look, Style]:
-    """How each look is drawn in a theme. What is reversed stays so on a terminal without colours."""
+    """Return the style of each kind of text in a theme. Reversed texts are also reversed without colours."""
 
     def style(colour: str, *, bold: bool = False, strike: bool = False, reverse: bool = False) -> Style:
         return Style(color=colour, bgcolor=theme.background, bold=bold, strike=strike, reverse=reverse)

@@ -1,4 +1,4 @@
-"""What the terminal tells of one thing alone: an angle, a source, the alerts; and the page of help."""
+"""Pages of the terminal view: details of an angle, of a source or of the alerts, and help."""
 
 import math
 from textwrap import wrap
@@ -21,33 +21,33 @@ from ship_watch.picture import AlertShown, AngleShown, Picture, SourceShown
 _BACK = " Enter or Escape: back   a acknowledge   t theme   p pause   q quit"
 
 _HELP = """\
- SAFE      the value is fresh and its 95 % accuracy within the ship's limit
- CAUTION   over the limit up to 3 times; or its integrity cannot be told
- UNSAFE    do not use it: over 3 times the limit, invalid, or old
- OLD 12 s  nothing newer came for so long; struck through, dashes after 60 s
+ SAFE      value is recent, its 95 % accuracy within the ship's limit
+ CAUTION   up to 3 times over the limit, or no independent check
+ UNSAFE    do not use: more than 3 times over the limit, invalid, or old
+ OLD 12 s  no new value for 12 s; struck through, dashes after 60 s
 
- + IN      the source takes part        x OUT  it does not, and why
- - OFF     it is not configured         σ as stated (1.01): its accuracy is true
+ + IN      source is used               x OUT  source is not used; reason
+ - OFF     source is not configured     σ as stated (1.01): stated σ is correct
 
- /!\\ ALARM: act at once   (!) WARNING: act soon   [!] CAUTION: know of it
- UNACK: nobody has acknowledged it   OVER, UNACK: it is over, nobody has
+ /!\\ ALARM: act at once   (!) WARNING: act soon   [!] CAUTION: information
+ UNACK: not acknowledged   OVER, UNACK: over, but not acknowledged
 
- up, down  choose an angle or a source; Escape: none
- Enter     details of what is chosen; of nothing: all alerts, all inputs
- a         acknowledge the alert of the second line
+ up, down  select an angle or a source; Escape: none
+ Enter     details of the selection; without one: all alerts, all inputs
+ a         acknowledge the alert in the second line
  t         theme: day, dusk, night (red light)
- p         pause: the picture stands still, alerts go on
+ p         pause the display; alerts continue
  q         quit"""
 
 
 def help_page(picture: Picture, view: View) -> tuple[Line, ...]:
-    """What the words and keys mean."""
+    """Return the help page with terms and keys."""
     texts = [Ink(text, Look.TEXT) for text in _HELP.splitlines()]
     return _page(picture, view, "help", [view.pen.line(text) for text in texts])
 
 
 def details(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
-    """All that is known of what the view has chosen; where nothing is, the alerts and the inputs."""
+    """Return the details of the selected angle or source; without a selection those of alerts and inputs."""
     for angle in picture.angles:
         if angle.name == view.chosen:
             return _page(picture, view, angle.name, _of_angle(angle, picture, view.pen))
@@ -75,14 +75,14 @@ def _of_angle(angle: AngleShown, picture: Picture, pen: Pen) -> list[Line]:
     rows = {
         "value": f"{value}  OLD {words.age(angle.age_s)}" if angle.is_old else value,
         "state": f"{angle.safety.name}  {angle.reason}",
-        "to blame": angle.because_of or words.NO_VALUE,
+        "cause": angle.because_of or words.NO_VALUE,
         "since": words.date_and_clock(angle.since_ns),
         "95 % accuracy": words.angle_size(angle.accuracy_95),
         "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″" if math.isfinite(angle.accuracy_95) else words.NO_VALUE,
         "protection level": words.angle_size(angle.protection_level),
         "limit": words.limit_size(angle.limit),
         "time of the value": words.date_and_clock(angle.stamp_ns),
-        "arrived before": words.age(angle.age_s),
+        "age": words.age(angle.age_s),
     }
     made = [_row(pen, name, text) for name, text in rows.items()]
     return [*made, pen.rule("events"), *event_lines(picture, pen, 200, angle.name)]
@@ -97,20 +97,20 @@ def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
         "residual": residual,
         "out since": words.date_and_clock(source.out_since_ns) if source.out_since_ns else words.NO_VALUE,
         "because of": source.because_of or words.NO_VALUE,
-        "refused in a row": str(source.refused),
-        "its sigma": (verdict.text or f"{verdict.degrees} degrees of freedom") if verdict else words.NO_VALUE,
+        "rejected in a row": str(source.refused),
+        "sigma": (verdict.text or f"{verdict.degrees} degrees of freedom") if verdict else words.NO_VALUE,
     }
     inputs = []
     for each in picture.inputs:
         if each.topic in source.topics:
-            inputs += [input_line(each, pen), _row(pen, "   refused for", reasons_text(each) or words.NO_VALUE)]
+            inputs += [input_line(each, pen), _row(pen, "   rejected for", reasons_text(each) or words.NO_VALUE)]
     made = [source_line(source, picture, pen, is_chosen=False), *(_row(pen, name, text) for name, text in rows.items())]
     made += [pen.rule("inputs"), *inputs]
     return [*made, pen.rule("events"), *event_lines(picture, pen, 200, source.name)]
 
 
 def _of_alerts(alerts: tuple[AlertShown, ...] | None, picture: Picture, pen: Pen) -> list[Line]:
-    none = "no alerts" if alerts is not None else "no alert node is heard"
+    none = "no alerts" if alerts is not None else "no alert node"
     made: list[Line] = []
     for alert in alerts or ():
         made.append(pen.line(*alert_pieces(alert, pen, pen.width - 24)))

@@ -1,7 +1,7 @@
-"""Text in the cells of a terminal: what may be written there, cut and padded to its place.
+"""Text in the cells of a terminal: styled, cleaned, cut and padded.
 
-A wide character takes two cells, a combining one none. Names and texts come from the network: what could control the
-terminal never reaches it.
+A wide character takes two cells, a combining one none. Names and texts come from the network: characters that control
+the terminal are removed.
 """
 
 import enum
@@ -17,7 +17,7 @@ _ZERO_WIDTH = ("Mn", "Me", "Cf")
 
 
 class Look(enum.Enum):
-    """What a piece of text is; the theme gives it a colour. Those that matter most differ without colours, too."""
+    """Kind of a piece of text; the theme gives its colour. The most important ones differ without colours too."""
 
     TEXT = enum.auto()
     SECOND = enum.auto()
@@ -35,11 +35,11 @@ class Look(enum.Enum):
     NOTICE = enum.auto()
     """An alert of the priority caution."""
     MARKED = enum.auto()
-    """Reversed: chosen, or paused."""
+    """Reversed: selected, or paused."""
 
 
 class Ink(NamedTuple):
-    """A piece of a line that looks alike."""
+    """A piece of a line with one style."""
 
     text: str
     look: Look
@@ -51,25 +51,25 @@ Line = tuple[Ink, ...]
 
 @dataclass(frozen=True)
 class Pen:
-    """Writes lines of one width.
+    """Formatter of lines of one width.
 
     Attributes:
         width: columns of the terminal.
-        is_ascii: whether the terminal shows nothing but ASCII: "deg" for °, '"' for ″, "+-" for ±.
+        is_ascii: True if the terminal shows ASCII only: "deg" for °, '"' for ″, "+-" for ±.
     """
 
     width: int
     is_ascii: bool = False
 
     def clean(self, text: str) -> str:
-        """Text that a terminal shows as it is: nothing that controls it, nothing of no width."""
+        """Return a text without control characters and without characters of zero width."""
         kept = (char if char.isprintable() else "?" for char in text if unicodedata.category(char) not in _ZERO_WIDTH)
         if not self.is_ascii:
             return "".join(kept)
         return "".join(_IN_ASCII.get(char, char if char.isascii() else "?") for char in kept)
 
     def cell(self, text: str, width: int, *, to_right: bool = False) -> str:
-        """Text in so many cells: cut with an ellipsis, or padded on the right (on the left with ``to_right``)."""
+        """Return a text of ``width`` cells: cut with an ellipsis, or padded right (left with ``to_right``)."""
         text = self.clean(text)
         if cell_len(text) > width:
             return set_cell_size(set_cell_size(text, max(width - 1, 0)).rstrip() + self.clean("…"), width)
@@ -77,11 +77,11 @@ class Pen:
         return padding + text if to_right else text + padding
 
     def length(self, text: str) -> int:
-        """How many cells a text takes."""
+        """Return the number of cells of a text."""
         return cell_len(self.clean(text))
 
     def line(self, *pieces: Ink) -> Line:
-        """A row of pieces, cut or padded to the whole width."""
+        """Return a row of pieces, cut or padded to the width."""
         room, made = self.width, []
         for piece in pieces:
             text = self.clean(piece.text)
@@ -93,11 +93,11 @@ class Pen:
         return (*made, Ink(" " * room, Look.TEXT)) if room else tuple(made)
 
     def rule(self, *titles: str) -> Line:
-        """A horizontal line with titles in it: ── sources ── 7 of 8 in ─────."""
+        """Return a horizontal line with titles: ── sources ── 7 of 8 in ─────."""
         text = "".join(f"── {title} " for title in titles)
         return self.line(Ink(text + "─" * max(self.width - self.length(text), 0), Look.SECOND))
 
 
 def plain_text(line: Line) -> str:
-    """A line without its looks."""
+    """Return the text of a line without its styles."""
     return "".join(piece.text for piece in line)

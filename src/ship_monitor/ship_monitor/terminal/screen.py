@@ -1,7 +1,7 @@
-"""A picture as the rows of a terminal: who is to blame in five seconds, at 80 columns by 24 rows.
+"""First screen of the terminal view: the state of a suite as rows, at 80 columns by 24 rows.
 
-Everything that matters stands in words, so that it reads without colours. More rows and columns are used where they are
-there; where there are too few, one line says the worst.
+All states are words, so that colours are not needed. A larger terminal shows more; a too small one a single line with
+the worst state.
 """
 
 import math
@@ -13,9 +13,11 @@ from ship_watch import words
 from ship_watch.picture import AlertShown, AngleShown, InputShown, Picture, Presence, Priority, Safety, SourceShown
 
 LEAST_WIDTH, LEAST_HEIGHT = 64, 15
-"""Below this there is one line."""
+"""Smallest terminal with a full screen; a smaller one has one line."""
 
 EVENTS_WANTED = 6
+"""Minimum number of events before inputs are shown."""
+
 KEYS = " a acknowledge   Enter details   t theme   p pause   ? help   q quit"
 
 _MARKS = {Safety.SAFE: "+", Safety.CAUTION: "!", Safety.UNSAFE: "x"}
@@ -30,19 +32,19 @@ _SHORT_NAMES = {"heading": "HDG", "pitch": "PIT", "roll": "ROL", "azimuth": "AZI
 
 @dataclass(frozen=True)
 class View:
-    """How a picture is looked at.
+    """Parameters of the display.
 
     Attributes:
         width: columns of the terminal.
-        height: rows of it.
-        name: of the suite: its namespace.
+        height: rows of the terminal.
+        name: name of the suite: its namespace.
         label: LIVE, BAG or SIMULATED.
-        place: where it is listened, in words, for who waits.
-        paused_s: for how long the picture has stood still; NaN while it does not.
-        chosen: name of the angle or source that is chosen; empty for none.
-        note: what was done last, shown instead of the keys; empty for nothing.
-        is_ascii: whether the terminal shows ASCII alone.
-        zone: time zone whose clock is shown beside UTC; None for none.
+        location: namespace and domain, shown while waiting for data.
+        paused_s: time since the pause, s; NaN if not paused.
+        chosen: name of the selected angle or source; empty for none.
+        note: result of the last action, shown instead of the keys; empty for none.
+        is_ascii: True if the terminal shows ASCII only.
+        zone: time zone of the local time; None for UTC only.
     """
 
     width: int
@@ -58,17 +60,17 @@ class View:
 
     @property
     def pen(self) -> Pen:
-        """A pen as wide as the terminal."""
+        """Formatter with the width of the terminal."""
         return Pen(self.width, self.is_ascii)
 
 
 def screen(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
-    """The first screenful: exactly ``view.height`` lines, each as wide as the view.
+    """Return the first screen: exactly ``view.height`` lines, each as wide as the view.
 
     Args:
-        picture: what is shown; while the view is paused, one of the past.
-        alerts: those of now, also while the view is paused; None where no alert node was heard.
-        view: how it is looked at.
+        suite_state: displayed state; an earlier one while the view is paused.
+        alerts: current alerts, also while the view is paused; None without an alert node.
+        view: parameters of the display.
     """
     pen = view.pen
     if view.width < LEAST_WIDTH or view.height < LEAST_HEIGHT:
@@ -89,17 +91,17 @@ def screen(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) 
 
 
 def shown_alert(alerts: tuple[AlertShown, ...] | None) -> AlertShown | None:
-    """The alert of the alert line: the most urgent that nobody has acknowledged, else the most urgent."""
+    """Return the alert of the alert line: the most urgent unacknowledged one, else the most urgent."""
     return min(alerts or (), key=lambda alert: alert.urgency, default=None)
 
 
 def choices(picture: Picture) -> tuple[str, ...]:
-    """Names of what can be chosen, downward."""
+    """Return the names of the selectable angles and sources, from top to bottom."""
     return (*(angle.name for angle in picture.angles), *(source.name for source in picture.sources))
 
 
 def top_bar(picture: Picture, view: View) -> Line:
-    """Return the name of the suite, the word for all of it with its reason, and the time; PAUSED while it stands."""
+    """Return the row with name, safety and reason of the suite, and the time; PAUSED during a pause."""
     pen, overall = view.pen, picture.overall
     left = [Ink(" ", Look.TEXT), Ink(view.name, Look.STRONG), Ink(f"  {view.label}  ", Look.SECOND)]
     if not math.isnan(view.paused_s):
@@ -116,7 +118,7 @@ def top_bar(picture: Picture, view: View) -> Line:
 
 
 def words_line(picture: Picture, pen: Pen) -> Line:
-    """Return the words of all angles in one row, for pages that show something else: HDG + SAFE  PIT ! CAUTION."""
+    """Return the safety of all angles in one row, for the other pages: HDG + SAFE  PIT ! CAUTION."""
     pieces = [
         piece
         for angle in picture.angles
@@ -130,7 +132,7 @@ def words_line(picture: Picture, pen: Pen) -> Line:
 
 
 def alert_pieces(alert: AlertShown, pen: Pen, text_width: int) -> list[Ink]:
-    """Icon, priority, text, time and state of an alert."""
+    """Return icon, priority, text, time and state of an alert."""
     look = _ALERT_LOOKS[alert.priority]
     head = f" {_ALERT_MARKS[alert.priority]} {alert.priority.name} "
     text = pen.cell(alert.text or alert.id, max(text_width - len(head), 1))
@@ -140,9 +142,9 @@ def alert_pieces(alert: AlertShown, pen: Pen, text_width: int) -> list[Ink]:
 
 
 def source_line(source: SourceShown, picture: Picture, pen: Pen, *, is_chosen: bool) -> Line:
-    """Return a source: in or out, age and rate, what is known of it; indented below the source that it is out for.
+    """Return the row of a source: presence, age, rate, reason; indented below the source that causes it.
 
-    Where no output comes any more, nothing of this is of now: it is struck through, and no tick is drawn.
+    Without any current output the row is struck through and has no tick.
     """
     is_out = source.presence is Presence.OUT
     is_consequence = is_out and source.because_of in {each.name for each in picture.sources if not each.because_of}
@@ -165,24 +167,24 @@ def source_line(source: SourceShown, picture: Picture, pen: Pen, *, is_chosen: b
 
 
 def input_line(shown: InputShown, pen: Pen) -> Line:
-    """An input topic: its rate, latency and age, and what was refused."""
+    """Return the row of an input topic: rate, latency, age and rejections."""
     latency = f"{shown.latency_s:7.3f} s" if math.isfinite(shown.latency_s) else f"{words.NO_VALUE:>9}"
     rate = f"{shown.rate_hz:7.1f} Hz" if math.isfinite(shown.rate_hz) else f"{words.NO_VALUE:>10}"
     numbers = f"{rate} {latency} {pen.cell(words.age(shown.age_s), 8, to_right=True)}"
     look = Look.OUT if shown.level else Look.TEXT
     return pen.line(
         Ink(f"   {pen.cell(shown.topic, 30)}", look),
-        Ink(f"{numbers}  {shown.refused_60s:4d} refused  {reasons_text(shown)}", Look.SECOND),
+        Ink(f"{numbers}  {shown.refused_60s:4d} rejected  {reasons_text(shown)}", Look.SECOND),
     )
 
 
 def reasons_text(shown: InputShown) -> str:
-    """Why messages of an input were refused, and how many: "gate 9, misidentified 4"."""
+    """Return the reasons of rejections of an input with their counts: "gate 9, misidentified 4"."""
     return ", ".join(f"{name} {count}" for name, count in sorted(shown.reasons.items()) if count)
 
 
 def event_lines(picture: Picture, pen: Pen, room: int, subject: str = "") -> list[Line]:
-    """The newest events, all or those of one subject."""
+    """Return the rows of the newest events, all or those of one subject."""
     events = [event for event in picture.events if not subject or event.subject == subject]
     return [
         pen.line(
@@ -199,7 +201,7 @@ def _filled(lines: list[Line], view: View) -> tuple[Line, ...]:
 
 
 def _one_line(picture: Picture, view: View) -> Line:
-    """The worst of all, where there is no room for more."""
+    """Return the line of a too small terminal: the worst state."""
     worst = max(picture.angles, key=lambda angle: angle.safety, default=None)
     told = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
     if worst is not None and not told:
@@ -220,7 +222,7 @@ def _waiting(picture: Picture, view: View) -> list[Line]:
 def _alert_line(alerts: tuple[AlertShown, ...] | None, pen: Pen) -> Line:
     alert = shown_alert(alerts)
     if alerts is None or alert is None:
-        return pen.line(Ink(" no alerts" if alerts is not None else " no alert node is heard", Look.SECOND))
+        return pen.line(Ink(" no alerts" if alerts is not None else " no alert node", Look.SECOND))
     unacknowledged = sum(not each.is_acknowledged for each in alerts)
     active = sum(each.state != 4 for each in alerts)
     counts = f"{unacknowledged} unack, {active} active "
@@ -235,7 +237,7 @@ def _angles(picture: Picture, view: View) -> list[Line]:
 def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
     pen = view.pen
     number, sense = words.reading(angle)
-    # Signs below each other, numbers of one kind too: 034.39, 0.1, +68.74.
+    # Decimal points and signs are aligned: 034.39, 0.1, +68.74.
     value = pen.cell(f"{pen.clean(number):>8} {'' if number == words.NO_VALUE else sense}", 18)
     accuracy = pen.cell(words.accuracy(angle), 10, to_right=True)
     limit = pen.cell(words.limit_size(angle.limit), 7, to_right=True)
@@ -270,7 +272,7 @@ def _sources_rule(picture: Picture, pen: Pen) -> Line:
 
 
 def _sources(picture: Picture, view: View, room: int) -> list[Line]:
-    """The sources that fit, with the chosen one among them; the last row says what the others are."""
+    """Return the rows of the sources that fit, including the selected one; the last row counts the others."""
     sources = picture.sources
     shown = room if len(sources) <= room else max(room - 1, 0)
     chosen = next((place for place, source in enumerate(sources) if source.name == view.chosen), 0)

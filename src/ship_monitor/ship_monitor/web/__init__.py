@@ -1,1 +1,1 @@
-"""Parts that both servers of the monitor share: the hosts and origins they answer, and the bounds of connections."""
+"""Common parts of both servers: allowed hosts and origins, and bounds of connections."""

@@ -1,7 +1,7 @@
-"""Names and addresses under which a server is asked: a request with another Host or Origin is refused.
+"""Allowed names and addresses of a server: a request with another Host or Origin is refused.
 
-A page of another site may be open in a browser of this machine, and its name may be made to lead here (DNS rebinding).
-Its requests bear its own name, which is not in the list.
+A page of another site in a browser on this machine may have a name that resolves to this server (DNS rebinding). Its
+requests contain that name, which is not in the list.
 """
 
 import socket
@@ -14,10 +14,10 @@ LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
 
 
 class OwnHosts:
-    """The names of this machine, and those that the user allows.
+    """Names of this machine, and names allowed by the user.
 
     Args:
-        address: that the server listens on. On a loopback address the machine's own name is no name of the server.
+        address: address of the server. The machine's host name is allowed only if it is not a loopback address.
         allowed: further names or addresses.
     """
 
@@ -26,18 +26,18 @@ class OwnHosts:
         self._names = LOOPBACK | own | {_plain(name) for name in allowed}
 
     def is_asked(self, request: HTTPServerRequest) -> bool:
-        """True if the Host of a request is in the list, or is the address at which the request came in."""
+        """True if the Host of a request is in the list, or is the address at which the request arrived."""
         name = host_of(f"//{request.host}")
         return name in self._names or name == _local_address(request)
 
     def is_origin(self, origin: str, request: HTTPServerRequest) -> bool:
-        """True if an Origin is a page of a host in the list, on any port."""
+        """True if the host of an Origin is in the list, on any port, or is the address at which the request arrived."""
         name = host_of(origin)
         return name in self._names or name == _local_address(request)
 
 
 def host_of(address: str) -> str | None:
-    """Return the host in an address, without its port, in small letters; None where there is none."""
+    """Return the host in an address, without port, in lower case; None if there is none."""
     try:
         name = urlsplit(address).hostname
     except ValueError:
@@ -50,7 +50,7 @@ def _plain(name: str) -> str:
 
 
 def _local_address(request: HTTPServerRequest) -> str | None:
-    """Return the address of this machine at which a request came in."""
+    """Return the address of this machine at which a request arrived; None if unknown."""
     stream = getattr(request.connection, "stream", None)
     if stream is None or stream.socket is None:
         return None

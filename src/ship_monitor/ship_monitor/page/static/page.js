@@ -1,5 +1,5 @@
-// Writes what the server says into the first screenful. It judges one thing only, which nobody else can: whether the
-// server still says anything. Times of arrival are by a clock that never steps.
+// Writes the server's texts into the first screen. The only thing evaluated here is the link: whether texts still
+// arrive. Times of arrival are by a clock that never steps.
 "use strict";
 const monitor = (() => {
   const limits = { linkLostMs: 1600, reloadAfterMs: 4000, lookMs: 200, busyMs: 10000 }, PHONE = "(max-width:699px)";
@@ -24,7 +24,7 @@ const monitor = (() => {
     icon(svg, name);
     return svg;
   }
-  // As many children as entries; those that are there are used again.
+  // As many children as entries; existing children are reused.
   function list(parent, entries, make, fill) {
     while (parent.children.length > entries.length) parent.lastElementChild.remove();
     entries.forEach((entry, index) => fill(parent.children[index] || make(parent), entry));
@@ -50,7 +50,7 @@ const monitor = (() => {
     tile.tip = angle.tip;
   }
 
-  // One word for all, in the bar; below it each angle's own while the tiles are scrolled away.
+  // Safety of the suite in the bar; below it that of each angle while the tiles are scrolled away.
   function states(model) {
     const overall = at("overall");
     chip(overall.firstElementChild, model.overall.safety);
@@ -84,7 +84,7 @@ const monitor = (() => {
     icon(document.querySelector("#icon .sign"), alert.state);
     text(at("alert-text"), alert.text);
     at("alert-text").classList.toggle("long", alert.text.length > 32);
-    // What to do stands before when it came; the list has both.
+    // The line shows the advice instead of the time; the list has both.
     text(at("alert-sub"), alert.advice || alert.sub);
     at("alert-sub").classList.toggle("advice", Boolean(alert.advice));
     at("unack-count").hidden = !alert.unack;
@@ -132,7 +132,7 @@ const monitor = (() => {
     });
     fit(sources.rows);
   }
-  // OUT comes first in the list. Where there is no room the verdicts go first; sources that have none are counted.
+  // OUT comes first in the list. Without enough room the second lines are removed first, then sources are counted.
   function fit(rows) {
     const parent = document.querySelector("#sources ul"), items = [...parent.children];
     items.forEach((item) => { item.hidden = false; });
@@ -176,7 +176,7 @@ const monitor = (() => {
     document.body.classList.toggle("ship-alone", !model.angles.azimuth);
     text(at("label"), model.label);
     at("paused").hidden = !model.is_paused;
-    // An alert is more urgent than that something was never heard.
+    // An alert is more urgent than an output that was never received.
     alertLine(model.waiting && !model.alert.state
       ? { ...model.alert, icon: "", text: model.waiting, sub: model.place, advice: "" } : model.alert);
     for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) tile(each.id, model.angles[each.id]);
@@ -186,7 +186,7 @@ const monitor = (() => {
     ribbons(model.ribbons);
   }
 
-  // What is true of every value when nothing has come for a while: it is old, and by how much.
+  // The model without a link: every value is old, with its age.
   function withoutLink(model, silentS) {
     const old = structuredClone(model);
     for (const angle of Object.values(old.angles)) {
@@ -201,7 +201,7 @@ const monitor = (() => {
     if (old.sources.is_known) old.sources.head = "last: " + old.sources.head;
     old.sources.is_known = false;
     old.alert.text = (linked ? "NO LINK " : "CONNECTING ") + age(silentS);
-    old.alert.sub = linked ? "the page connects again by itself" : "";
+    old.alert.sub = linked ? "the page reconnects by itself" : "";
     Object.assign(old.alert, { icon: "", state: "lost", advice: "", unack: 0 });
     return old;
   }
@@ -212,7 +212,7 @@ const monitor = (() => {
   function watchLink() {
     const nowMs = performance.now(), silentMs = nowMs - heardMs, isLate = nowMs - lookedMs > 2 * limits.lookMs;
     lookedMs = nowMs;
-    // The page itself was busy: what has come meanwhile waits to be read.
+    // The page itself was busy: texts received meanwhile are not read yet.
     if (isLate && silentMs < limits.busyMs) return;
     if (silentMs < limits.linkLostMs || last === null) return;
     lost = true;
@@ -222,7 +222,7 @@ const monitor = (() => {
       asking = true;
       fetch("health", { cache: "no-store", signal: AbortSignal.timeout(2000) })
         .then((answer) => answer.ok, () => false)
-        // A server that was only busy answers this first, and then tells its news over the link that is still there.
+        // A server that was only busy answers this first, then sends its texts over the existing link.
         .then((isAlive) => setTimeout(() => {
           asking = false;
           if (isAlive && performance.now() - heardMs > limits.reloadAfterMs) location.reload();
@@ -230,8 +230,8 @@ const monitor = (() => {
     }
   }
 
-  // The source that stands out in the list and in every panel. Another theme and a link found again keep it, and the
-  // angle whose budget is shown.
+  // The marked source in the list and in every panel. It is kept after a change of theme and after a reconnect, as is
+  // the angle of the budget.
   function mark(name) {
     marked = name;
     sessionStorage.setItem("marked", marked);
@@ -239,8 +239,8 @@ const monitor = (() => {
     tell({ marked });
   }
   const toggle = (name) => mark(name === marked ? "" : name);
-  // What the person chose goes to the server's model of this page alone: the plots follow it. Each telling differs from
-  // the one before by its turn, so that the same wish can be told twice.
+  // The user's choices go to the server's model of this page only: the plots follow them. The turn makes each message
+  // different, so that the same choice can be sent twice.
   let choice = { paused: false, wanted: false, seen: null, marked }, chosen = null, turn = 0;
   function tell(change, once = {}) {
     choice = { ...choice, ...change };
@@ -262,7 +262,7 @@ const monitor = (() => {
     if (event.key === " ") { event.preventDefault(); if (!play()) pause(); }
     if (event.key in steps && move(event)) event.preventDefault();
   });
-  // A bag: the keys play it and move its time.
+  // Keys for a bag: play and move the time.
   const steps = { ArrowLeft: -10, ArrowRight: 10, Home: -Infinity, End: Infinity };
   const widget = (name) => window.Bokeh && Bokeh.documents.length ? Bokeh.documents[0].get_model_by_name(name) : null;
   function play() {
@@ -285,7 +285,7 @@ const monitor = (() => {
   }
   if (sessionStorage.getItem("plots")) showPlots();
   at("plots-wanted").onclick = showPlots;
-  // The panels are made when the first of them would be seen; then each says when it comes and goes, and rests meanwhile.
+  // The panels are made when the first of them becomes visible; each is updated only while it is visible.
   const want = new IntersectionObserver((entries) => {
     if (!entries.at(-1).isIntersecting) return;
     want.disconnect();
@@ -302,7 +302,7 @@ const monitor = (() => {
     if (seen.join(" ") !== choice.seen) tell({ seen: seen.join(" ") });
   }
   document.addEventListener("visibilitychange", tellSight);
-  // Bokeh makes the views of new models a little later.
+  // Bokeh creates the views of new models a little later.
   function watchPanels(models) {
     const views = models.map((model) => Bokeh.index.find_one(model));
     if (!views.every((view) => view && view.el.isConnected)) { setTimeout(watchPanels, 50, models); return; }
@@ -340,7 +340,7 @@ const monitor = (() => {
       lost = false;
       draw(model);
     },
-    // The first message over the link: from now on its silence means that it is lost.
+    // The first message over the link: from now on missing messages mean a lost link.
     connected(source) {
       linked = true;
       chosen = source;
