@@ -106,7 +106,7 @@ def test_an_outage_whose_reason_changes_is_one(night_path):
 
 def test_without_truth_innovations_take_the_room(tmp_path):
     text = page(read_told(write_night(tmp_path / "out.mcap", with_truth=False)))
-    assert "There is no truth in this recording" in text
+    assert "No truth in this recording" in text
     assert '<svg' in text[text.index('id="errors"'):text.index('id="budget"')]
 
 
