@@ -57,7 +57,7 @@ def test_a_whole_box_is_equal_to_the_last_bit(box, capsys):
     for used in (*events, "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
         assert used in out
     assert "outputs are equal to the last bit" in out
-    assert "verified up to there" not in out
+    assert "verified up to this point" not in out
     assert "note" not in out
 
 
@@ -69,7 +69,7 @@ def test_a_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
     assert "note" not in out
-    expected = "part 2 of a black box: give its first file, box.mcap, with all parts beside it"
+    expected = "part 2 of a black box: give its first file, box.mcap, with all parts in its folder"
     assert expected in refused(capsys, tmp_path / "box.part2.mcap")
     (tmp_path / "box.part2.mcap").unlink()
     code, out, _ = verify(capsys, box)
@@ -415,7 +415,7 @@ def test_another_saved_file_is_a_difference(box, tmp_path, capsys):
 def test_missing_entries_end_the_verification_and_are_said(box, tmp_path, capsys):
     code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 400, lambda message: None)))
     assert code == 1
-    assert "verified up to there: entries are missing before 2014-07-09T11:50:11.79" in out
+    assert "verified up to this point: entries are missing before 2014-07-09T11:50:11.79" in out
     assert "first difference" not in out
 
 
@@ -439,7 +439,7 @@ def test_a_cut_box_is_verified_up_to_the_cut(box, tmp_path, capsys, part):
     cut.write_bytes(data[: round(part * len(data))])
     code, out, _ = verify(capsys, cut)
     assert code == 0, out
-    assert "the box ends suddenly, at 2014-07-09T11:50:" in out
+    assert "the black box ends suddenly, at 2014-07-09T11:50:" in out
     assert "no footer" in out
 
 
@@ -512,7 +512,7 @@ def with_suite(change):
 
 @pytest.fixture
 def suite(box, tmp_path):
-    """The box's own parameters as a file."""
+    """The black box's own parameters as a file."""
     with read_bag(box) as bag:
         text = bag.attachments[SUITE_ATTACHMENT]
     path = tmp_path / "suite.yaml"
@@ -529,7 +529,7 @@ def test_a_missing_attachment_is_refused_or_replaced_by_config(box, suite, tmp_p
     assert "--config" in line
     code, out, _ = verify(capsys, copy, "--config", suite)
     assert code == 0
-    assert f"note: replayed with {suite} instead of the box's own parameters" in out
+    assert f"note: replayed with {suite} instead of the black box's own parameters" in out
 
 
 def test_another_version_of_the_suite_is_refused_or_replayed_with_config(box, suite, tmp_path, capsys):
@@ -552,7 +552,7 @@ def test_other_parameters_by_config_are_said_and_give_a_difference(box, suite, t
     out_path = tmp_path / "out.mcap"
     code, out, _ = verify(capsys, box, "--config", suite, "--out", out_path)
     assert code == 1
-    assert "instead of the box's own parameters: ins.tilt_sigma_arcsec = 11.0, was 10.0" in out
+    assert "instead of the black box's own parameters: ins.tilt_sigma_arcsec = 11.0, was 10.0" in out
     with read_bag(box) as recorded, read_bag(out_path) as replayed:
         counts = [sum(1 for r in bag.records(["ship/attitude"])) for bag in (recorded, replayed)]
     assert counts[0] == counts[1]

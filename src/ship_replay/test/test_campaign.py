@@ -175,7 +175,7 @@ class TestResults:
         lost.unlink()
         before = kept.stat().st_mtime_ns
         assert main([str(scenario), "--seeds", "1-3", "--out", str(folder)]) == 0
-        assert "3 items: 2 results there already, 1 to make" in capsys.readouterr().out
+        assert "3 items: 2 results exist, 1 to run" in capsys.readouterr().out
         assert kept.stat().st_mtime_ns == before
         assert files_of(folder) == files_of(by_one)
 
@@ -184,7 +184,7 @@ class TestResults:
         other.write_bytes(scenario.read_bytes())
         shutil.copytree(by_one / "results", tmp_path / "out" / "results")
         assert main([str(other), str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 0
-        assert "6 items: 3 results there already, 0 to make" in capsys.readouterr().out
+        assert "6 items: 3 results exist, 0 to run" in capsys.readouterr().out
         rows = (tmp_path / "out" / TABLE).read_text().splitlines()
         assert len(rows) == 7
         assert {row.split(",", 1)[1] for row in rows[1:4]} == {row.split(",", 1)[1] for row in rows[4:]}
@@ -211,7 +211,7 @@ class TestResults:
         assert rows[str(scenario)]["fused.samples"] != ""
         assert rows[str(bad)]["error"].partition(": ")[2] in (tmp_path / "out" / PAGE).read_text()
         assert main(arguments) == 1
-        assert "2 items: 1 results there already, 1 to make" in capsys.readouterr().out
+        assert "2 items: 1 results exist, 1 to run" in capsys.readouterr().out
 
 
 class TestKilled:
@@ -258,7 +258,7 @@ class TestKilled:
         kept = len(list(results.iterdir()))
         assert 1 <= kept <= 2
         assert main([str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 0
-        assert f"3 items: {kept} results there already" in capsys.readouterr().out
+        assert f"3 items: {kept} results exist" in capsys.readouterr().out
         assert files_of(tmp_path / "out") == files_of(by_one)
 
 

@@ -198,7 +198,7 @@ def test_mend_24_refused_and_noted_are_two_lists(tmp_path, capsys):
             bag.write("ins/imu", imu(stamp_ns, frame), stamp_ns)
     assert main([str(path), "--out", str(tmp_path / "out.mcap")]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "refused: ins/imu: frame 1" in lines
+    assert "rejected: ins/imu: frame 1" in lines
     assert "noted: ins/imu: covariance_unknown 3" in lines
 
 

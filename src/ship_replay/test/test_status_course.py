@@ -72,7 +72,7 @@ def test_mend_14_invalid_ticks_stand_where_their_time_is() -> None:
 def test_mend_14_of_many_spans_the_longest_are_shown() -> None:
     course = course_of(*((float(second), second % 2) for second in range(60)))
     assert course.lines("ship/attitude")[-1] == "  and 48 shorter spans"
-    assert StatusCourse().lines("ship/attitude") == ["status of ship/attitude: nothing was put out"]
+    assert StatusCourse().lines("ship/attitude") == ["status of ship/attitude: no output"]
 
 
 def test_gaps_are_those_between_times_in_order() -> None:
@@ -120,7 +120,7 @@ def test_mend_14_a_hole_is_a_warning(tmp_path, capsys):
         "'ins.silence_s'",
     ]
     assert all("up to 3.1 s apart (1 of 299 gaps are longer)" in line for line in warnings)
-    assert all(line.endswith("look for what was lost") for line in warnings)
+    assert all(line.endswith("look for lost messages") for line in warnings)
 
 
 def test_mend_14_a_replay_says_why_nothing_was_valid(tmp_path, capsys):
@@ -130,7 +130,7 @@ def test_mend_14_a_replay_says_why_nothing_was_valid(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     (heading,) = [number for number, line in enumerate(lines) if line.startswith("why ")]
     assert lines[heading].endswith("outputs of ship_attitude:")
-    assert lines[heading + 1] == "  it said 59 of 59 times: DEGRADED: INS alone, no star yet"
+    assert lines[heading + 1] == "  diagnostics, 59 of 59: DEGRADED: INS alone, no star yet"
     assert lines[heading + 3].startswith("  parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in the bag")
     assert any(line.startswith("status of ship/attitude from ") for line in lines[:heading])
     assert any("of 60 messages on 'reference/b/imu' 0 were used, " in line for line in lines[heading:])
@@ -148,8 +148,8 @@ def test_mend_14_a_replay_names_the_input_that_never_came(tmp_path, capsys):
     out = capsys.readouterr().out
     heading = "why 400 DEGRADED of 400 outputs of ship_attitude:\n"
     no_stars = "  no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY\n"
-    said = "  it said 20 of 20 times: DEGRADED: INS alone, no star yet\n"
-    assert f"{heading}{said}{no_stars}  nothing came on 'reference/b/imu'" in out
+    said = "  diagnostics, 20 of 20: DEGRADED: INS alone, no star yet\n"
+    assert f"{heading}{said}{no_stars}  no messages on 'reference/b/imu'" in out
 
 
 def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
@@ -160,13 +160,13 @@ def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
         suite = demo.attachments[SUITE_ATTACHMENT].decode()
     limit = "    integrity: {alert_limit_arcsec: [0.1, 0.1, 0.1]}\n"
     absent = "    references: {gyro: {frame_id: gyro}}\n"
-    for more, line in ((limit, None), (limit + absent, "  nothing came on 'reference/gyro/imu'")):
+    for more, line in ((limit, None), (limit + absent, "  no messages on 'reference/gyro/imu'")):
         config.write_text(suite.replace("    star_sensors:\n", f"{more}    star_sensors:\n"))
         assert replay([str(bag), "--config", str(config), "--out", str(tmp_path / "out.mcap"), "--force"]) == 0
         why = capsys.readouterr().out.partition("\nwhy ")[2].splitlines()[1:]
-        assert why[0].startswith("  it said ")
+        assert why[0].startswith("  diagnostics, ")
         assert ": DEGRADED: a protection level is above its alert limit: heading " in why[0]
-        assert [each for each in why if not each.startswith("  it said ")] == ([line] if line else [])
+        assert [each for each in why if not each.startswith("  diagnostics, ")] == ([line] if line else [])
 
 
 def test_what_a_node_said_is_counted_without_its_numbers_and_not_while_it_was_valid() -> None:
@@ -175,4 +175,4 @@ def test_what_a_node_said_is_counted_without_its_numbers_and_not_while_it_was_va
         course.note(saying)
     course.add(Output(make_header(RosbagsFactory(), START_NS + SECOND_NS, ""), VALID))
     course.note("VALID")
-    assert course.sayings == ["it said 2 of 3 times: above its limit: 12″", "it said 1 of 3 times: INS alone"]
+    assert course.sayings == ["diagnostics, 2 of 3: above its limit: 12″", "diagnostics, 1 of 3: INS alone"]
