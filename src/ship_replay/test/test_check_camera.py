@@ -217,7 +217,7 @@ def test_pixels_counted_from_one_are_named(check, deck, tmp_path):
     bag, text = deck
     (line,) = check(text, changed(bag, tmp_path, STARBOARD, shifted))
     assert line.startswith("warning: parameter 'star_sensors.starboard.camera.principal_u_px': by ")
-    assert line.endswith("one pixel to the right and down: pixels counted from 1? Subtract 1 from u and v")
+    assert line.endswith("one pixel to the right and down: if pixels are counted from 1, subtract 1 from u and v")
 
 
 @pytest.mark.statistics

@@ -132,7 +132,7 @@ def test_a_bag_in_a_namespace(check, tmp_path):
     text = GOOD.replace("ship_attitude:", "/**/ship_attitude:")
     code, lines, _ = check(text, bag)
     assert code == 2
-    expected = "topic 'ins/imu' is not in a.mcap: needed by ship_attitude (there is one under the namespace 'palmer')"
+    expected = "topic 'ins/imu' is not in a.mcap: needed by ship_attitude (found in namespace 'palmer')"
     assert lines[0] == f"error: suite.yaml:4: {expected}"
     assert check(text, bag, "--namespace", "palmer")[0] == 0
 
@@ -361,7 +361,7 @@ def test_they_may_stand_alone_in_it(check, tmp_path):
     code, (line,), _ = check(NMEA.replace("port: 10111", "port: 0"))
     assert (code, line[:50]) == (2, "error: suite.yaml:8: parameter 'sources.gyro.port'")
     code, (warning, _), _ = check(NMEA, write_bag(tmp_path / "a.mcap"))
-    told = "warning: suite.yaml: no section for an estimator: nothing of the bag is checked"
+    told = "warning: suite.yaml: no section for an estimator: the bag is not checked"
     assert (code, warning) == (0, told)
 
 

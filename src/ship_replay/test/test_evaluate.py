@@ -274,7 +274,7 @@ def test_a_measurement_judged_again_counts_once(tmp_path):
 def test_mend_24_a_configured_sensor_without_attitudes_is_named(tmp_path):
     path = write_run(tmp_path / "a.mcap", [(1.0, 2.0, 3.0)] * 5, suite=SUITE)
     assert evaluate(path).problems == [
-        "star.fore is left out: no attitude on star/fore/horizon_attitude while the truth is known"
+        "star.fore not evaluated: no attitude on star/fore/horizon_attitude while the truth is known"
     ]
 
 
@@ -310,7 +310,7 @@ class TestCommand:
         table = innovation_table(evaluate(bag))
         counts = {str(column.header): next(iter(column.cells)) for column in table.columns[-2:]}
         assert counts["accepted (measurements)"] == "1"
-        assert counts["refused (messages, stars)"] == "2 (misidentified 2)"
+        assert counts["rejected (messages, stars)"] == "2 (misidentified 2)"
 
     def test_the_figure_is_the_same_each_time(self, tmp_path):
         bag = write_innovations(tmp_path / "a.mcap")
@@ -410,4 +410,4 @@ def test_a_claimed_attitude_that_is_infinite_is_left_out_by_name(tmp_path, angle
         bag.write("ship/attitude", bad, stamp_ns)
     found = evaluate(tmp_path / "with.mcap")
     assert found.flat() == without.flat()
-    assert found.problems == [f"topic 'ship/attitude': messages left out: 1, the first because non_finite: {text}"]
+    assert found.problems == [f"topic 'ship/attitude': messages excluded: 1, the first because non_finite: {text}"]

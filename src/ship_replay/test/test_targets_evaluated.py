@@ -147,7 +147,7 @@ def test_a_direction_of_wrong_form_is_left_out_by_name(tmp_path: Path, changes: 
     without, with_it = found
     assert with_it.flat() == without.flat()
     (line,) = with_it.problems
-    assert line.startswith(f"topic '{TARGET_DIRECTION}': messages left out: 1, the first because {text}")
+    assert line.startswith(f"topic '{TARGET_DIRECTION}': messages excluded: 1, the first because {text}")
 
 
 def test_a_truth_that_is_no_number_is_left_out_by_name(tmp_path: Path) -> None:
@@ -160,5 +160,5 @@ def test_a_truth_that_is_no_number_is_left_out_by_name(tmp_path: Path) -> None:
     found = evaluate(tmp_path / "run.mcap")
     assert found.flat()["target.buoy.samples"] == 1.0
     assert found.problems == [
-        f"topic '{TARGET_TRUTH}': messages left out: 1, the first because non_finite: direction of the truth holds inf"
+        f"topic '{TARGET_TRUTH}': messages excluded: 1, the first because non_finite: direction of the truth holds inf"
     ]
