@@ -54,7 +54,7 @@ def observed(calibrated: Calibrated) -> dict[str, str]:
     return {entry["what"].split(" (")[0]: entry["observed"] for entry in calibrated.values["combinations"].values()}
 
 
-AZIMUTH, PITCH, ROLL = (f"all sensors turned together in {angle}" for angle in ("azimuth", "pitch", "roll"))
+AZIMUTH, PITCH, ROLL = (f"all sensors rotated together in {angle}" for angle in ("azimuth", "pitch", "roll"))
 
 
 def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
@@ -62,7 +62,7 @@ def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
     assert observed(result) == {ROLL: "no", AZIMUTH: "no", PITCH: "no"}
     # 20" twice, and an INS good to 72" in heading, 10" in tilt: 1 / sqrt(2 / 20² + 1 / 72²) = 13.88".
     text = " ".join(result.lines)
-    assert f"(2) not observed, 13.88″ of 13.88″: {AZIMUTH} (about the deck's up axis); give a reference" in text
+    assert f"(2) not observed, 13.88″ of 13.88″: {AZIMUTH} (about the deck's up axis); add a reference" in text
     assert "turn the ship by 180 deg or more, or give a reference of known installation" in text
     assert result.values["angles"]["star.fore.azimuth"]["open_in"] == ["2"]
     # Each against the other: 100" about the boresight, 61 exposures, the other sensor sees it across.
@@ -80,7 +80,7 @@ def test_a_turn_tells_tilt_and_not_azimuth(tmp_path, capsys):
 def test_a_turn_in_a_swell_tells_all(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(HEELING))
     assert observed(result) == {ROLL: "yes", AZIMUTH: "yes", PITCH: "yes"}
-    assert "every combination of the installation angles was observed" in result.lines
+    assert "all combinations of the installation angles were observed" in result.lines
 
 
 def test_with_a_reference_the_node_starts_from_the_true_angles(tmp_path, capsys):

@@ -194,7 +194,7 @@ class TestResults:
         path = min((tmp_path / "out" / "results").iterdir())
         path.write_text("{")
         assert main([str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 2
-        assert capsys.readouterr().err == f"campaign: {path}: is no result of a campaign: take it away\n"
+        assert capsys.readouterr().err == f"campaign: {path}: is no result of a campaign: remove it\n"
 
     def test_an_item_that_fails_is_a_row_and_is_made_again(self, scenario, tmp_path, capsys):
         bad = tmp_path / "bad.mcap"
@@ -235,7 +235,7 @@ class TestKilled:
         assert len(folders) == MOST_DEATHS
         assert not any(Path(folder).exists() for folder in folders)
         assert {seed: result["error"] for seed, result in found.items()} == {
-            1: None, 2: f"its worker died {MOST_DEATHS} times, at last with signal 9", 3: None, 4: None,
+            1: None, 2: f"its worker died {MOST_DEATHS} times, the last time with signal 9", 3: None, 4: None,
         }  # fmt: skip
 
     @pytest.mark.slow
@@ -345,7 +345,7 @@ class TestCluster:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["{short}", "--seeds", "5-1"], "'5-1' holds a range that ends before it begins"),
+        (["{short}", "--seeds", "5-1"], "'5-1' contains a range that ends before it begins"),
         (["{short}", "--workers", "0"], "'0' is not a whole number, 1 or more"),
         (["{short}", "--workers", "1", "--scheduler", "tcp://a:1"], "not allowed with argument"),
         (["nothing.mcap"], "nothing.mcap: No such file or directory"),

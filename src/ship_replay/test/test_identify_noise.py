@@ -68,7 +68,7 @@ def test_bad_input_is_told_in_one_line(bag, tmp_path, capsys):
         leave_out=("star/fore/horizon_attitude", "star/starboard/horizon_attitude"),
     )
     line = refused(main, capsys, tmp_path / "dark.mcap")
-    assert "no star measurement was used (none came): nothing tells what the INS does" in line
+    assert "no star measurement was used (none received): the INS error is not observable" in line
     (tmp_path / "blind.yaml").write_text("ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n")
     line = refused(main, capsys, bag, "--config", tmp_path / "blind.yaml")
     assert "the configuration has no star_sensors of ship_attitude" in line

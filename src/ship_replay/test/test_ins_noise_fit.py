@@ -59,7 +59,7 @@ def test_three_hours_tell_white_noise_and_change(three_hours: Identification) ->
 
 def test_three_hours_cannot_tell_sigma_and_time(three_hours: Identification) -> None:
     (tilt,) = (line for line in three_hours.warnings if line.startswith("gauss_markov, tilt: 3 h are "))
-    assert "correlation times and cannot tell σ and τ apart" in tilt
+    assert "correlation times, too short to separate σ and τ" in tilt
     assert "10 % and 30 % need 200 times" in tilt
     assert tilt.endswith("what it tells is 2σ²/τ")
     log_sigmas = {name: log_sigma for name, (_, log_sigma) in told(three_hours.best).items()}
@@ -72,7 +72,7 @@ def test_the_right_model_is_honest_without_stars(three_hours: Identification) ->
     assert [check.intervals for check in checks] == [1, 3, 7, 15]
     assert [check.horizon_s for check in checks] == pytest.approx([5400.0, 2700.0, 1350.0, 675.0])
     assert all(missed.is_honest for check in checks for missed in check.parts.values())
-    assert not any("not honest" in line for line in three_hours.warnings)
+    assert not any("are inconsistent" in line for line in three_hours.warnings)
 
 
 @pytest.fixture(scope="module")
@@ -87,10 +87,10 @@ def test_schuler_is_told_from_gauss_markov_which_is_not_honest(free_ins: Identif
     found = free_ins
     assert found.best.model.name == "schuler"
     assert found.best.aic + 100.0 < found.fitted[1].aic
-    start = "the most likely parameters of gauss_markov are not honest in an outage: tilt predicted over "
+    start = "the most likely parameters of gauss_markov are inconsistent in an outage: tilt predicted over "
     (line,) = (line for line in found.warnings if line.startswith(start))
     assert "× its σ of" in line
-    assert not any("of schuler are not honest" in line for line in found.warnings)
+    assert not any("of schuler are inconsistent" in line for line in found.warnings)
     errors = {name: value for name, (value, _) in told(found.best).items()}
     assert errors["white_sigma_arcsec"] == pytest.approx(1.0, rel=0.4)
 
@@ -106,7 +106,7 @@ def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_
     assert ins.schuler.damping_time_s == 0.0
     text = file.read_text(encoding="utf-8")
     assert "        damping_time_s: 0.0  # as configured\n" in text
-    assert "# the most likely parameters of gauss_markov are not honest in an outage: tilt" in text
+    assert "# the most likely parameters of gauss_markov are inconsistent in an outage: tilt" in text
 
 
 def test_two_hundred_times_tell_sigma_and_time() -> None:
@@ -137,7 +137,7 @@ def test_the_sigmas_of_what_is_told_hold_over_many_records() -> None:
 def test_without_a_latitude_schuler_is_not_tried() -> None:
     found = identify(noise_session(scenario(1200.0), 1, with_fixes=False))
     assert [fitted.model.name for fitted in found.fitted] == ["gauss_markov"]
-    assert "schuler was not tried: no position fix tells the latitude" in found.warnings
+    assert "schuler was not tried: the latitude is unknown without position fixes" in found.warnings
 
 
 def test_wrong_sigmas_in_the_configuration_do_not_matter() -> None:
