@@ -52,8 +52,8 @@ class AxisSighting:
 
     Attributes:
         angles_deg: encoder azimuth, encoder elevation, offsets of the true direction from them.
-        slow: name and correlation time (s) of a correlated error → effect of one sigma on the sighting, right and up,
-            shape (2,), rad.
+        correlated_effects: name and correlation time (s) of a correlated error → effect of one sigma on the sighting,
+            right and up, shape (2,), rad.
     """
 
     angles_deg: tuple[float, float, float, float]
@@ -66,7 +66,7 @@ class AxisSightings:
 
     Attributes:
         rows: sightings by stamp, ns.
-        unused: number of exposures that were rejected, or showed a single light.
+        unused_count: number of exposures that were rejected, or showed a single light.
     """
 
     rows: dict[int, AxisSighting] = field(default_factory=dict)
@@ -134,7 +134,7 @@ def axis_sightings(
         bag_path: .mcap file or rosbag2 folder.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        progress: wraps the iteration over the bag, for a progress bar.
 
     Raises:
         BadInput: the bag or the configuration cannot be used, or no exposure of two lights was used.

@@ -47,8 +47,8 @@ class JointTurn:
 
     Attributes:
         axis: axis of the deck for a common rotation of all sensors; None for a relative one.
-        run_s: rotation of each sensor for one sigma, rotation vector in its axes (forward, up, right), rad, shape (N,
-            3).
+        rotation_s: rotation of each sensor for one sigma, rotation vector in its axes (forward, up, right), rad, shape
+            (N, 3).
         sigma_before: prior standard deviation, rad.
         sigma: standard deviation after the session, rad.
         shares: shares of the sources of error in its variance, shape (n_sources,).
@@ -80,7 +80,7 @@ def combinations(
 
     Args:
         prior_sigma: prior sigma of each sensor's installation about its axes, rad, not zero, shape (N, 3).
-        parts: joint covariance after the session by source of error, rad², shape (n_sources, 3 N, 3 N).
+        covariance_by_source: joint covariance after the session by source of error, rad², shape (n_sources, 3 N, 3 N).
         rotations_ds: deck from sensor, shape (N, 3, 3).
         ins_sigma_d: error of the INS about the axes of the deck, rad, shape (3,).
     """
@@ -146,7 +146,7 @@ class InstalledAngle:
         installed: angle found in the session, rad.
         sigma_before: configured standard deviation, rad.
         sigma: standard deviation after the session, rad.
-        open_in: labels of combinations, not well observed, that leave it unresolved.
+        unresolved_in: labels of combinations, not well observed, that leave it unresolved.
     """
 
     sensor: str

@@ -38,8 +38,8 @@ class InputCount:
     """Counts of a device's messages.
 
     Attributes:
-        used: number of messages that the filter used.
-        refused: number of messages that it did not use.
+        used_count: number of messages that the filter used.
+        rejected_count: number of messages that it did not use.
         reasons: reason → count; includes messages used with a note (single stars rejected).
     """
 
@@ -68,7 +68,7 @@ class Session:
         core: the filter after the last message.
         counts: source (``star.<id>``, ``reference.<name>``) → counts of its messages.
         times_s: times of the history, seconds after the first, shape (n,).
-        course: name of an installation angle → values and sigmas at those times, rad, shape (n, 2).
+        history: name of an installation angle → values and sigmas at those times, rad, shape (n, 2).
         duration_s: length of the bag.
         problems: what is wrong with the bag, one line each.
     """
@@ -98,7 +98,7 @@ def run_session(
         prior_sigma_arcsec: prior sigma of every star sensor's installation about each of its axes; None takes the
             configured ones.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        progress: wraps the iteration over the bag, for a progress bar.
 
     Raises:
         BadInput: the bag or the configuration cannot be used, or a star sensor has no usable message.

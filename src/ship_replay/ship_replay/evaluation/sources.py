@@ -115,7 +115,7 @@ class PublishedAttitude(AttitudeSource):
     """Attitudes published by the suite, at the stamps of the truth; INVALID ones are only counted.
 
     Attributes:
-        seen: True if there was any message.
+        has_messages: True if there was any message.
         invalid_count: number of INVALID messages.
     """
 

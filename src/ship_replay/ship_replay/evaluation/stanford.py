@@ -54,7 +54,7 @@ class Epochs:
         error_arcsec: size of the error of each angle, shape (n, 3); NaN for INVALID outputs.
         level_arcsec: protection level of each, shape (n, 3); NaN if there was none.
         limit_arcsec: alert limit of each, shape (n, 3); infinite if there was none.
-        offered: True if the output was VALID or COASTING, shape (n,).
+        is_usable: True if the output was VALID or COASTING, shape (n,).
     """
 
     orientation: Orientation
@@ -108,7 +108,7 @@ def epochs_of(
         bags: bags with outputs, levels and truth.
         namespace: namespace of the ship's topics in the bags.
         limits_arcsec: label of an orientation → alert limits of its angles, in place of those in the bags.
-        watch: wraps the iteration over a bag, for a progress bar.
+        progress: wraps the iteration over a bag, for a progress bar.
 
     Raises:
         BadInput: a bag cannot be read, or none has an epoch.

@@ -179,8 +179,8 @@ class SourceInnovations:
     """Innovations of one source. If a measurement has several decisions, the last one counts.
 
     Attributes:
-        compared: stamp → innovation of the accepted measurement.
-        refused: reason → number of rejected measurements.
+        accepted: stamp → innovation of the accepted measurement.
+        rejected: reason → number of rejected measurements.
     """
 
     compared: dict[int, Judged] = field(default_factory=dict)

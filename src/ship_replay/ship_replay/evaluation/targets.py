@@ -23,14 +23,14 @@ class TargetErrors:
     """Errors of one target's directions and positions, one for each stamp of the truth with a valid direction.
 
     Attributes:
-        claimed_nothing_ns: stamps of the truth at which the answer was INVALID or missing.
+        unavailable_ns: stamps of the truth at which the answer was INVALID or missing.
         time_ns: stamps of valid directions.
-        across_arcsec: estimate minus truth across the true direction, shape (2,) each.
+        direction_error_arcsec: estimate minus truth across the true direction, shape (2,) each.
         sigma_arcsec: predicted standard deviation, root mean square of the two components.
         nees: normalised error squared of the direction (2 degrees of freedom).
-        off_m: distance of the position from the true one; NaN if none was published.
-        off_sigma_m: predicted standard deviation, root sum square of the three axes.
-        place_nees: normalised error squared of the position (3 degrees of freedom).
+        position_error_m: distance of the position from the true one; NaN if none was published.
+        position_sigma_m: predicted standard deviation, root sum square of the three axes.
+        position_nees: normalised error squared of the position (3 degrees of freedom).
     """
 
     claimed_nothing_ns: list[int] = field(default_factory=list)

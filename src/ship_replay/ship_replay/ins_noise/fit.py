@@ -47,7 +47,7 @@ class FittedModel:
     Attributes:
         model: model of the INS's error.
         values: parameter values, shape (p,).
-        covariance: covariance of their logarithms, shape (p, p); _NOTHING_KNOWN squared for one at a bound, unless it
+        covariance: covariance of their logarithms, shape (p, p); `_UNKNOWN_LOG_SIGMA` squared for one at a bound, unless it
             is a time.
         log_likelihood: log likelihood of the record at its maximum.
     """

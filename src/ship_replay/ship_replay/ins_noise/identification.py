@@ -99,9 +99,9 @@ class Identification:
             times = self.record.duration_s / time_s
             if times < TIMES_NEEDED:
                 lines.append(
-                    f"gauss_markov, {axis}: {self.record.duration_s / _HOUR_S:.2g} h are {times:.2g} correlation times, "
-                    f"too short to separate σ and τ (σ {spread(log_sigma)}, τ {spread(log_time)}); 10 % and 30 % "
-                    f"need {TIMES_NEEDED:g} times, {TIMES_NEEDED * time_s / _HOUR_S:.0f} h; only 2σ²/τ is determined"
+                    f"gauss_markov, {axis}: {self.record.duration_s / _HOUR_S:.2g} h are {times:.2g} correlation times,"
+                    f" too short to separate σ and τ (σ {spread(log_sigma)}, τ {spread(log_time)}); 10 % and 30 % need "
+                    f"{TIMES_NEEDED:g} times, {TIMES_NEEDED * time_s / _HOUR_S:.0f} h; only 2σ²/τ is determined"
                 )
         return lines
 

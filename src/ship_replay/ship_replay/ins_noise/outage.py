@@ -38,7 +38,7 @@ class Missed(NamedTuple):
         rms_arcsec: RMS of each axis.
         sigma_arcsec: predicted sigma of each axis, without the part that the stars at the end do not observe.
         nees: mean normalised error squared; two degrees of freedom for tilt, one for heading.
-        most: upper limit of its 99.9 % band.
+        nees_limit: upper limit of its 99.9 % band.
     """
 
     rms_arcsec: float

@@ -64,8 +64,8 @@ class InsErrorModel(Protocol):
 
     Attributes:
         parameters: parameters of the fit.
-        told: suite parameters determined by the fit.
-        fixed: suite parameters taken as configured, by name.
+        suite_parameters: suite parameters determined by the fit.
+        configured_values: suite parameters taken as configured, by name.
     """
 
     parameters: tuple[Parameter, ...]

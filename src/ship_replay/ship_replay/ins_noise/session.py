@@ -63,8 +63,8 @@ class PairsHeard:
     """Comparisons of a session.
 
     Attributes:
-        found: comparisons by source and stamp.
-        refused: measurements that the node did not use.
+        accepted: comparisons by source and stamp.
+        rejected: measurements that the node did not use.
     """
 
     found: dict[tuple[str, int], StarPair] = field(default_factory=dict)
@@ -102,9 +102,9 @@ class NoiseSession:
         name: name of the bag.
         config: configuration of the node.
         model: states of the comparisons.
-        pairs: comparisons in order of stamps.
+        comparisons: comparisons in order of stamps.
         common_n: source → steady covariance of the errors that its messages share, rad², shape (3, 3).
-        refused: number of star measurements that were not used.
+        rejected_count: number of star measurements that were not used.
         problems: what is wrong with the bag, one line each.
     """
 
@@ -137,7 +137,7 @@ def run_session(
         bag_path: .mcap file or rosbag2 folder.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        progress: wraps the iteration over the bag, for a progress bar.
 
     Raises:
         BadInput: the bag or the configuration cannot be used, or no star measurement was used.

@@ -63,10 +63,10 @@ class StarRecord:
         information: information of (u in arcseconds, time-varying states, constants, z), shape (E, s, s).
         white_gain: variance of the INS's white noise in an epoch over that of a sample, shape (E,).
         log_constant: part of the log likelihood that does not depend on parameters.
-        moving: time-varying states, in the columns after u.
+        time_varying: time-varying states, in the columns after u.
         constants: prior covariance of the constants, in units of their sigmas, shape (c, c).
         names: names of the blocks of all these columns.
-        every: thinning factor of the epochs.
+        epoch_step: thinning factor of the epochs.
     """
 
     times_s: FloatArray

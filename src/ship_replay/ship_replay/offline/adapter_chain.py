@@ -126,7 +126,7 @@ class AdapterChain:
 
     Attributes:
         configs: the same.
-        taken: input topics of each adapter, from outside or from earlier adapters.
+        input_topics: input topics of each adapter, from outside or from earlier adapters.
         linked: True if outputs of an adapter are inputs of later ones.
         inputs: input topics from outside.
         outputs: output topics.

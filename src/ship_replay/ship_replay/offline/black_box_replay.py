@@ -123,7 +123,7 @@ def replay_black_box(
         adapters: adapters of the nodes known here.
         config_path: configuration to use instead of the black box's own.
         out_path: bag for the outputs; without it the replay ends at the first difference.
-        watch: wraps the iteration over the black box, for a progress bar.
+        progress: wraps the iteration over the black box, for a progress bar.
 
     Raises:
         BadInput: the black box cannot be replayed; the text states why.

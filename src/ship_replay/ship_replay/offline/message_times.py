@@ -63,7 +63,7 @@ class Exceeded:
     Attributes:
         limit: the limit.
         text: parameter, value, actual gaps, effect and advice.
-        mostly: True if most of the time lies in such gaps.
+        is_most_of_the_time: True if most of the time lies in such gaps.
     """
 
     limit: GapLimit
@@ -80,7 +80,7 @@ class Gaps:
         self._counts: Counter[int] = Counter()
 
     def add(self, time_ns: int) -> None:
-        """Add a time. A time that arrives more than _REACH times too late is ignored."""
+        """Add a time. A time that arrives more than `_REORDER_DEPTH` times too late is ignored."""
         heappush(self._waiting, time_ns)
         if len(self._waiting) > _REACH:
             self._take(heappop(self._waiting))

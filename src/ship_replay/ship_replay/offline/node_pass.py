@@ -44,7 +44,7 @@ class TopicBlock(NamedTuple):
     Attributes:
         messages: the messages.
         times_ns: arrival times, shape (N,).
-        places: indices of their events, shape (N,).
+        event_indices: indices of their events, shape (N,).
     """
 
     messages: CdrRows
@@ -83,9 +83,9 @@ class Passed:
     """Outputs of a node.
 
     Attributes:
-        single: event index, order within the event, and messages.
-        runs: estimates.
-        rows: messages made from the estimates.
+        messages: event index, order within the event, and messages.
+        estimates: estimates.
+        message_batches: messages made from the estimates.
     """
 
     single: list[tuple[int, int, list[Published]]] = field(default_factory=list)
@@ -98,10 +98,10 @@ class NodePass:
 
     Args:
         adapter: the node.
-        taken: input topics of the node.
-        moments: events in order.
+        input_topics: input topics of the node.
+        events: events in order.
         rows: topic → its messages, for topics that some node may process in blocks; the others are decoded.
-        given: event index → messages that the nodes before it published, of its input topics, some already read by
+        forwarded: event index → messages that the nodes before it published, of its input topics, some already read by
             :func:`read_ahead`.
     """
 

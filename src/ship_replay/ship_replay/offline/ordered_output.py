@@ -24,7 +24,7 @@ class _Messages(NamedTuple):
     """Buffered messages; each attribute has one element per message.
 
     Attributes:
-        places: first sort key, the index of the event.
+        indices: first sort key, the index of the event.
         orders: second sort key, the order within the event.
         topics: number of the topic.
         log_times_ns: log time.
@@ -44,7 +44,7 @@ class OrderedOutput:
         counts: topic → messages written; filled for messages added as rows.
 
     Attributes:
-        place: event index and order of messages written one by one.
+        position: event index and order of messages written one by one.
     """
 
     def __init__(self, sink: ManySink, counts: Counter[str]) -> None:

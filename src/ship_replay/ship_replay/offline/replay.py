@@ -47,7 +47,7 @@ def replay(
         adapter_classes: adapters of the nodes that may take part, the main one first.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        progress: wraps the iteration over the bag, for a progress bar.
         by_stamps: if true, messages arrive at their stamps instead of their log times.
         one_by_one: if true, each message is processed by itself, as in a live node; otherwise messages of a topic are
             processed in blocks where possible, with the same result in a fraction of the time.

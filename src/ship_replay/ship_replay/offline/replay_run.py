@@ -35,13 +35,13 @@ class ReplaySummary:
     Attributes:
         inputs: relative topic → number of messages processed.
         outputs: topic → number of messages written, truth included.
-        refused: relative topic → reason → number of messages not used.
-        noted: relative topic → reason → number of messages used with a note, or of their parts not used.
+        rejected: relative topic → reason → number of messages not used.
+        accepted_with_note: relative topic → reason → number of messages used with a note, or of their parts not used.
         undecodable: relative topic → number of messages that do not match their type.
-        statuses: topic with a status → its status history.
+        status_histories: topic with a status → its status history.
         exclusions: topic of Integrity messages → the reported exclusions.
         times: relative topic → stamps and arrival times of its messages.
-        log_times: statistics of log time minus stamp.
+        log_delays: statistics of log time minus stamp.
         reasons: why outputs were INVALID or DEGRADED, one line each.
         absent: optional input topics that are not in the bag.
         problems: what is wrong with the bag, one line each.

@@ -81,7 +81,7 @@ class Smoothed:
         """Return a smoothed message with the log time of the real-time one, and count it.
 
         Args:
-            at_once: the real-time output.
+            real_time: the real-time output.
             message: the smoothed message.
             covariance: covariance of its angles, rad², shape (3, 3).
         """
@@ -110,7 +110,7 @@ class _WholeVoyage(ShipAttitudeAdapter):
     """Node whose core returns all attitudes, smoothed, at the end.
 
     Attributes:
-        ended: smoothed attitudes of estimators that were replaced.
+        finished_estimates: smoothed attitudes of estimators that were replaced.
     """
 
     def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
@@ -179,7 +179,7 @@ def smooth(
         out_path: .mcap file to write; it appears only when complete.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps each iteration over the bag, for a progress bar.
+        progress: wraps each iteration over the bag, for a progress bar.
         by_stamps: if true, messages arrive at their stamps instead of their log times.
 
     Raises:

@@ -149,7 +149,7 @@ def reasons_for(
     its inputs lack.
 
     Args:
-        course: status history of its output.
+        history: status history of its output.
         adapter: the node.
         config: its configuration.
         times: stamps and arrival times of its inputs, by topic.

@@ -59,7 +59,7 @@ class CameraRecord:
         topic: topic of its stars.
         camera: configured camera.
         messages: some of the messages, each with its arrival time, ns.
-        prior_at: returns the predicted attitude of the camera (horizon from sensor) at a time; None if unknown.
+        predicted_attitude_at: returns the predicted attitude (horizon from sensor) at a time; None if unknown.
     """
 
     topic: str

@@ -36,7 +36,7 @@ class Findings:
 
     Attributes:
         errors: one line each: the node would not start, or would reject data of the bag.
-        unused: one line each: inputs of which more than half would not be used.
+        unused_inputs: one line each: inputs of which more than half would not be used.
         warnings: one line each: probably not intended.
         notes: one line each: information.
     """
@@ -55,7 +55,7 @@ class CheckedNode:
         file: its parameters in the file.
         config: its configuration.
         adapter: its adapter.
-        refused: dotted names of replaced parameters, which are already reported.
+        replaced_parameters: dotted names of replaced parameters, which are already reported.
     """
 
     file: ParameterFile

@@ -31,9 +31,8 @@ class InsNoise(NamedTuple):
     """Noise of an INS from its attitudes and rates, standard deviation per axis.
 
     Attributes:
-        white_rad: standard deviation of a single attitude, rad.
-        rate_rad_per_s: standard deviation of a single rate, rad/s; 0 if hidden by the attitude noise, NaN if hidden by
-            correlated errors.
+        attitude_sigma_rad: of a single attitude, rad.
+        rate_sigma_rad_per_s: of a single rate, rad/s; 0 if hidden by the attitude noise, NaN if by correlated errors.
     """
 
     white_rad: float

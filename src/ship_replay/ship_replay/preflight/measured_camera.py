@@ -68,7 +68,7 @@ class _Reading:
     Attributes:
         axes: the hypothesis.
         camera: camera with the focal length that fits the angles between stars; None if there are too few.
-        solved: exposures with an attitude, and the attitude.
+        solutions: exposures with an attitude, and the attitude.
         star_count: number of stars in all exposures.
     """
 
@@ -103,7 +103,7 @@ def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
 
     Args:
         record: messages of the camera.
-        watch: the sky, with place and air.
+        sky_model: the sky, with place and air.
     """
     reading = _read(record, AS_EXPECTED, watch)
     if reading.used_count < _MOST_OF_THE_STARS * reading.star_count:

@@ -92,7 +92,7 @@ def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
     """Return a bar of states for each angle, one second per point, and the accuracy below; empty without any angle.
 
     Args:
-        night: the recording.
+        recording: the recording.
         marked: POSIX seconds that links lead to: a line for each, visible while it is the target of the page.
     """
     shown = [name for name in ANGLES if night.words.get(name)]

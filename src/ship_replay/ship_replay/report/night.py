@@ -84,16 +84,16 @@ class Night:
         topics: relative topic → type.
         attachments: attachments of the bag.
         metadata: metadata records of the bag.
-        words: angle → (second in UTC, worst state) for each second in which the angle was published.
+        safety_states: angle → (second in UTC, worst state) for each second in which the angle was published.
         accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second; none while its output is INVALID.
         status_s: topic of an output → status → total time with this status, s.
         events: events in the order in which they were reported.
         alerts: changes of alerts, in order of time.
         alerts_are_recorded: True if an alert node published them, False if they were computed here.
-        refusals: rejections and notes, in order of time.
+        rejections: rejections and notes, in order of time.
         budgets: topic → points of the error budget.
-        before: topic → first published estimates.
-        after: topic → last published estimates.
+        first_estimates: topic → first published estimates.
+        last_estimates: topic → last published estimates.
         last: displayed state at the end.
         problems: what is wrong with the bag, one line each.
     """

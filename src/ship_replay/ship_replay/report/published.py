@@ -40,9 +40,9 @@ class Published:
     """Outputs and inputs of one bag.
 
     Attributes:
-        claims: label of the orientation → its outputs.
-        received: input topic → messages received since the start, by the node with the largest count.
-        given: topic that no node publishes (truth, ``ins/imu``) → hash of all its messages.
+        series: label of the orientation → its outputs.
+        received_counts: input topic → messages received since the start, by the node with the largest count.
+        input_digests: topic that no node publishes (truth, ``ins/imu``) → hash of all its messages.
     """
 
     claims: dict[str, Claims] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class OutputDifference:
         sigma_arcsec: predicted standard deviations of A's and of B's channels, shape (2, n, 3).
         channels_equal: for each channel, True if all values are equal to the last bit.
         messages_equal: number of stamps at which the whole messages are equal to the last bit.
-        alone: numbers of outputs in A only and in B only.
+        unpaired_counts: numbers of outputs in A only and in B only.
     """
 
     orientation: Orientation

@@ -80,8 +80,8 @@ def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, unt
     Args:
         fault: the fault.
         changed_ns: fault-free arrival times of the messages that it changes, in order; at least one.
-        told: outputs of the voyage.
-        clean: the same voyage without faults.
+        outputs: outputs of the voyage.
+        fault_free: the same voyage without faults.
         until_s: beginning of the next fault, or the end of the voyage.
     """
     start_ns, first_ns = clean.start_ns, int(changed_ns[0])
@@ -117,7 +117,7 @@ def first_named(signs: Sequence[Sign]) -> set[str]:
     """Return the sources named first, by the rule of this module; empty without indications.
 
     Args:
-        signs: indications in order of time.
+        indications: indications in order of time.
     """
     times = Counter(sign.source for sign in signs if sign.is_by_itself)
     for sign in signs:

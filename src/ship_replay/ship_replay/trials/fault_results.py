@@ -104,7 +104,7 @@ class Totals:
 
     Attributes:
         lines: each bound and its result, for people.
-        sound: True if all bounds are met.
+        all_met: True if all bounds are met.
     """
 
     lines: list[str]

@@ -76,7 +76,7 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
 
     Args:
         voyage: the voyage.
-        clean: the same without faults.
+        fault_free: the same without faults.
     """
     begun_s = time.monotonic()
     with read_bag(voyage.bag) as bag:

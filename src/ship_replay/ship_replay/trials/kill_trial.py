@@ -41,15 +41,15 @@ class KillTrial:
     they were made from; samples still in its queue were not used.
 
     Attributes:
-        sent: number of messages before the kill that must be kept.
-        kept: number of these on the disk.
+        sent_count: number of messages before the kill that must be kept.
+        kept_count: number of these on the disk.
         lost_s: missing time, from the first of them that is not on the disk to the last; 0 if all are. Pauses of the
             node before the kill do not count: the middleware may block it for hundreds of milliseconds when a
             subscriber joins.
         has_gap: True if a message is missing before one that is on the disk.
-        recovered: number of messages of all topics in the recovered file, by ``rosbags``.
-        readable: numbers of messages of all topics in the killed file, and in the recovered one by the seeking ``mcap``
-            reader.
+        recovered_count: number of messages of all topics in the recovered file, by ``rosbags``.
+        readable_counts: numbers of messages of all topics in the killed file, and in the recovered one by the seeking
+            ``mcap`` reader.
     """
 
     sent: int
@@ -132,8 +132,8 @@ class _Sender:
     """Publisher of INS samples, and subscriber to the node's attitudes.
 
     Attributes:
-        sent: stamp in ns and steady time in s of each sample, in order.
-        given_out: the same of each attitude received.
+        samples: stamp in ns and steady time in s of each sample, in order.
+        attitudes: the same of each attitude received.
     """
 
     def __init__(self, graph: GraphObserver, output_topic: str | None) -> None:

@@ -89,7 +89,7 @@ class LiveRun:
 
         Args:
             rate: seconds of the bag per second.
-            watch: called periodically with the steady time since the start.
+            report_elapsed: called periodically with the steady time since the start.
 
         Raises:
             LiveFailure: a process failed.

@@ -63,7 +63,7 @@ class FinalError:
         angles: error of heading, pitch, roll (true minus estimate), rad, shape (3,).
         sigma: predicted standard deviations of the same, rad, shape (3,).
         nees: normalised error squared, three degrees of freedom.
-        refused: number of measurements that were not used.
+        rejected_count: number of measurements that were not used.
     """
 
     seed: int
@@ -90,7 +90,7 @@ def error_at_end(
         seed: seed of the run.
         rotation_nd: horizon from deck as estimated, shape (3, 3).
         covariance_n: predicted covariance of its error, rad², shape (3, 3).
-        refused: number of measurements that were not used.
+        rejected_count: number of measurements that were not used.
     """
     error_n = log_rotation(run.truth.rotation_nd[-1] @ rotation_nd.T)
     heading, pitch, _ = angles_from_rotation(rotation_nd)
@@ -257,7 +257,7 @@ class PointingErrors:
         mode: pointing mode, shape (k,).
         ins_encoder: error of the axis by INS and encoders alone, with the configured axis errors, rad, shape (k,).
         sightings: number of exposures with lights or stars that were used.
-        refused: number of inputs and exposures that were not used.
+        rejected_count: number of inputs and exposures that were not used.
     """
 
     time_s: FloatArray

@@ -43,9 +43,9 @@ class Passage:
     """Replay of one voyage without faults, and properties of its bag needed for the evaluation.
 
     Attributes:
-        told: outputs of the nodes.
+        outputs: outputs of the nodes.
         arrivals_ns: input topic → arrival times of its messages, in order.
-        lights_ns: arrival times of the images with a light, in order.
+        beacon_times_ns: arrival times of the images with a light, in order.
         encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN without one.
         ins_sigma_arcsec: noise of a sample of the INS; NaN without ``ship_attitude``.
         start_ns: beginning of the bag.

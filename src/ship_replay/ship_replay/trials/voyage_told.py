@@ -53,7 +53,7 @@ class Sign(NamedTuple):
         source: name used by the nodes; for ``input_health`` the topic.
         log_ns: time of the report.
         stamp_ns: stamp of the measurement, or of the report.
-        reason: a word of :class:`ship_estimation.refusals.Reason`, EXCLUSION or SILENT.
+        reason: a word of :class:`ship_estimation.refusals.Reason`, EXCLUSION or NO_DATA.
     """
 
     source: str
@@ -77,7 +77,7 @@ class Claim(NamedTuple):
         stamp_ns: its stamp.
         log_ns: its log time.
         sigmas: largest error in sigmas.
-        over_level: largest error over its protection level; NaN if there is none.
+        level_ratio: largest error over its protection level; NaN if there is none.
     """
 
     topic: str
@@ -92,12 +92,12 @@ class Told:
     """Outputs of a voyage.
 
     Attributes:
-        claims: VALID outputs at stamps of the truth.
+        valid_outputs: VALID outputs at stamps of the truth.
         not_valid: (topic, stamp, log time, status) of the other outputs.
-        signs: each rejection, the beginning of each exclusion, and each report of an input without data or with new
-            rejections for its own fault.
-        failures: number of rejections because of a software failure.
-        outputs: number of statuses.
+        indications: each rejection, the beginning of each exclusion, and each report of an input without data or with
+            new rejections for its own fault.
+        failure_count: number of rejections because of a software failure.
+        output_count: number of statuses.
     """
 
     claims: list[Claim] = field(default_factory=list)
