@@ -1,4 +1,4 @@
-"""Campaigns: what tells items apart, what outlives a kill, and tables that are equal whoever made them."""
+"""Campaigns: keys of items, results that survive a kill, and tables that do not depend on the workers."""
 
 import csv
 import dataclasses
@@ -48,7 +48,7 @@ def scenario(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def by_one(scenario):
-    """The folder of a campaign of three seeds that one worker made."""
+    """The folder of a campaign of three seeds run by one worker."""
     folder = scenario.parent / "by_one"
     assert main([str(scenario), "--seeds", "1-3", "--workers", "1", "--out", str(folder)]) == 0
     return folder
@@ -146,7 +146,7 @@ def test_what_are_no_seeds(text):
 
 
 class TestResults:
-    def test_a_row_is_what_the_commands_tell_of_the_same_run(self, by_one, scenario, tmp_path, capsys):
+    def test_a_row_equals_the_output_of_the_commands(self, by_one, scenario, tmp_path, capsys):
         """The numbers are those of simulate, replay and evaluate, run one after another."""
         given, out, values = tmp_path / "in.mcap", tmp_path / "out.mcap", tmp_path / "values.json"
         assert simulate([str(scenario), "--out", str(given), "--seed", "2"]) == 0
@@ -280,7 +280,7 @@ class Command:
         self.process.communicate()
 
     def a_worker(self):
-        """The process of a worker, which the server of processes among the children of the command has made."""
+        """The process of a worker, created by the fork server among the children of the command."""
         return until(
             lambda: next(
                 (
@@ -302,7 +302,7 @@ def children(pid):
 
 
 def until(found):
-    """What a function finds, as soon as it finds it."""
+    """Return the result of a function as soon as it is not empty."""
     end_s = time.monotonic() + PATIENCE_S
     while not (value := found()):
         assert time.monotonic() < end_s
@@ -312,7 +312,7 @@ def until(found):
 
 @pytest.fixture(scope="module")
 def address():
-    """Of a Dask cluster of two workers on this machine, each a process."""
+    """Address of a Dask cluster of two worker processes on this machine."""
     place = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
     with LocalCluster(n_workers=2, threads_per_worker=1, silence_logs=logging.CRITICAL, **place) as cluster:
         yield cluster.scheduler_address
@@ -334,7 +334,7 @@ class TestCluster:
             (seed, None, float(seed)) for seed in range(1, 5)
         ]
 
-    def test_without_dask_one_line_says_what_to_install(self, scenario, tmp_path, capsys, monkeypatch):
+    def test_without_dask_one_line_names_the_package(self, scenario, tmp_path, capsys, monkeypatch):
         monkeypatch.setitem(sys.modules, "distributed", None)
         arguments = [str(scenario), "--scheduler", "tcp://127.0.0.1:1", "--out", str(tmp_path / "out")]
         assert main(arguments) == 2
@@ -371,7 +371,7 @@ def test_bad_usage_is_one_line_and_two(arguments, complaint, scenario, tmp_path,
 
 
 class TestPooled:
-    """Two results made by hand: 100 samples of 3″ and 300 of 5″, of which 10 and 30 tell as much as all."""
+    """Two results made by hand: 100 samples of 3″ and 300 of 5″, equivalent to 10 and 30 independent ones."""
 
     @pytest.fixture
     def made(self, scenario):
@@ -416,7 +416,7 @@ class TestPooled:
     def test_the_worst_come_first(self, made):
         assert [(each.item.seed, each.ratio) for each in worst_items(made)] == [(1, 1.5), (2, 1.0)]
 
-    def test_the_order_in_which_items_were_made_is_not_told(self, made):
+    def test_the_order_of_completion_has_no_effect(self, made):
         assert table(made[::-1]) == table(made)
         assert page(made[::-1]) == page(made)
 

@@ -1,4 +1,4 @@
-"""Two runs side by side: what differs is told with its size and its time, what is equal is told as equal."""
+"""Two runs side by side: differences are reported with size and time, equality as such."""
 
 import contextlib
 import math
@@ -50,14 +50,14 @@ def given(folder):
 
 @pytest.fixture(scope="module")
 def plain(folder, given):
-    """They, replayed by their own configuration."""
+    """The inputs, replayed with their own configuration."""
     replay(given, folder / "plain.mcap", ADAPTERS)
     return folder / "plain.mcap"
 
 
 @pytest.fixture(scope="module")
 def noisier(folder, given):
-    """They, replayed by one that takes the INS to be three times as noisy."""
+    """The inputs, replayed with a configuration in which the INS is three times as noisy."""
     with read_bag(given) as bag:
         text = bag.attachments["suite.yaml"].decode()
     assert text.count(NOISE) == 1
@@ -96,7 +96,7 @@ class TestAnotherConfiguration:
 
     @pytest.mark.slow
     def test_several_processes_give_the_same_bytes(self, told, plain, noisier, monkeypatch):
-        """Long bags are read by several processes; the size from which on is set to nothing here."""
+        """Long bags are read by several processes; here every bag counts as long."""
         monkeypatch.setattr("ship_replay.report.told.SHORT_BYTES", 0)
         assert pair_page(read_pair(plain, noisier)) == told
 
@@ -149,7 +149,7 @@ class TestAnotherConfiguration:
         assert table.angles == ["heading", "pitch", "roll"]
         assert [float(b) / float(a) for a, b in cells] == pytest.approx([3.0] * 3, rel=0.1)
 
-    def test_who_was_safe_for_longer(self, pair):
+    def test_safe_share(self, pair):
         """95 % pitch of three times the noise, 1.96 · 3″, is over its limit of 3″ at all times."""
         assert pair.b.night.seconds("pitch")[Safety.SAFE] == 0
         assert pair.a.night.seconds("pitch")[Safety.SAFE] > 0
@@ -161,7 +161,7 @@ class TestAnotherConfiguration:
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
 def test_in_a_browser(told, folder):
-    """Nothing but the file itself is asked for, nothing is complained of, and a telephone need not scroll sideways."""
+    """No request except for the file itself, no error, and no horizontal scrolling on a telephone."""
     (folder / "told.html").write_text(told)
     with contextlib.closing(Browser()) as browser:
         for width, height in ((1280, 800), (390, 844)):
@@ -173,7 +173,7 @@ def test_in_a_browser(told, folder):
 
 
 class TestTheSameRecording:
-    def test_it_is_said_to_be_the_same_and_equal(self, plain):
+    def test_the_same_file_is_reported_as_same_and_equal(self, plain):
         twice = read_pair(plain, plain)
         assert twice.is_same
         assert sentences(twice)[0] == "A and B are the same recording (same SHA-256)."
@@ -203,7 +203,7 @@ class TestTheSameRecording:
 
 
 def test_the_last_bit_counts(plain, folder):
-    """One heading one bit away: no longer equal, and all the others of that run still are."""
+    """One heading differs by one bit: the heading is not equal, all other values are."""
     with BagWriter(folder / "bit.mcap") as writer, read_bag(plain) as bag:
         for number, record in enumerate(bag.records({"ship/attitude"})):
             message = record.decode()
@@ -219,8 +219,8 @@ def test_the_last_bit_counts(plain, folder):
 
 
 @pytest.mark.slow
-def test_an_angle_that_only_one_has(plain, noisier, folder):
-    """Replayed pointings beside the attitudes in A; B has the attitudes alone."""
+def test_an_angle_in_one_run_only(plain, noisier, folder):
+    """A has replayed pointings and attitudes; B has attitudes only."""
     given = beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
     replay(given, folder / "theodolite.mcap", ADAPTERS)
     with BagWriter(folder / "both.mcap") as writer:
@@ -242,7 +242,7 @@ def test_an_angle_that_only_one_has(plain, noisier, folder):
 
 
 def test_a_sensor_out_in_one_only(plain, given, folder):
-    """B lacks what the forward sensor measured from 8 s on: the verdict names it, and what the nodes received."""
+    """B lacks the data of the forward sensor from 8 s on: the summary names it, and the received messages."""
     topic = "star/fore/horizon_attitude"
     with read_bag(given) as bag:
         cut_ns = bag.start_ns + 8 * SECOND_NS
@@ -278,8 +278,8 @@ def with_outages(told, outages_s):
                            "star.fore was out in B and not in A: 9 to 12 (silent)."]),
     ([], [], ["No source was out in either."]),
 ])
-def test_a_source_out_in_both_is_told_where_they_differ(pair, in_a, in_b, expected):
-    """Two seconds and less are the same moment; times by hand."""
+def test_differing_outages_of_both_runs(pair, in_a, in_b, expected):
+    """Differences of two seconds or less count as the same time; times by hand."""
     changed = replace(pair, a=with_outages(pair.a, in_a), b=with_outages(pair.b, in_b))
     start_s = pair.a.night.start_utc_ns // SECOND_NS
     told = [text for text in sentences(changed) if re.search(r"out in|outages in", text)]
@@ -301,8 +301,8 @@ def test_injected_faults_are_other_inputs(plain, folder):
     assert told == ["The inputs are not the same: faults were injected (seed 7 in B only)."]
 
 
-def test_last_bits_are_told_as_such(tmp_path):
-    """Of runs on two machines: not equal, and yet nothing to look for."""
+def test_rounding_differences_are_reported_as_such(tmp_path):
+    """Runs on two machines: not equal, but without a relevant difference."""
     a = write_attitudes(tmp_path / "a.mcap", 20, offset_rad=1.0)
     b = write_attitudes(tmp_path / "b.mcap", 20, offset_rad=math.nextafter(1.0, 2.0))
     assert "the angles differ only by rounding, by less than 1e-06″." in " ".join(sentences(read_pair(a, b)))
@@ -316,7 +316,7 @@ def test_a_difference_across_north(tmp_path):
 
 
 def write_attitudes(path, seconds, start_s=0, offset_rad=0.0, covariance=None, truth=True):
-    """Attitudes ten times a second; of the truth none is off by more than ``offset_rad`` in heading."""
+    """Write attitudes ten times a second; with truth, their heading is off by ``offset_rad``."""
     with BagWriter(path) as bag:
         for tick in range(10 * seconds):
             stamp_ns = START_NS + start_s * SECOND_NS + tick * SECOND_NS // 10
@@ -332,7 +332,7 @@ def write_attitudes(path, seconds, start_s=0, offset_rad=0.0, covariance=None, t
 
 
 def test_partly_at_other_times(tmp_path):
-    """A lasts 40 s, B begins after 30 s and lasts 40 s: ten seconds are in both, which is said."""
+    """A lasts 40 s, B begins after 30 s and lasts 40 s: ten seconds are in common."""
     a = write_attitudes(tmp_path / "a.mcap", 40, offset_rad=2 * ARCSEC)
     b = write_attitudes(tmp_path / "b.mcap", 40, start_s=30, offset_rad=-1 * ARCSEC)
     pair = read_pair(a, b)
@@ -368,8 +368,8 @@ def test_stamps_that_never_meet(tmp_path):
     assert "A and B have no output with equal stamps." in text
 
 
-def test_outputs_that_claim_nothing(tmp_path):
-    """INVALID all the time, in A and in B: nothing to draw and nothing to subtract, and that is said."""
+def test_invalid_outputs_only(tmp_path):
+    """INVALID all the time, in A and in B: nothing to draw and no difference."""
     for name in "ab":
         with BagWriter(tmp_path / f"{name}.mcap") as bag:
             for tick in range(50):
@@ -383,7 +383,7 @@ def test_outputs_that_claim_nothing(tmp_path):
 
 
 def test_events_match_by_text_and_time(pair):
-    """Two seconds apart, or another number in the text, is the same event; three seconds apart is another."""
+    """Events two seconds apart, or with another number in the text, are the same; three seconds apart they differ."""
     times_and_counts = {"a": [(10, 5)], "b": [(12, 7), (15, 5)]}
     nights = {
         side: [Event(time_s * SECOND_NS, "source", "ins", f"ins OUT, {count} refused in a row")
@@ -460,7 +460,7 @@ def test_it_is_written_and_not_written_over(tmp_path, capsys):
 
 
 class TestWarnings:
-    """Each says what is different, why that matters and what to do; it is no sentence of the verdict besides."""
+    """Each warning states what differs, why it matters and what to do; it is not repeated in the summary."""
 
     def test_other_times(self, tmp_path):
         a = write_attitudes(tmp_path / "a.mcap", 40, offset_rad=2 * ARCSEC)

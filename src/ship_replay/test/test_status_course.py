@@ -1,4 +1,4 @@
-"""What a replay tells at its end: the statuses over time, and why they were no better."""
+"""The end of a replay's output: the status history, and reasons for poor statuses."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +41,7 @@ def course_of(*entries: tuple[float, int]) -> StatusCourse:
     return course
 
 
-def test_mend_14_spans_of_a_status_are_merged_and_share_the_time() -> None:
+def test_spans_of_a_status_are_merged_and_share_the_time() -> None:
     begin = (0.0, DEGRADED), (1.0, DEGRADED), (2.0, VALID), (3.0, VALID)
     course = course_of(*begin, (4.0, COASTING), (9.0, VALID), (10.0, VALID))
     assert [(s.status, (s.start_ns - START_NS) / SECOND_NS, s.count) for s in course.spans] == [
@@ -62,14 +62,14 @@ def test_mend_14_spans_of_a_status_are_merged_and_share_the_time() -> None:
     assert lines[-1] == "9.0 s to 10.0 s VALID 2 outputs"
 
 
-def test_mend_14_invalid_ticks_stand_where_their_time_is() -> None:
-    """INVALID is told by the clock, after attitudes with later stamps as well as before earlier ones."""
+def test_invalid_ticks_are_placed_by_their_time() -> None:
+    """INVALID is stamped by the clock, after attitudes with later stamps as well as before earlier ones."""
     course = course_of((0.0, VALID), (5.0, VALID), (3.0, INVALID), (6.0, VALID))
     assert [span.status for span in course.spans] == ["VALID", "INVALID", "VALID"]
     assert [span.count for span in course.spans] == [2, 1, 1]
 
 
-def test_mend_14_of_many_spans_the_longest_are_shown() -> None:
+def test_of_many_spans_the_longest_are_shown() -> None:
     course = course_of(*((float(second), second % 2) for second in range(60)))
     assert course.lines("ship/attitude")[-1] == "  and 48 shorter spans"
     assert StatusCourse().lines("ship/attitude") == ["status of ship/attitude: no output"]
@@ -93,8 +93,8 @@ def slow_bag(path, period_s=1.0, count=60):
     return path
 
 
-def test_mend_14_an_ins_at_one_hertz_is_an_error_that_says_what_to_change(tmp_path, capsys):
-    """It was good, and then 714 of 715 attitudes were INVALID."""
+def test_an_ins_at_one_hertz_is_an_error_with_advice(tmp_path, capsys):
+    """Formerly accepted, and then 714 of 715 attitudes were INVALID."""
     config, bag = tmp_path / "suite.yaml", slow_bag(tmp_path / "a.mcap")
     config.write_text(SUITE)
     assert check_config([str(config), str(bag)]) == 2
@@ -105,7 +105,7 @@ def test_mend_14_an_ins_at_one_hertz_is_an_error_that_says_what_to_change(tmp_pa
     assert check_config([str(config), str(slow_bag(tmp_path / "b.mcap", period_s=0.1))]) == 0
 
 
-def test_mend_14_a_hole_is_a_warning(tmp_path, capsys):
+def test_a_gap_is_a_warning(tmp_path, capsys):
     config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
     config.write_text(SUITE)
     with BagWriter(bag) as writer:
@@ -123,7 +123,7 @@ def test_mend_14_a_hole_is_a_warning(tmp_path, capsys):
     assert all(line.endswith("look for lost messages") for line in warnings)
 
 
-def test_mend_14_a_replay_says_why_nothing_was_valid(tmp_path, capsys):
+def test_a_replay_prints_why_nothing_was_valid(tmp_path, capsys):
     config, bag = tmp_path / "suite.yaml", slow_bag(tmp_path / "a.mcap")
     config.write_text(SUITE)
     assert replay([str(bag), "--config", str(config), "--out", str(tmp_path / "out.mcap")]) == 0
@@ -136,7 +136,7 @@ def test_mend_14_a_replay_says_why_nothing_was_valid(tmp_path, capsys):
     assert any("of 60 messages on 'reference/b/imu' 0 were used, " in line for line in lines[heading:])
 
 
-def test_mend_14_a_replay_names_the_input_that_never_came(tmp_path, capsys):
+def test_a_replay_names_a_missing_input(tmp_path, capsys):
     config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
     config.write_text("/**/ship_attitude: {ros__parameters: {references: {b: {frame_id: b}}}}\n")
     with BagWriter(bag) as writer:
@@ -153,7 +153,7 @@ def test_mend_14_a_replay_names_the_input_that_never_came(tmp_path, capsys):
 
 
 def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
-    """It was a level above its limit, and the replay named a sensor that never came, or said that nothing was wrong."""
+    """Formerly the replay named an optional sensor without data, or no reason, although a level was above its limit."""
     config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
     beginning(DEMO, bag, 6)
     with read_bag(DEMO) as demo:
@@ -169,7 +169,7 @@ def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
         assert [each for each in why if not each.startswith("  diagnostics, ")] == ([line] if line else [])
 
 
-def test_what_a_node_said_is_counted_without_its_numbers_and_not_while_it_was_valid() -> None:
+def test_diagnostics_are_counted_without_numbers_and_only_if_poor() -> None:
     course = course_of((0.0, DEGRADED))
     for saying in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
         course.note(saying)

@@ -1,4 +1,4 @@
-"""Errors of targets against the truth by hand: across the direction, in space, target by target."""
+"""Errors of targets against the truth by hand: across the direction, in position, target by target."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def told(
     target_id: str = "buoy",
     **changes: Any,
 ) -> Any:
-    """A target in the north, as told with errors; East, North, Up."""
+    """Return a target in the north, as published with errors; East, North, Up."""
     direction = np.array([east_arcsec * ARCSEC, 1.0, up_arcsec * ARCSEC])
     fields = {
         "header": make_header(FACTORY, START_NS + number * SECOND_NS, "horizon"),
@@ -96,7 +96,7 @@ def test_errors_are_those_by_hand(bag: Path) -> None:
 
 def test_what_is_skipped_is_left_out_with_its_target(bag: Path) -> None:
     values = evaluate(bag, skip_s=1.5).flat()
-    # Of the buoy nothing was claimed since: that is told, and no statistics of it.
+    # No direction of the buoy was published since: it is listed without statistics.
     assert (values["target.buoy.samples"], values["target.buoy.not_claimed"]) == (0, 2)
     assert "target.buoy.direction.rms_arcsec" not in values
     assert (values["target.kite.samples"], values["target.kite.not_claimed"]) == (1, 1)

@@ -47,8 +47,8 @@ class FittedModel:
     Attributes:
         model: model of the INS's error.
         values: parameter values, shape (p,).
-        covariance: covariance of their logarithms, shape (p, p); `_UNKNOWN_LOG_SIGMA` squared for one at a bound, unless it
-            is a time.
+        covariance: covariance of their logarithms, shape (p, p); `_UNKNOWN_LOG_SIGMA` squared for one at a bound,
+            unless it is a time.
         log_likelihood: log likelihood of the record at its maximum.
     """
 
