@@ -352,7 +352,7 @@ class TestCluster:
         (["nothing.yaml"], "nothing.yaml"),
         (["{short}", "--skip", "-1"], "--skip -1: expected 0 s or more"),
         (["{short}", "--config", "nothing.yaml"], "nothing.yaml"),
-        (["{bag}", "--seeds", "1-2"], "--seeds is for scenarios (.yaml), and none is given"),
+        (["{bag}", "--seeds", "1-2"], "--seeds needs scenarios (.yaml), but there is none"),
     ],
 )
 def test_bad_usage_is_one_line_and_two(arguments, complaint, scenario, tmp_path, capsys):

@@ -389,9 +389,9 @@ class TestCommand:
 @pytest.mark.parametrize(
     ("angles", "covariance_enu", "text"),
     [
-        ((np.inf, 0.0, 0.0), np.zeros(9), "heading, pitch, roll holds infinity"),
-        ((0.0, -np.inf, 0.0), np.zeros(9), "heading, pitch, roll holds infinity"),
-        ((0.0, 0.0, 0.0), np.full(9, np.inf), "rotation_covariance holds infinity"),
+        ((np.inf, 0.0, 0.0), np.zeros(9), "heading, pitch, roll is infinite"),
+        ((0.0, -np.inf, 0.0), np.zeros(9), "heading, pitch, roll is infinite"),
+        ((0.0, 0.0, 0.0), np.full(9, np.inf), "rotation_covariance is infinite"),
     ],
 )
 def test_a_claimed_attitude_that_is_infinite_is_left_out_by_name(tmp_path, angles, covariance_enu, text):

@@ -245,7 +245,7 @@ def test_region_names_do_not_overlap():
 def test_changing_limits_are_an_error_and_missing_levels_are_shown():
     mixed = many(30.0)
     mixed.limit_arcsec[500:] = 40.0
-    with pytest.raises(BadInput, match="30 and 40 arcsec: give one for all"):
+    with pytest.raises(BadInput, match="30 and 40 arcsec: set a common one"):
         stanford_figure([mixed], "t")
     plt.close("all")
     nothing = many(30.0)

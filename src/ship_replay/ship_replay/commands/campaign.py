@@ -78,7 +78,7 @@ def _run(options: argparse.Namespace) -> int:
     seeds = options.seeds or [1]
     items = items_of(options.sources, options.config, seeds, options.skip, options.namespace, options.remap)
     if options.seeds is not None and all(item.seed is None for item in items):
-        raise BadInput("--seeds is for scenarios (.yaml), and none is given")
+        raise BadInput("--seeds needs scenarios (.yaml), but there is none")
     if not options.skip >= 0.0:
         raise BadInput(f"--skip {options.skip:g}: expected 0 s or more")
     folder = ResultFolder(options.out)

@@ -98,7 +98,7 @@ def read_bounds(path: Path) -> Bounds:
         key = str(key_node.value)
         entry = _Entry(path, key_node.start_mark.line + 1, key, data_of(str(path), value_node))
         if key in limits:
-            raise entry.error(" was given before")
+            raise entry.error(" is given twice")
         if key == SKIP_KEY:
             skip_s = entry.number(entry.value)
         else:

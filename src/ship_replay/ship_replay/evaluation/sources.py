@@ -139,7 +139,7 @@ class PublishedAttitude(AttitudeSource):
                 ("rotation_covariance", message.rotation_covariance),
             ):
                 if np.any(np.isinf(numbers)):
-                    raise Refused(Reason.NON_FINITE, f"{what} holds infinity")
+                    raise Refused(Reason.NON_FINITE, f"{what} is infinite")
             covariance_n = _total_covariance_n(message, angles[0], angles[1])
             self._keep(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
 

@@ -160,7 +160,7 @@ def gap_limits(config: Any) -> Iterator[GapLimit]:
     elif hasattr(config, "ins"):
         yield _between_stamps("ins/imu", "ins.max_gap_s", "stars are not compared with the INS")
     if isinstance(config, ShipAttitudeConfig):
-        yield GapLimit("ins/imu", "ins.silence_s", True, "the INS counts as gone, and without stars it is INVALID")
+        yield GapLimit("ins/imu", "ins.silence_s", True, "the INS times out, and without stars the output is INVALID")
 
 
 def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterator[Exceeded]:
@@ -185,7 +185,7 @@ def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterat
 
 
 def _between_stamps(topic: str, parameter: str, meaning: str) -> GapLimit:
-    return GapLimit(topic, parameter, False, f"nothing is interpolated there, and {meaning}")
+    return GapLimit(topic, parameter, False, f"no interpolation across such a gap, and {meaning}")
 
 
 def _words(limit: GapLimit, allowed_s: float, lengths_s: np.ndarray, counts: np.ndarray, source: str) -> str:

@@ -176,7 +176,7 @@ def _wait_for_disk(sender: _Sender, path: Path, process: LiveProcess) -> None:
     deadline_s = time.monotonic() + _START_S
     while not _has_samples(path):
         if process.exit_code is not None or time.monotonic() > deadline_s:
-            raise LiveFailure(f"{path}: nothing is written: {process.log()}")
+            raise LiveFailure(f"{path}: no data written: {process.log()}")
         sender.send(_WARM_UP_S)
     sender.sent.clear()
     sender.given_out.clear()
