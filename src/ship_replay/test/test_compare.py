@@ -263,7 +263,7 @@ def with_outages(told, outages_s):
     start_ns = told.night.start_utc_ns
     events = []
     for from_s, to_s in outages_s:
-        events.append(Event(start_ns + from_s * SECOND_NS, "source", "star.fore", "star.fore OUT, silent"))
+        events.append(Event(start_ns + from_s * SECOND_NS, "source", "star.fore", "star.fore OUT, no data"))
         if to_s is not None:
             events.append(Event(start_ns + to_s * SECOND_NS, "source", "star.fore", "star.fore IN"))
     return replace(told, night=replace(told.night, events=events))
@@ -271,11 +271,11 @@ def with_outages(told, outages_s):
 
 @pytest.mark.parametrize(("in_a", "in_b", "expected"), [
     ([(5, 10)], [(6, 11)], ["Identical outages in both runs: star.fore."]),
-    ([(5, 15)], [(8, 11)], ["star.fore was out in A and not in B: 5 to 8 (silent), 11 to 15 (silent)."]),
-    ([(5, None)], [(12, None)], ["star.fore was out in A and not in B: 5 to 12 (silent)."]),
-    ([(12, 14)], [(10, None)], ["star.fore was out in B and not in A: 14 to the end (silent)."]),
-    ([(3, 6)], [(9, 12)], ["star.fore was out in A and not in B: 3 to 6 (silent).",
-                           "star.fore was out in B and not in A: 9 to 12 (silent)."]),
+    ([(5, 15)], [(8, 11)], ["star.fore was out in A and not in B: 5 to 8 (no data), 11 to 15 (no data)."]),
+    ([(5, None)], [(12, None)], ["star.fore was out in A and not in B: 5 to 12 (no data)."]),
+    ([(12, 14)], [(10, None)], ["star.fore was out in B and not in A: 14 to the end (no data)."]),
+    ([(3, 6)], [(9, 12)], ["star.fore was out in A and not in B: 3 to 6 (no data).",
+                           "star.fore was out in B and not in A: 9 to 12 (no data)."]),
     ([], [], ["No source was out in either."]),
 ])
 def test_differing_outages_of_both_runs(pair, in_a, in_b, expected):
@@ -386,7 +386,7 @@ def test_events_match_by_text_and_time(pair):
     """Events two seconds apart, or with another number in the text, are the same; three seconds apart they differ."""
     times_and_counts = {"a": [(10, 5)], "b": [(12, 7), (15, 5)]}
     nights = {
-        side: [Event(time_s * SECOND_NS, "source", "ins", f"ins OUT, {count} refused in a row")
+        side: [Event(time_s * SECOND_NS, "source", "ins", f"ins OUT, {count} rejected in a row")
                for time_s, count in rows]
         for side, rows in times_and_counts.items()
     }

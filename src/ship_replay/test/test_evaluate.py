@@ -365,7 +365,7 @@ class TestCommand:
             ("fused.nees_mean: {min: 2, max: 1}\n", "min 2 is above max 1"),
             (
                 "fused.nees_mean: {max: 1}\nfused.nees_mean: {max: 2}\n",
-                "a.expected.yaml:2: 'fused.nees_mean' was",
+                "a.expected.yaml:2: 'fused.nees_mean' is",
             ),
             ("fused.neess: {max: 1}\n", "no such quantity: fused.neess"),
             ("- 1\n", "expected lines such as"),

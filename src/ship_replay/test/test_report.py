@@ -95,13 +95,13 @@ def test_a_source_rejected_five_times_is_in_summary_and_alerts(night_path):
 def test_an_outage_whose_reason_changes_is_one(night_path):
     night = read_night(night_path)
     first = START_NS + 10 * SECOND_NS
-    told = [("star.fore OUT, 5 refused in a row", 0), ("star.fore OUT, silent", 1), ("star.fore IN", 5),
-            ("ins OUT, silent", 7)]
+    told = [("star.fore OUT, 5 rejected in a row", 0), ("star.fore OUT, no data", 1), ("star.fore IN", 5),
+            ("ins OUT, no data", 7)]
     night.events = [Event(first + after * SECOND_NS, "source", text.split()[0], text) for text, after in told]
     assert [(one.source, one.from_ns - first, one.to_ns and one.to_ns - first, one.why) for one in outages(night)] == [
-        ("star.fore", 0, 5 * SECOND_NS, "5 refused in a row"), ("ins", 7 * SECOND_NS, 0, "silent")
+        ("star.fore", 0, 5 * SECOND_NS, "5 rejected in a row"), ("ins", 7 * SECOND_NS, 0, "no data")
     ]
-    assert outages(night)[1].text.endswith(" to the end (silent)")
+    assert outages(night)[1].text.endswith(" to the end (no data)")
 
 
 def test_without_truth_innovations_take_the_room(tmp_path):
@@ -214,13 +214,13 @@ class TestFiveSentences:
     def test_the_cause_stands_before_what_needs_it(self, night_path):
         night = read_night(night_path)
         night.events = events(
-            (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, silent"),
-            (5, "state", "heading SAFE → UNSAFE, ins silent"), (9, "source", "ins IN"), (9, "source", "star.fore IN"),
+            (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, no data"),
+            (5, "state", "heading SAFE → UNSAFE, ins no data"), (9, "source", "ins IN"), (9, "source", "star.fore IN"),
         )
         sentences = summary(night)
         assert sentences[1].startswith("Worst source: ins, out once, 4 s in all (10 % of the time)")
         assert re.fullmatch(
-            r"Cause → consequence: ins silent at \S+ → heading not SAFE, star.fore not usable.", sentences[2]
+            r"Cause → consequence: ins no data at \S+ → heading not SAFE, star.fore not usable.", sentences[2]
         )
 
     def test_a_shifted_mounting_is_named(self, night_path):
@@ -241,17 +241,17 @@ class TestEvents:
         flapping = [(8 * number + 3 * (number % 2), "state",
                      f"roll {'CAUTION → SAFE' if number % 2 else 'SAFE → CAUTION, over the limit'}")
                     for number in range(8)]
-        other = [(4, "state", "pitch SAFE → CAUTION, over the limit"), (90, "source", "ins OUT, silent")]
+        other = [(4, "state", "pitch SAFE → CAUTION, over the limit"), (90, "source", "ins OUT, no data")]
         rows = event_rows(events(*sorted(flapping + other)))
         assert [row.text for row in rows] == [
             "roll SAFE ↔ CAUTION (over the limit), 4 times, longest CAUTION 11 s",
-            "pitch SAFE → CAUTION, over the limit", "ins OUT, silent",
+            "pitch SAFE → CAUTION, over the limit", "ins OUT, no data",
         ]
         assert sum(row.count for row in rows) == 10
         assert "–" in rows[0].when
 
     def test_changes_minutes_apart_are_rows_of_their_own(self):
-        apart = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, silent'}") for number in range(8)]
+        apart = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, no data'}") for number in range(8)]
         assert len(event_rows(events(*apart))) == 8
 
     def test_each_time_leads_to_its_line_in_the_figure(self, night_path):

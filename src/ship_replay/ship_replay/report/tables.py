@@ -34,7 +34,7 @@ class SourceOutage:
 
     @property
     def text(self) -> str:
-        """The outage for a sentence: "12:00:05 to 12:00:20 (silent)"."""
+        """The outage for a sentence: "12:00:05 to 12:00:20 (no data)"."""
         return f"{utc(self.from_ns)} to {utc(self.to_ns) if self.to_ns else 'the end'} ({self.why})"
 
 
