@@ -63,7 +63,7 @@ def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
     # 20" twice, and an INS good to 72" in heading, 10" in tilt: 1 / sqrt(2 / 20² + 1 / 72²) = 13.88".
     text = " ".join(result.lines)
     assert f"(2) not observed, 13.88″ of 13.88″: {AZIMUTH} (about the deck's up axis); add a reference" in text
-    assert "turn the ship by 180 deg or more, or give a reference of known installation" in text
+    assert "turn the ship by 180 deg or more, or add a reference of known installation" in text
     assert result.values["angles"]["star.fore.azimuth"]["open_in"] == ["2"]
     # Each against the other: 100" about the boresight, 61 exposures, the other sensor sees it across.
     assert result.values["angles"]["star.fore.roll"]["sigma_arcsec"] < 0.6 * 28.28
@@ -241,7 +241,7 @@ def test_a_bag_without_data_is_refused(tmp_path, capsys, leave_out, text):
     ("change", "text"),
     [
         ({"frame_id": "elsewhere"}, "no message of star.fore was used: frame "),
-        ({"installation_sigma_up_arcsec": 0.0}, "'star_sensors.fore.installation_sigma_up_arcsec' = 0 holds the inst"),
+        ({"installation_sigma_up_arcsec": 0.0}, "'star_sensors.fore.installation_sigma_up_arcsec' = 0 keeps the inst"),
         ({"elevation_deg": 95.0}, "parameter 'star_sensors.fore.elevation_deg' = 95.0 deg is out of its range"),
     ],
 )
