@@ -161,7 +161,7 @@ def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_pat
     write_session(bag, far, suite=believed)
     line = refused(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
     assert "no message of star.fore was used" in line
-    assert "its installation is further off than its sigma: give --prior-sigma" in line
+    assert "its installation error exceeds its sigma: use --prior-sigma" in line
     assert not (tmp_path / "alignment.yaml").exists()
     result = calibrate(tmp_path, capsys, far, ["--prior-sigma", "600"], suite=believed)
     for id_, truth in result.run.truth.stars.items():
