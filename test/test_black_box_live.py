@@ -78,7 +78,7 @@ def killed_box(tmp_path_factory):
 def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_box):
     outcome = verified(killed_box)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
-    assert "the box ends suddenly" in outcome.stdout
+    assert "the black box ends suddenly" in outcome.stdout
     assert "no footer" in outcome.stdout
     assert "outputs are equal to the last bit" in outcome.stdout
 
@@ -92,7 +92,7 @@ def test_so_is_what_was_recovered_of_it(killed_box):
     assert recovered.returncode == 0, recovered.stdout + recovered.stderr
     # The file is whole now, but the node still ended suddenly.
     assert "no footer" not in recovered.stdout
-    assert "the box ends suddenly" in recovered.stdout
+    assert "the black box ends suddenly" in recovered.stdout
     # Not a single use or output less.
     assert counts(recovered) == counts(original)
     assert len(counts(original)) == 2

@@ -139,7 +139,7 @@ def test_without_observations_the_recorded_solutions_are_used(
     bag = write(tmp_path / "in.mcap", text, records(both[1], *SOLUTIONS), without="observations")
     assert replay([str(bag), "--out", str(tmp_path / "out.mcap")]) == 0
     assert ship_bytes(tmp_path / "out.mcap") == ship_bytes(both[1])
-    assert "star_attitude is left out: the bag has nothing of star/fore/observations" in capsys.readouterr().out
+    assert "star_attitude is not replayed: the bag has no star/fore/observations" in capsys.readouterr().out
 
 
 def test_a_bag_with_inputs_and_outputs_of_both_nodes_is_verified(

@@ -1,4 +1,4 @@
-"""From a bag with lights to the axis errors that the bag was made with."""
+"""Axis errors fitted from a bag with lights, compared with those of its simulation."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def table(tmp_path_factory):
 
 
 def true_axes() -> dict[str, float]:
-    """What the bag was simulated with, rad."""
+    """Return the axis errors of the simulation, rad."""
     with read_bag(BAGS / "theodolite.mcap") as bag:
         name = next(topic for topic in bag.topics if topic.endswith("truth/calibration"))
         message = next(iter(bag.records({name}))).decode()
@@ -45,7 +45,7 @@ def fitted(table, tmp_path_factory):
 
 
 @pytest.mark.statistics
-def test_mend_23_the_axis_errors_of_the_bag_come_out_within_their_sigmas(table, fitted):
+def test_fitted_axis_errors_are_within_their_sigmas(table, fitted):
     """The deformation of the deck (20″, in this bag 45″) is in the offsets: as noise it gave βx 57″ ± 0.8″ off."""
     assert len(read_sightings(table).labels) > 100
     document = yaml.safe_load((fitted / "axes.yaml").read_text(encoding="utf-8"))
@@ -57,12 +57,12 @@ def test_mend_23_the_axis_errors_of_the_bag_come_out_within_their_sigmas(table, 
     assert np.all(np.abs(error_arcsec) < 3.0 * sigma_arcsec), error_arcsec / sigma_arcsec
     # 99.9 % of chi square with seven degrees of freedom.
     assert error_arcsec @ np.linalg.solve(covariance, error_arcsec) < 24.3
-    # As well as a deck that turns by 20″ can be told from its theodolite's tilt, no better.
+    # Limited by the separation of a 20″ deck rotation from the theodolite's tilt.
     assert 15.0 < sigma_arcsec[NAMES.index("beta_x")] < 25.0
 
 
 @pytest.mark.slow
-def test_mend_23_the_fit_goes_into_the_node_by_its_calibration_file(fitted, tmp_path):
+def test_node_loads_the_fit_from_its_calibration_file(fitted, tmp_path):
     """Encoders alone, after the lights: what the fit found points the axis within its sigmas."""
     with read_bag(BAGS / "theodolite.mcap") as bag:
         suite = yaml.safe_load(suite_text(bag, None))
@@ -77,13 +77,13 @@ def test_mend_23_the_fit_goes_into_the_node_by_its_calibration_file(fitted, tmp_
     replay(BAGS / "theodolite.mcap", out, (OpticalAxisAdapter,), config, watch=without_lights)
     values = evaluate(out, against=BAGS / "theodolite.mcap", skip_s=1.0).flat()
     assert values["pointing.encoder.nees_mean"] < 11.3
-    # Without any calibration the elevation is off by 27″ and the sigma says 40″.
+    # Without any calibration the elevation is off by 27″ and the sigma is 40″.
     assert values["pointing.encoder.elevation.sigma_arcsec"] < 35.0
     assert values["pointing.encoder.elevation.rms_over_sigma"] < 2.6
     assert values["pointing.encoder.azimuth_cos_elevation.rms_over_sigma"] < 2.6
 
 
-def test_mend_23_as_many_rows_as_a_fit_takes_are_written(tmp_path):
+def test_number_of_rows_is_limited_to_that_of_a_fit(tmp_path):
     sightings = AxisSightings()
     hull = {("hull.1", 600.0): np.array([1e-5, 2e-5]), ("nothing.1", 600.0): np.zeros(2)}
     for number in range(2500):

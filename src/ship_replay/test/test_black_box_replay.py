@@ -1,4 +1,4 @@
-"""replay --verify on black boxes: whole, changed in one bit, cut, damaged, of others."""
+"""replay --verify on black boxes: complete, changed in one bit, cut, damaged, of other nodes."""
 
 import json
 import re
@@ -41,7 +41,7 @@ def verify(capsys, *arguments):
 
 
 def refused(capsys, *arguments):
-    """The one line of an exit with 2."""
+    """Return the one-line error of exit code 2."""
     code, _, err = verify(capsys, *arguments)
     assert code == 2
     assert err.count("\n") == 1
@@ -57,19 +57,19 @@ def test_a_whole_box_is_equal_to_the_last_bit(box, capsys):
     for used in (*events, "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
         assert used in out
     assert "outputs are equal to the last bit" in out
-    assert "verified up to there" not in out
+    assert "verified up to this point" not in out
     assert "note" not in out
 
 
 def test_a_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
-    """The first file is given; a further one by itself is refused with the name of the first."""
+    """The first file is given; a later one by itself is refused with the name of the first."""
     box = make_box(tmp_path / "box.mcap", tmp_path / "alignment.yaml", part_bytes=1).path
     assert (tmp_path / "box.part2.mcap").is_file()
     code, out, _ = verify(capsys, box)
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
     assert "note" not in out
-    expected = "part 2 of a black box: give its first file, box.mcap, with all parts beside it"
+    expected = "part 2 of a black box: give its first file, box.mcap, with all parts in its folder"
     assert expected in refused(capsys, tmp_path / "box.part2.mcap")
     (tmp_path / "box.part2.mcap").unlink()
     code, out, _ = verify(capsys, box)
@@ -83,10 +83,10 @@ def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     assert code == 0, out
     for used in ("clock jump back 1", "parameters 3", "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
         assert used in out
-    # 8 s at 50 Hz, and what is heard again after the clock went back.
+    # 8 s at 50 Hz, and the repeated ones after the clock jumped back.
     pointings = int(re.search(r"theodolite/pointing (\d+)", out).group(1))
     assert pointings > 400
-    # Once a second, and anew after the clock went back.
+    # Once a second, and again after the clock jumped back.
     assert int(re.search(r"theodolite/escort (\d+)", out).group(1)) >= 8
     assert "outputs are equal to the last bit" in out
     text = (tmp_path / "calibration.yaml").read_text()
@@ -118,7 +118,7 @@ def test_a_box_with_an_exclusion_in_it_is_equal_to_the_last_bit(node, fault, sou
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
-def test_mend_04_a_box_holds_the_time_of_waiting_that_silence_rests_on(node, tmp_path, capsys):
+def test_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
     """The node's clock is put forward while nothing comes for 2.2 s, and back later."""
 
     def node_ns(waiting_ns):
@@ -174,7 +174,7 @@ def older(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
-def test_mend_7_a_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys, node):
+def test_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys, node):
     box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, is_overloaded=True).path
     code, out, _ = verify(capsys, box)
     assert code == 0, out
@@ -231,7 +231,7 @@ def test_what_a_node_saves_by_itself_is_replayed_and_not_written_again(tmp_path,
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tmp_path, capsys, monkeypatch, node):
-    """Its box lacks the parameter, whose default is once a minute; here a minute passes within a second."""
+    """Its black box lacks the parameter, whose default is once a minute; here a minute passes within a second."""
     box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node).path
 
     def without_the_parameter(record, _topics):
@@ -335,7 +335,7 @@ def test_a_bag_replayed_or_checked_does_not_replace_what_a_ship_has_saved(tmp_pa
 
 
 def nth(topic, number, change):
-    """A change of the message of that number (from 1) on a topic."""
+    """Return a change of the nth message (from 1) on a topic."""
     seen = 0
 
     def apply(record, topics):
@@ -412,14 +412,14 @@ def test_another_saved_file_is_a_difference(box, tmp_path, capsys):
     assert "field line 2: recorded 'version: 9', replayed 'version: 1'" in out
 
 
-def test_missing_entries_end_the_verification_and_are_said(box, tmp_path, capsys):
+def test_missing_entries_end_the_verification_and_are_reported(box, tmp_path, capsys):
     code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 400, lambda message: None)))
     assert code == 1
-    assert "verified up to there: entries are missing before 2014-07-09T11:50:11.79" in out
+    assert "verified up to this point: entries are missing before 2014-07-09T11:50:11.79" in out
     assert "first difference" not in out
 
 
-def test_a_damaged_chunk_ends_the_verification_and_is_said(box, tmp_path, capsys):
+def test_a_damaged_chunk_ends_the_verification_and_is_reported(box, tmp_path, capsys):
     chunks = open_mcap(box).chunks
     place = chunks[len(chunks) // 2]
     data = bytearray(box.read_bytes())
@@ -439,7 +439,7 @@ def test_a_cut_box_is_verified_up_to_the_cut(box, tmp_path, capsys, part):
     cut.write_bytes(data[: round(part * len(data))])
     code, out, _ = verify(capsys, cut)
     assert code == 0, out
-    assert "the box ends suddenly, at 2014-07-09T11:50:" in out
+    assert "the black box ends suddenly, at 2014-07-09T11:50:" in out
     assert "no footer" in out
 
 
@@ -512,7 +512,7 @@ def with_suite(change):
 
 @pytest.fixture
 def suite(box, tmp_path):
-    """The box's own parameters as a file."""
+    """The black box's own parameters as a file."""
     with read_bag(box) as bag:
         text = bag.attachments[SUITE_ATTACHMENT]
     path = tmp_path / "suite.yaml"
@@ -529,7 +529,7 @@ def test_a_missing_attachment_is_refused_or_replaced_by_config(box, suite, tmp_p
     assert "--config" in line
     code, out, _ = verify(capsys, copy, "--config", suite)
     assert code == 0
-    assert f"note: replayed with {suite} instead of the box's own parameters" in out
+    assert f"note: replayed with {suite} instead of the black box's own parameters" in out
 
 
 def test_another_version_of_the_suite_is_refused_or_replayed_with_config(box, suite, tmp_path, capsys):
@@ -547,12 +547,12 @@ def test_another_version_of_the_suite_is_refused_or_replayed_with_config(box, su
     assert "note: written by another version of the suite" in out
 
 
-def test_other_parameters_by_config_are_said_and_give_a_difference(box, suite, tmp_path, capsys):
+def test_other_parameters_by_config_are_reported_and_give_a_difference(box, suite, tmp_path, capsys):
     suite.write_text(suite.read_text().replace('"tilt_sigma_arcsec": 10.0', '"tilt_sigma_arcsec": 11.0'))
     out_path = tmp_path / "out.mcap"
     code, out, _ = verify(capsys, box, "--config", suite, "--out", out_path)
     assert code == 1
-    assert "instead of the box's own parameters: ins.tilt_sigma_arcsec = 11.0, was 10.0" in out
+    assert "instead of the black box's own parameters: ins.tilt_sigma_arcsec = 11.0, was 10.0" in out
     with read_bag(box) as recorded, read_bag(out_path) as replayed:
         counts = [sum(1 for r in bag.records(["ship/attitude"])) for bag in (recorded, replayed)]
     assert counts[0] == counts[1]

@@ -1,7 +1,7 @@
-"""A replay in blocks publishes what a replay one by one does: the same messages at the same times, byte for byte.
+"""A replay in blocks publishes the same messages at the same times as one by one, byte for byte.
 
-The scenarios are those of the repository, shortened; the faults are those of the injector, drawn by their seeds.
-FAULTED_BAGS says how many of them.
+The scenarios are those of the repository, shortened; the faults are drawn from the injector's by seed. FAULTED_BAGS is
+their number.
 """
 
 import os
@@ -91,7 +91,7 @@ def test_scenarios(tmp_path: Path, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("latency_s", [2.15, 2.25])
 def test_an_ins_that_comes_about_lag_s_after_the_stars(tmp_path: Path, latency_s: float) -> None:
-    """Where the newest star attitude is more than ``lag_s`` ahead, a sample that follows the one before is late."""
+    """If the newest star attitude is more than ``lag_s`` ahead, a sample that follows the previous one is late."""
     text = (SCENARIOS / "demo.yaml").read_text()
     assert text.count("ins:\n  rate_hz") == 1
     scenario = tmp_path / "late_ins.yaml"
@@ -134,7 +134,7 @@ def test_faulted_bags_of_all_nodes(suite_bag: Path, seed: int) -> None:
 
 @pytest.mark.slow
 def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The filter is spoilt after 20 s; half a minute later the second estimator replaces it."""
+    """The filter is corrupted after 20 s; half a minute later the second estimator replaces it."""
     bag, adopted, spoilt = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
     with read_bag(bag) as opened:
         start_ns = opened.start_ns or 0
@@ -170,7 +170,7 @@ def test_where_blocks_end_makes_no_difference(
 def test_most_of_a_healthy_ins_is_taken_in_blocks(
     suite_bag: Path, core: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise what is held against one by one would be one by one itself."""
+    """Otherwise one-by-one replay would be compared with itself."""
     taken = []
     end_ahead = core.end_ahead
 

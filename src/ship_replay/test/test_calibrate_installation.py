@@ -1,4 +1,4 @@
-"""The command calibrate_installation on simulated bags: the file that a node starts from, plain words, bad input."""
+"""The command calibrate_installation on simulated bags: the file that a node loads, the texts, bad input."""
 
 import json
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 
 @dataclass
 class Calibrated:
-    """A session, the files of the command and what it printed."""
+    """A session, the files of the command and its output."""
 
     run: SimulatedRun
     alignment: Path
@@ -54,7 +54,7 @@ def observed(calibrated: Calibrated) -> dict[str, str]:
     return {entry["what"].split(" (")[0]: entry["observed"] for entry in calibrated.values["combinations"].values()}
 
 
-AZIMUTH, PITCH, ROLL = (f"all sensors turned together in {angle}" for angle in ("azimuth", "pitch", "roll"))
+AZIMUTH, PITCH, ROLL = (f"all sensors rotated together in {angle}" for angle in ("azimuth", "pitch", "roll"))
 
 
 def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
@@ -62,25 +62,25 @@ def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
     assert observed(result) == {ROLL: "no", AZIMUTH: "no", PITCH: "no"}
     # 20" twice, and an INS good to 72" in heading, 10" in tilt: 1 / sqrt(2 / 20² + 1 / 72²) = 13.88".
     text = " ".join(result.lines)
-    assert f"(2) not observed, 13.88″ of 13.88″: {AZIMUTH} (about the deck's up axis); give a reference" in text
-    assert "turn the ship by 180 deg or more, or give a reference of known installation" in text
+    assert f"(2) not observed, 13.88″ of 13.88″: {AZIMUTH} (about the deck's up axis); add a reference" in text
+    assert "turn the ship by 180 deg or more, or add a reference of known installation" in text
     assert result.values["angles"]["star.fore.azimuth"]["open_in"] == ["2"]
     # Each against the other: 100" about the boresight, 61 exposures, the other sensor sees it across.
     assert result.values["angles"]["star.fore.roll"]["sigma_arcsec"] < 0.6 * 28.28
 
 
 @pytest.mark.slow
-def test_a_turn_tells_tilt_and_not_azimuth(tmp_path, capsys):
+def test_a_turn_makes_tilt_observable_and_not_azimuth(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(TURN))
     assert observed(result) == {ROLL: "yes", AZIMUTH: "no", PITCH: "yes"}
     text = " ".join(result.lines)
     assert "turning the ship in calm water does not help: the INS's heading error turns with it" in text
 
 
-def test_a_turn_in_a_swell_tells_all(tmp_path, capsys):
+def test_a_turn_in_a_swell_makes_all_observable(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(HEELING))
     assert observed(result) == {ROLL: "yes", AZIMUTH: "yes", PITCH: "yes"}
-    assert "every combination of the installation angles was observed" in result.lines
+    assert "all combinations of the installation angles were observed" in result.lines
 
 
 def test_with_a_reference_the_node_starts_from_the_true_angles(tmp_path, capsys):
@@ -113,7 +113,7 @@ def test_with_a_reference_the_node_starts_from_the_true_angles(tmp_path, capsys)
     assert result.lines[-1] == f"report: {figure}, {result.report / 'installation.json'}"
 
 
-def test_table_and_report_say_the_same(tmp_path, capsys):
+def test_table_and_report_are_equal(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(TURN))
     values = result.values
     row = next(line.strip("│ ").split(" │ ") for line in result.lines if "starboard │ azimuth" in line)
@@ -148,7 +148,7 @@ def test_a_sensor_at_the_zenith_has_no_azimuth_of_its_own(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_path, capsys):
-    """Off by 600″, configured as known to 20″: refused as improbable, found with --prior-sigma."""
+    """600″ off with a configured sigma of 20″: rejected as improbable, found with --prior-sigma."""
     far = session(STILL, sigma_arcsec=600.0)
 
     def believed(text: str) -> str:
@@ -161,7 +161,7 @@ def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_pat
     write_session(bag, far, suite=believed)
     line = refused(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
     assert "no message of star.fore was used" in line
-    assert "its installation is further off than its sigma: give --prior-sigma" in line
+    assert "its installation error exceeds its sigma: use --prior-sigma" in line
     assert not (tmp_path / "alignment.yaml").exists()
     result = calibrate(tmp_path, capsys, far, ["--prior-sigma", "600"], suite=believed)
     for id_, truth in result.run.truth.stars.items():
@@ -173,7 +173,7 @@ def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_pat
 
 @pytest.mark.slow
 def test_a_saved_alignment_does_not_count_again(tmp_path, capsys):
-    """A configuration that names the file of an earlier session does not make the result surer than it is."""
+    """A configuration that names the file of an earlier session does not reduce the sigmas of the result."""
     scenario = session(STILL, reference=True)
     first = calibrate(tmp_path, capsys, scenario)
 
@@ -190,7 +190,7 @@ def test_a_saved_alignment_does_not_count_again(tmp_path, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["observations", "solution", "inertial_attitude"])
 def test_every_input_of_a_star_sensor_serves(tmp_path, capsys, source):
-    """Stars of the real sky, by each way in; the second sensor gives single stars in any case."""
+    """Stars of the real sky, by each input; the second sensor always gives single stars."""
     stars = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {id_: replace(sensor, rate_hz=1.0) for id_, sensor in stars.star_sensors.items()}
     if source == "inertial_attitude":
@@ -241,7 +241,7 @@ def test_a_bag_without_data_is_refused(tmp_path, capsys, leave_out, text):
     ("change", "text"),
     [
         ({"frame_id": "elsewhere"}, "no message of star.fore was used: frame "),
-        ({"installation_sigma_up_arcsec": 0.0}, "'star_sensors.fore.installation_sigma_up_arcsec' = 0 holds the inst"),
+        ({"installation_sigma_up_arcsec": 0.0}, "'star_sensors.fore.installation_sigma_up_arcsec' = 0 keeps the inst"),
         ({"elevation_deg": 95.0}, "parameter 'star_sensors.fore.elevation_deg' = 95.0 deg is out of its range"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Are calibrated installation angles as good as their covariance says, and does a voyage gain by them?"""
+"""Consistency of calibrated installation angles with their covariance, and the benefit for a voyage."""
 
 import os
 from dataclasses import replace
@@ -29,7 +29,7 @@ SENSORS = "fore", "starboard"
 
 
 def calibrated(run: SimulatedRun, core: ShipAttitudeCore) -> InstallationCalibration:
-    """What the command makes of a run, without a bag."""
+    """Return the result of the command for a run, without a bag."""
     feed_attitude(core, run)
     return calibration_of(Session("run", core.config, core, {}, np.array([]), {}, run.scenario.duration_s, []))
 
@@ -61,7 +61,7 @@ CALM = {"bow": "no", "up": "no", "starboard": "no"}
     ids=["still", "still, hardly known", "turn", "turn in a swell", "still, with a reference"],
 )
 def test_errors_fit_their_covariance(scenario: Scenario, observed: dict[str, str]) -> None:
-    """One session a seed; 99.9 % bands for as many seeds, all six angles together and each alone."""
+    """One session per seed; 99.9 % bands for the number of seeds, all six angles together and each alone."""
     values, ratios = [], []
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
@@ -76,8 +76,8 @@ def test_errors_fit_their_covariance(scenario: Scenario, observed: dict[str, str
     assert np.all((low <= rms) & (rms <= high)), rms
 
 
-def test_a_prior_that_claims_too_much_is_found_out() -> None:
-    """The bands can fail: installations five times as far off as the configuration says."""
+def test_a_too_narrow_prior_is_detected() -> None:
+    """The bands can fail: installations five times as far off as configured."""
     scenario = session(STILL, sigma_arcsec=4.0)
     values = [
         nees(calibrated(simulate(session(STILL), seed), core_for(scenario)), simulate(session(STILL), seed))
@@ -106,7 +106,7 @@ def next_voyage(calibration_run: SimulatedRun) -> Scenario:
 
 
 @pytest.mark.statistics
-def test_a_voyage_that_starts_from_it_is_better_and_honest(tmp_path: Path) -> None:
+def test_a_voyage_with_the_calibration_is_better_and_consistent(tmp_path: Path) -> None:
     """Through the file and its real loader."""
     scenario = session(STILL, reference=True)
     # The voyage goes without the reference that the harbour had.

@@ -1,4 +1,4 @@
-"""Which combinations of installation angles were observed: made-up covariances, expected numbers by hand."""
+"""Observability of combinations of installation angles: artificial covariances, expected numbers by hand."""
 
 import numpy as np
 import pytest
@@ -14,12 +14,12 @@ PRIOR_COVARIANCE = np.diag(PRIOR.ravel() ** 2)
 
 
 def updated(covariance: np.ndarray, jacobian: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """A covariance after a measurement."""
+    """Return a covariance after a measurement."""
     return np.linalg.inv(np.linalg.inv(covariance) + jacobian.T @ np.linalg.solve(noise, jacobian))
 
 
 def against_ins(covariance: np.ndarray, sigma_arcsec: float) -> np.ndarray:
-    """After both sensors were held against an INS whose error is the same for both, at constant heading."""
+    """Return the covariance after both sensors were compared with one INS at constant heading."""
     noise = np.tile(np.diag(INS**2), (2, 2)) + (sigma_arcsec * ARCSEC) ** 2 * np.eye(6)
     to_deck = np.zeros((6, 6))
     to_deck[:3, :3], to_deck[3:, 3:] = LAYOUT
@@ -55,8 +55,8 @@ def test_at_constant_heading_the_turn_of_all_is_open_and_the_rest_is_not() -> No
     assert combos[1].run_s / ARCSEC == pytest.approx(np.tile([9.81, 9.81, 0.0], (2, 1)), abs=0.02)
 
 
-def test_one_look_is_the_bound_of_a_wide_prior_too() -> None:
-    """The sum of INS and installation is no observation, however little was known beforehand."""
+def test_one_observation_bounds_a_wide_prior() -> None:
+    """The sum of INS and installation is not an observation, however wide the prior."""
     wide = 180.0 * PRIOR
     combos = found(against_ins(np.diag(wide.ravel() ** 2), sigma_arcsec=0.1), wide)
     assert [combo.sigma / ARCSEC for combo in combos] == pytest.approx([10.0, 72.0, 10.0], rel=1e-3)
@@ -77,7 +77,7 @@ def test_an_ins_without_errors_is_the_deck() -> None:
 
 
 def test_a_boresight_that_was_not_observed_is_named() -> None:
-    """All known but the turn of the second sensor about its boresight."""
+    """All is known except the rotation of the second sensor about its boresight."""
     # 0.1" about five axes; the sixth, forward of the second sensor, not at all.
     measured = np.delete(np.eye(6), 3, axis=0)
     combos = found(updated(PRIOR_COVARIANCE, measured, (0.1 * ARCSEC) ** 2 * np.eye(5)))
@@ -86,13 +86,13 @@ def test_a_boresight_that_was_not_observed_is_named() -> None:
     assert np.unravel_index(np.argmax(np.abs(open_one.run_s)), (2, 3)) == (1, 0)
 
 
-def test_a_single_sensor_has_nothing_apart() -> None:
+def test_a_single_sensor_has_no_relative_rotation() -> None:
     one = found(PRIOR_COVARIANCE[:3, :3], PRIOR[:1], LAYOUT[:1])
     assert [combo.axis for combo in one] == list(DECK_AXES)
     assert {combo.observed for combo in one} == {"no"}
 
 
-def test_shares_say_what_is_left() -> None:
+def test_shares_are_of_the_remaining_variance() -> None:
     parts = np.array([0.25, 0.75])[:, None, None] * against_ins(PRIOR_COVARIANCE, 0.1)
     for combo in combinations(PRIOR, parts, LAYOUT, INS):
         assert combo.shares == pytest.approx([0.25, 0.75])

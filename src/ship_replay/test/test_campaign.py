@@ -1,4 +1,4 @@
-"""Campaigns: what tells items apart, what outlives a kill, and tables that are equal whoever made them."""
+"""Campaigns: keys of items, results that survive a kill, and tables that do not depend on the workers."""
 
 import csv
 import dataclasses
@@ -48,7 +48,7 @@ def scenario(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def by_one(scenario):
-    """The folder of a campaign of three seeds that one worker made."""
+    """The folder of a campaign of three seeds run by one worker."""
     folder = scenario.parent / "by_one"
     assert main([str(scenario), "--seeds", "1-3", "--workers", "1", "--out", str(folder)]) == 0
     return folder
@@ -146,7 +146,7 @@ def test_what_are_no_seeds(text):
 
 
 class TestResults:
-    def test_a_row_is_what_the_commands_tell_of_the_same_run(self, by_one, scenario, tmp_path, capsys):
+    def test_a_row_equals_the_output_of_the_commands(self, by_one, scenario, tmp_path, capsys):
         """The numbers are those of simulate, replay and evaluate, run one after another."""
         given, out, values = tmp_path / "in.mcap", tmp_path / "out.mcap", tmp_path / "values.json"
         assert simulate([str(scenario), "--out", str(given), "--seed", "2"]) == 0
@@ -175,7 +175,7 @@ class TestResults:
         lost.unlink()
         before = kept.stat().st_mtime_ns
         assert main([str(scenario), "--seeds", "1-3", "--out", str(folder)]) == 0
-        assert "3 items: 2 results there already, 1 to make" in capsys.readouterr().out
+        assert "3 items: 2 results exist, 1 to run" in capsys.readouterr().out
         assert kept.stat().st_mtime_ns == before
         assert files_of(folder) == files_of(by_one)
 
@@ -184,7 +184,7 @@ class TestResults:
         other.write_bytes(scenario.read_bytes())
         shutil.copytree(by_one / "results", tmp_path / "out" / "results")
         assert main([str(other), str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 0
-        assert "6 items: 3 results there already, 0 to make" in capsys.readouterr().out
+        assert "6 items: 3 results exist, 0 to run" in capsys.readouterr().out
         rows = (tmp_path / "out" / TABLE).read_text().splitlines()
         assert len(rows) == 7
         assert {row.split(",", 1)[1] for row in rows[1:4]} == {row.split(",", 1)[1] for row in rows[4:]}
@@ -194,7 +194,7 @@ class TestResults:
         path = min((tmp_path / "out" / "results").iterdir())
         path.write_text("{")
         assert main([str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 2
-        assert capsys.readouterr().err == f"campaign: {path}: is no result of a campaign: take it away\n"
+        assert capsys.readouterr().err == f"campaign: {path}: is no result of a campaign: remove it\n"
 
     def test_an_item_that_fails_is_a_row_and_is_made_again(self, scenario, tmp_path, capsys):
         bad = tmp_path / "bad.mcap"
@@ -211,7 +211,7 @@ class TestResults:
         assert rows[str(scenario)]["fused.samples"] != ""
         assert rows[str(bad)]["error"].partition(": ")[2] in (tmp_path / "out" / PAGE).read_text()
         assert main(arguments) == 1
-        assert "2 items: 1 results there already, 1 to make" in capsys.readouterr().out
+        assert "2 items: 1 results exist, 1 to run" in capsys.readouterr().out
 
 
 class TestKilled:
@@ -235,7 +235,7 @@ class TestKilled:
         assert len(folders) == MOST_DEATHS
         assert not any(Path(folder).exists() for folder in folders)
         assert {seed: result["error"] for seed, result in found.items()} == {
-            1: None, 2: f"its worker died {MOST_DEATHS} times, at last with signal 9", 3: None, 4: None,
+            1: None, 2: f"its worker died {MOST_DEATHS} times, the last time with signal 9", 3: None, 4: None,
         }  # fmt: skip
 
     @pytest.mark.slow
@@ -258,7 +258,7 @@ class TestKilled:
         kept = len(list(results.iterdir()))
         assert 1 <= kept <= 2
         assert main([str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 0
-        assert f"3 items: {kept} results there already" in capsys.readouterr().out
+        assert f"3 items: {kept} results exist" in capsys.readouterr().out
         assert files_of(tmp_path / "out") == files_of(by_one)
 
 
@@ -280,7 +280,7 @@ class Command:
         self.process.communicate()
 
     def a_worker(self):
-        """The process of a worker, which the server of processes among the children of the command has made."""
+        """The process of a worker, created by the fork server among the children of the command."""
         return until(
             lambda: next(
                 (
@@ -302,7 +302,7 @@ def children(pid):
 
 
 def until(found):
-    """What a function finds, as soon as it finds it."""
+    """Return the result of a function as soon as it is not empty."""
     end_s = time.monotonic() + PATIENCE_S
     while not (value := found()):
         assert time.monotonic() < end_s
@@ -312,7 +312,7 @@ def until(found):
 
 @pytest.fixture(scope="module")
 def address():
-    """Of a Dask cluster of two workers on this machine, each a process."""
+    """Address of a Dask cluster of two worker processes on this machine."""
     place = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
     with LocalCluster(n_workers=2, threads_per_worker=1, silence_logs=logging.CRITICAL, **place) as cluster:
         yield cluster.scheduler_address
@@ -334,7 +334,7 @@ class TestCluster:
             (seed, None, float(seed)) for seed in range(1, 5)
         ]
 
-    def test_without_dask_one_line_says_what_to_install(self, scenario, tmp_path, capsys, monkeypatch):
+    def test_without_dask_one_line_names_the_package(self, scenario, tmp_path, capsys, monkeypatch):
         monkeypatch.setitem(sys.modules, "distributed", None)
         arguments = [str(scenario), "--scheduler", "tcp://127.0.0.1:1", "--out", str(tmp_path / "out")]
         assert main(arguments) == 2
@@ -345,14 +345,14 @@ class TestCluster:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["{short}", "--seeds", "5-1"], "'5-1' holds a range that ends before it begins"),
+        (["{short}", "--seeds", "5-1"], "'5-1' contains a range that ends before it begins"),
         (["{short}", "--workers", "0"], "'0' is not a whole number, 1 or more"),
         (["{short}", "--workers", "1", "--scheduler", "tcp://a:1"], "not allowed with argument"),
         (["nothing.mcap"], "nothing.mcap: No such file or directory"),
         (["nothing.yaml"], "nothing.yaml"),
         (["{short}", "--skip", "-1"], "--skip -1: expected 0 s or more"),
         (["{short}", "--config", "nothing.yaml"], "nothing.yaml"),
-        (["{bag}", "--seeds", "1-2"], "--seeds is for scenarios (.yaml), and none is given"),
+        (["{bag}", "--seeds", "1-2"], "--seeds needs scenarios (.yaml), but there is none"),
     ],
 )
 def test_bad_usage_is_one_line_and_two(arguments, complaint, scenario, tmp_path, capsys):
@@ -371,7 +371,7 @@ def test_bad_usage_is_one_line_and_two(arguments, complaint, scenario, tmp_path,
 
 
 class TestPooled:
-    """Two results made by hand: 100 samples of 3″ and 300 of 5″, of which 10 and 30 tell as much as all."""
+    """Two results made by hand: 100 samples of 3″ and 300 of 5″, equivalent to 10 and 30 independent ones."""
 
     @pytest.fixture
     def made(self, scenario):
@@ -416,7 +416,7 @@ class TestPooled:
     def test_the_worst_come_first(self, made):
         assert [(each.item.seed, each.ratio) for each in worst_items(made)] == [(1, 1.5), (2, 1.0)]
 
-    def test_the_order_in_which_items_were_made_is_not_told(self, made):
+    def test_the_order_of_completion_has_no_effect(self, made):
         assert table(made[::-1]) == table(made)
         assert page(made[::-1]) == page(made)
 

@@ -1,7 +1,7 @@
-"""check_config with a bag: what the stars of a camera contradict, on the deck and on the theodolite.
+"""check_config with a bag: contradictions of a camera's stars, on the deck and on the theodolite.
 
-Bags are simulated; the error is made in the bag's messages, or in the suite configuration. What must be found follows
-from it: the true focal length, the offset of the magnitudes, the reversed axis.
+Bags are simulated; the error is put into the bag's messages, or into the suite configuration. The expected result
+follows from it: the true focal length, the offset of the magnitudes, the reversed axis.
 """
 
 import re
@@ -66,7 +66,7 @@ def mount(tmp_path_factory, request):
 
 @pytest.fixture
 def check(tmp_path, capsys):
-    """Runs the command; returns what it found about cameras, without file names and line numbers."""
+    """Run the command; return its findings about cameras, without file names and line numbers."""
 
     def run(text, bag):
         config = tmp_path / "suite.yaml"
@@ -178,7 +178,7 @@ def test_mirrored_axes_are_named(check, deck, tmp_path, mirror, words):
 
 
 def test_mirrored_axes_without_an_ins_are_named_as_such(check, tmp_path):
-    """Which of the axes is reversed is not stated: nothing predicts the attitude."""
+    """Which of the axes is reversed is not stated: there is no predicted attitude."""
     bag, text = simulated(tmp_path, deck_scenario(True))
     mirrored = changed(bag, tmp_path, FORE, lambda star: v_upwards(star, IMAGE_PX[FORE]))
     alone = tmp_path / "alone.mcap"
@@ -217,14 +217,14 @@ def test_pixels_counted_from_one_are_named(check, deck, tmp_path):
     bag, text = deck
     (line,) = check(text, changed(bag, tmp_path, STARBOARD, shifted))
     assert line.startswith("warning: parameter 'star_sensors.starboard.camera.principal_u_px': by ")
-    assert line.endswith("one pixel to the right and down: pixels counted from 1? Subtract 1 from u and v")
+    assert line.endswith("one pixel to the right and down: if pixels are counted from 1, subtract 1 from u and v")
 
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("identified", [True, False], ids=["named", "unnamed"])
 @pytest.mark.parametrize(("scenario", "seeds"), [(deck_scenario, range(10, 20)), (mount_scenario, range(10, 15))])
-def test_clean_bags_of_many_seeds_name_nothing(check, tmp_path, scenario, seeds, identified):
-    """Installations, INS and stars are drawn anew for each seed, each as its sigma states."""
+def test_bags_without_faults_give_no_finding(check, tmp_path, scenario, seeds, identified):
+    """Installations, INS and stars are drawn for each seed by their sigmas."""
     for seed in seeds:
         bag, text = simulated(tmp_path, scenario(identified), seed)
         assert check(text, bag) == []

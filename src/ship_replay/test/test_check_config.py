@@ -1,4 +1,4 @@
-"""check_config: all that is wrong, each with its line, and what does not fit the bag."""
+"""check_config: all errors, each with its line, and contradictions to a bag."""
 
 import sys
 
@@ -23,7 +23,7 @@ ship_attitude:
 
 @pytest.fixture
 def check(tmp_path, capsys):
-    """Runs the command on texts; returns exit code, what it found, and what else it said on stderr."""
+    """Run the command on texts; return exit code, findings, and other output on stderr."""
 
     def run(text, bag=None, *options):
         config = tmp_path / "suite.yaml"
@@ -83,7 +83,7 @@ ship_attitude:
     assert errors == ["check_config: suite.yaml: errors: 7, warnings: 0"]
 
 
-def test_mend_16_each_error_is_said_once(check):
+def test_each_error_is_reported_once(check):
     _, lines, errors = check(GOOD.replace("    ins:", "    lagg_s: 1.0\n    ins:"))
     assert "".join(lines + errors).count("lagg_s") == 1
     told = "expected one of lag_s, max_age_s, smoothing_lag_s or 18 others; did you mean 'lag_s'?"
@@ -132,12 +132,12 @@ def test_a_bag_in_a_namespace(check, tmp_path):
     text = GOOD.replace("ship_attitude:", "/**/ship_attitude:")
     code, lines, _ = check(text, bag)
     assert code == 2
-    expected = "topic 'ins/imu' is not in a.mcap: needed by ship_attitude (there is one under the namespace 'palmer')"
+    expected = "topic 'ins/imu' is not in a.mcap: needed by ship_attitude (found in namespace 'palmer')"
     assert lines[0] == f"error: suite.yaml:4: {expected}"
     assert check(text, bag, "--namespace", "palmer")[0] == 0
 
 
-def test_mend_12_names_are_judged_as_a_node_would(check, tmp_path):
+def test_names_are_checked_as_by_a_node(check, tmp_path):
     """A section without wildcard fits in no namespace, one of a namespace not outside of it: a node would end."""
     bag = write_bag(tmp_path / "a.mcap", prefix="/palmer/")
     code, lines, _ = check(GOOD, bag, "--namespace", "palmer")
@@ -151,7 +151,7 @@ def test_mend_12_names_are_judged_as_a_node_would(check, tmp_path):
     everywhere = "/**:\n  ros__parameters: {lag_s: 1.0}\n"
     in_palmer = everywhere + GOOD.replace("ship_attitude:", "/palmer/ship_attitude:")
     assert check(in_palmer, bag, "--namespace", "/palmer/")[:2] == (0, ["suite.yaml: good for a.mcap"])
-    # As a node says it: the first section fits, so this is no error.
+    # As reported by a node: the first section fits, so this is no error.
     code, lines, _ = check(in_palmer)
     assert code == 0
     assert lines[0].startswith("warning: suite.yaml: section '/palmer/ship_attitude' fits no node of this suite")
@@ -210,14 +210,14 @@ def test_each_node_of_the_suite_is_checked(check, tmp_path):
     assert "error: suite.yaml:12: parameter 'star_sensors.fore.camera.pixel_pitch_mm' is unknown" in check(wrong)[1][0]
 
 
-def test_a_camera_that_is_missing_is_told_without_a_bag(check):
+def test_a_missing_camera_is_reported_without_a_bag(check):
     text = STARS.partition("star_attitude:")[0].replace("solution", "observations")
     code, lines, _ = check(text)
     assert code == 2
     assert lines[0].startswith("error: suite.yaml:4: parameters 'star_sensors.fore.camera.focal_length_m'")
 
 
-def test_a_topic_that_two_nodes_miss_is_told_once_with_both(check, tmp_path):
+def test_a_topic_missing_for_two_nodes_is_reported_once_with_both(check, tmp_path):
     camera = "camera: {focal_length_m: 0.05, pixel_pitch_m: 5.5e-6}"
     text = STARS.replace("input: solution}", f"input: observations, {camera}}}")
     _, lines, _ = check(text, star_bag(tmp_path / "a.mcap"))
@@ -225,8 +225,8 @@ def test_a_topic_that_two_nodes_miss_is_told_once_with_both(check, tmp_path):
     assert told == ["error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by ship_attitude and star_attitude"]
 
 
-def test_a_camera_out_of_range_is_told_once(check):
-    """Without the value there would be no camera: no second complaint about that."""
+def test_a_camera_out_of_range_is_reported_once(check):
+    """Without the value there would be no camera: no second error about that."""
     text = STARS.partition("star_attitude:")[0].replace(
         "input: solution}", "input: observations, camera: {focal_length_m: 50.0, pixel_pitch_m: 5.5e-6}}"
     )
@@ -244,7 +244,7 @@ def test_a_sensor_that_is_bolted_elsewhere_for_another_node_is_a_warning(check):
 
 
 def test_a_sky_that_is_another_one_for_another_node_is_a_warning(check):
-    """ship_attitude tells apart by its own sky what a solution of star_attitude shares with other sensors."""
+    """ship_attitude uses its own sky to separate errors that a solution of star_attitude shares with other sensors."""
     text = STARS + "    sky: {fix_sigma_m: 100.0, magnitude_limit: 6.0}\n"
     code, lines, _ = check(text)
     assert code == 0
@@ -284,7 +284,7 @@ NODES = f"expected one of {ESTIMATORS}, '/**/nmea_in', '/**/nmea_out'"
 NODES += " or '/**'"
 
 
-def test_mend_12_a_misspelt_node_is_an_error(check):
+def test_a_misspelt_node_is_an_error(check):
     """The node itself refuses such a file."""
     misfit = "section '/star_atitude' does not fit node '/star_attitude': name it '/**/star_attitude' to fit in every"
     code, lines, _ = check(STARS.replace("star_attitude:", "star_atitude:"))
@@ -305,7 +305,7 @@ def test_a_section_of_a_node_that_is_not_ours_is_a_warning(check):
     assert error.endswith(f"suite.yaml: no section for a node of this suite: {NODES}, found '/radar'")
 
 
-def test_observations_that_nobody_takes_are_a_warning(check, tmp_path):
+def test_unused_observations_are_a_warning(check, tmp_path):
     _, lines, _ = check(STARS, star_bag(tmp_path / "a.mcap", sensor="aft"))
     expected = "topic 'star/aft/observations' has no star_sensors.aft in the configuration: not used"
     assert f"warning: a.mcap: {expected}" in lines
@@ -328,7 +328,7 @@ def test_no_parameter_file_is_one_line_and_two(check, text, complaint):
 
 
 @pytest.mark.parametrize("id_", ["fore mast", "fore-mast", "1", "före", "fore/mast"])
-def test_mend_15_an_id_that_no_topic_can_have_is_an_error(check, id_):
+def test_an_id_that_is_no_topic_name_is_an_error(check, id_):
     """A node with such a sensor ended with a traceback: invalid topic name."""
     text = STARS.replace("      fore:", f"      '{id_}':")
     code, lines, _ = check(text)
@@ -350,7 +350,7 @@ NMEA = """\
 """
 
 
-def test_the_nodes_beside_the_estimators_may_have_sections_in_it(check, tmp_path):
+def test_other_nodes_may_have_sections(check, tmp_path):
     assert check(GOOD + NMEA) == (0, ["suite.yaml: good"], [])
     assert check(GOOD + NMEA, write_bag(tmp_path / "a.mcap"))[0] == 0
 
@@ -361,7 +361,7 @@ def test_they_may_stand_alone_in_it(check, tmp_path):
     code, (line,), _ = check(NMEA.replace("port: 10111", "port: 0"))
     assert (code, line[:50]) == (2, "error: suite.yaml:8: parameter 'sources.gyro.port'")
     code, (warning, _), _ = check(NMEA, write_bag(tmp_path / "a.mcap"))
-    told = "warning: suite.yaml: no section for an estimator: nothing of the bag is checked"
+    told = "warning: suite.yaml: no section for an estimator: the bag is not checked"
     assert (code, warning) == (0, told)
 
 
@@ -387,7 +387,7 @@ LISTENS = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
         ("kind: tcp_server, port: 10110", "kind: udp, port: 10110", ""),
     ],
 )  # fmt: skip
-def test_a_place_that_both_nmea_nodes_want_is_an_error(check, sink, source, told):
+def test_a_resource_of_both_nmea_nodes_is_an_error(check, sink, source, told):
     code, (line,), _ = check(GOOD + nmea(sink, source))
     assert code == (2 if told else 0)
     assert line.startswith(f"error: suite.yaml:11: parameter 'sinks.s.{told}" if told else "suite.yaml: good")
@@ -400,7 +400,7 @@ def test_the_same_place_of_another_namespace_is_another_machines(check):
     assert code == 0, lines
 
 
-def test_a_place_that_two_sinks_want_is_told_once(check):
+def test_a_resource_of_two_sinks_is_reported_once(check):
     files = "      log: {kind: file, path: a}\n      too: {kind: file, path: ./a}\n"
     text = GOOD + NMEA.replace("/**/nmea_in", f"{files}/**/nmea_in")
     code, lines, _ = check(text)
@@ -422,7 +422,7 @@ def test_a_section_of_nearly_their_name_is_refused(check):
     assert any("suite.yaml:8: section '/**/nmea_outs' does not fit node '/nmea_out'" in line for line in found)
 
 
-def test_what_is_not_installed_cannot_be_checked_and_that_is_said(check, monkeypatch):
+def test_a_package_that_is_not_installed_is_reported_as_unchecked(check, monkeypatch):
     monkeypatch.setitem(sys.modules, "ship_nmea.out.config", None)
     code, found, _ = check(GOOD + NMEA)
     assert code == 0

@@ -1,4 +1,4 @@
-"""check_config with a bag: installation, focal lengths and units held against what the sensors show."""
+"""check_config with a bag: installation, focal lengths and units compared with the sensors' data."""
 
 import re
 from pathlib import Path
@@ -20,7 +20,7 @@ BAGS = Path(__file__).parents[3] / "bags"
 
 @pytest.fixture
 def check(tmp_path, capsys):
-    """Runs the command; returns exit code and what it found."""
+    """Run the command; return exit code and findings."""
 
     def run(text, bag):
         config = tmp_path / "suite.yaml"
@@ -62,18 +62,18 @@ def observed(tmp_path_factory):
     return simulated(tmp_path_factory.mktemp("observed"), "paper_stars", 6.0, rate_hz=2.0)
 
 
-def test_mend_15_what_fits_its_bag_is_good(check, solved, observed):
+def test_a_matching_configuration_is_good(check, solved, observed):
     for bag, text in (solved, observed):
         assert check(text, bag) == (0, ["suite.yaml: good for BAG"])
 
 
-def test_mend_15_radians_for_degrees_contradict_the_bag(check, solved):
+def test_radians_for_degrees_contradict_the_bag(check, solved):
     bag, text = solved
     assert text.count("elevation_deg: 45.0") == 2
     text = text.replace("_deg: 90.0", "_deg: 1.5708").replace("elevation_deg: 45.0", "elevation_deg: 0.7854")
     code, lines = check(text, bag)
     assert code == 2
-    told = [re.sub(r"^error: suite.yaml:\d+: parameter '|'.*say|\d\d deg: radians", "", line) for line in lines]
+    told = [re.sub(r"^error: suite.yaml:\d+: parameter '|'.*give|\d\d deg: radians", "", line) for line in lines]
     assert told == [
         "star_sensors.fore.elevation_deg 45. for degrees?",
         "star_sensors.starboard.azimuth_deg 89. for degrees?",
@@ -82,7 +82,7 @@ def test_mend_15_radians_for_degrees_contradict_the_bag(check, solved):
 
 
 @pytest.mark.parametrize("factor", [10.0, 0.1])
-def test_mend_15_a_focal_length_ten_times_off_contradicts_the_bag(check, observed, factor):
+def test_a_focal_length_ten_times_off_contradicts_the_bag(check, observed, factor):
     bag, text = observed
     wrong = f"{0.05 * factor:g}"
     code, lines = check(text.replace("focal_length_m: 0.05", f"focal_length_m: {wrong}"), bag)
@@ -93,7 +93,7 @@ def test_mend_15_a_focal_length_ten_times_off_contradicts_the_bag(check, observe
         assert line.endswith("are those of 0.05 m with pixels of 5.5e-06 m")
 
 
-def test_mend_15_nothing_is_said_of_what_stands_in_for_a_refused_value(check, observed):
+def test_replaced_values_are_not_reported(check, observed):
     bag, text = observed
     code, lines = check(text.replace("focal_length_m: 0.05", "focal_length_m: 50.0"), bag)
     assert code == 2
@@ -101,7 +101,7 @@ def test_mend_15_nothing_is_said_of_what_stands_in_for_a_refused_value(check, ob
     assert all(".camera.focal_length_m' = 50.0 m is out of its range" in line for line in lines)
 
 
-def test_mend_15_wrong_angles_are_found_beside_a_wrong_focal_length(check, observed):
+def test_wrong_angles_are_found_with_a_wrong_focal_length(check, observed):
     bag, text = observed
     text = text.replace("focal_length_m: 0.05", "focal_length_m: 0.5").replace("_deg: 90.0", "_deg: 1.5708")
     code, lines = check(text, bag)
@@ -109,42 +109,42 @@ def test_mend_15_wrong_angles_are_found_beside_a_wrong_focal_length(check, obser
     assert sum("focal_length_m" in line for line in lines) == 4
     turned = [line for line in lines if "star_sensors.starboard.azimuth_deg' = 1.5708 deg" in line]
     assert len(turned) == 2
-    assert all(line.endswith("say 89.98 deg: radians for degrees?") for line in turned)
+    assert all(line.endswith("give 89.98 deg: radians for degrees?") for line in turned)
 
 
-def test_mend_15_what_all_sensors_show_alike_is_the_ins(check, solved):
+def test_a_rotation_common_to_all_sensors_is_that_of_the_ins(check, solved):
     bag, text = solved
     turned = "      frame_id: ins\n      installation_heading_deg: 90.0\n"
     code, lines = check(text.replace("      frame_id: ins\n", turned), bag)
     assert code == 2
     (line,) = lines
-    assert "all of 'star/fore/horizon_attitude', 'star/starboard/horizon_attitude' in BAG are turned alike" in line
-    assert "look at 'ins.convention' and 'ins.installation_heading_deg'" in line
+    assert "all of 'star/fore/horizon_attitude', 'star/starboard/horizon_attitude' in BAG have the same" in line
+    assert "check 'ins.convention' and 'ins.installation_heading_deg'" in line
 
 
-def test_mend_15_an_installation_beyond_its_sigma_is_named_beside_what_comes_of_it(check, solved):
+def test_an_installation_beyond_its_sigma_is_reported_with_its_effect(check, solved):
     bag, text = solved
     code, (error, warning) = check(text.replace("elevation_deg: 45.0", "elevation_deg: 45.2", 1), bag)
     assert code == 2
     assert "ship_attitude: of 31 messages on 'star/fore/horizon_attitude' 0 were used, " in error
     assert re.fullmatch(
         r"warning: suite.yaml:\d+: star_sensors.fore: by 'star/fore/horizon_attitude' and 'ins/imu' in BAG the "
-        r"installation is 0.2\d\d deg off, \d+ of its sigmas: calibrate_installation finds it",
+        r"installation is 0.2\d\d deg off, \d+ of its sigmas: run calibrate_installation",
         warning,
     )
 
 
-def test_mend_15_the_telescopes_focal_length_and_what_a_node_refuses(check):
+def test_the_telescopes_focal_length_and_rejected_inputs(check):
     bag = BAGS / "theodolite.mcap"
     text = suite_of(bag)
     assert check(text, bag)[0] == 0
     code, (line,) = check(text.replace("focal_length_m: 0.1\n", "focal_length_m: 1.0\n"), bag)
     assert code == 2
-    said = "parameter 'telescope.focal_length_m' = 1 m, but lights on 'theodolite/beacons' in BAG stand as far apart as"
-    assert line.endswith(f"{said} with 0.1 m")
+    said = "parameter 'telescope.focal_length_m' = 1 m, but lights on 'theodolite/beacons' in BAG have distances that"
+    assert line.endswith(f"{said} fit 0.1 m")
 
 
-def test_mend_15_attitudes_in_degrees_are_told_before_the_voyage(check, tmp_path):
+def test_attitudes_in_degrees_are_reported(check, tmp_path):
     factory, bag = RosbagsFactory(), tmp_path / "degrees.mcap"
     with BagWriter(bag) as writer:
         for number in range(40):
@@ -167,7 +167,7 @@ def degrees(factory, header, fields):
     return factory.make("ship_msgs/msg/StarHorizonAttitude", header=header, **fields, **zeros, **rest)
 
 
-def test_mend_15_a_reference_is_held_against_the_ins_too(check, tmp_path):
+def test_a_reference_is_compared_with_the_ins(check, tmp_path):
     bag = tmp_path / "reference.mcap"
     with BagWriter(bag) as writer:
         for number in range(100):
@@ -179,12 +179,12 @@ def test_mend_15_a_reference_is_held_against_the_ins_too(check, tmp_path):
     code, lines = check(text.replace("28.6", "0.5"), bag)
     assert code == 2
     said = "parameter 'references.b.heading_deg' = 0.5 deg, but 'reference/b/imu' and 'ins/imu' in reference.mcap"
-    assert lines == [f"error: suite.yaml:1: {said} say 28.65 deg: radians for degrees?"]
+    assert lines == [f"error: suite.yaml:1: {said} give 28.65 deg: radians for degrees?"]
 
 
 @pytest.mark.parametrize("name", ["demo", "theodolite"])
-def test_mend_15_a_bag_of_nothing_but_nan_is_no_contradiction(check, tmp_path, name):
-    """What cannot be read shows no installation: what the nodes would refuse is said, and no more."""
+def test_a_bag_of_only_nan_is_no_contradiction(check, tmp_path, name):
+    """Unreadable data show no installation: only the rejection by the nodes is reported."""
     bag = tmp_path / "nan.mcap"
     with read_bag(BAGS / f"{name}.mcap") as whole, BagWriter(bag) as writer:
         for record in whole.records():

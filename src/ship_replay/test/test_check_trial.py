@@ -20,7 +20,7 @@ BAGS = Path(__file__).parents[3] / "bags"
 
 @pytest.fixture
 def check(tmp_path, capsys):
-    """Runs the command on a bag with its own suite, or a changed one; returns exit code and lines."""
+    """Run the command on a bag with its own suite, or a changed one; return exit code and lines."""
 
     def run(bag, change=lambda suite: None):
         with read_bag(bag) as opened:
@@ -66,7 +66,7 @@ def test_a_healthy_bag_is_good(check, name):
 
 
 @pytest.mark.slow
-def test_an_ins_that_stamps_gps_time_ends_with_one_and_says_what_to_do(check, tmp_path):
+def test_an_ins_that_stamps_gps_time_is_reported_with_advice(check, tmp_path):
     def ahead(topic, message):
         if topic == "ins/imu":
             message.header.stamp.sec += 18
@@ -104,7 +104,7 @@ def test_stars_without_fixes_end_with_one(check, tmp_path):
 
     code, lines = check(rewritten(tmp_path / "no_fix.mcap", bag, no_fix))
     assert code == 1
-    assert any(re.search(r"for no_fix \(100 % not used\): .*; give position fixes on gnss/fix", line) for line in lines)
+    assert any(re.search(r"for no_fix \(100 % not used\): .*; provide position fixes on gnss", line) for line in lines)
 
 
 @pytest.mark.slow
@@ -160,7 +160,7 @@ def test_a_coarse_ins_is_named_with_the_value_that_fits_and_no_star_with_it(chec
 
 
 @pytest.mark.parametrize(("white_arcsec", "rate_arcsec_per_s"), [(10.0, 0.0), (1.0, 600.0), (5.0, 300.0)])
-def test_the_noise_of_an_ins_is_told_from_that_of_its_rates(white_arcsec, rate_arcsec_per_s):
+def test_attitude_noise_and_rate_noise_of_an_ins_are_separated(white_arcsec, rate_arcsec_per_s):
     rng, hz, count = np.random.default_rng(1), 100.0, 20_000
     t_s = np.arange(count) / hz
     angles = 0.05 * np.sin(0.6 * t_s)[:, None] * [1.0, 0.3, 0.0]

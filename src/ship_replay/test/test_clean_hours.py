@@ -1,4 +1,4 @@
-"""Hours without faults: the voyages, what is noted of them, and that a false exclusion would be counted."""
+"""Hours without faults: the voyages, their statistics, and that a false exclusion would be counted."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_a_voyage_is_made_and_repeats(kind):
 
 @pytest.mark.statistics
 def test_three_sensors_meet_twelve_arcseconds_after_ten_minutes():
-    """The least that was asked of this software, before it was written: 99.5 % of the time, in the reference motion."""
+    """The original requirement: 99.5 % of the time, in the reference motion."""
     found = make_clean_voyage(CleanVoyage(1, THREE, False), SCENARIOS, 660.0)
     assert found["settled"] >= 60
     assert found["available"] == found["settled"]
@@ -76,7 +76,7 @@ def test_what_is_beyond_and_what_is_available_is_counted():
     assert watched.worst_level == pytest.approx(13.0 * ARCSEC)
 
 
-def test_an_exclusion_and_a_doubt_count_once_each_time():
+def test_an_exclusion_and_an_unresolved_fault_count_once_each_time():
     watched = Watched(limit=np.inf)
     for since_s, excluded in ((1.0, {"star.fore"}), (2.0, {"star.fore"}), (3.0, set()), (4.0, {"star.fore", "ins"})):
         watched.look_at_sources(since_s, frozenset(excluded))

@@ -1,4 +1,4 @@
-"""Two runs side by side: what differs is told with its size and its time, what is equal is told as equal."""
+"""Two runs side by side: differences are reported with size and time, equality as such."""
 
 import contextlib
 import math
@@ -50,14 +50,14 @@ def given(folder):
 
 @pytest.fixture(scope="module")
 def plain(folder, given):
-    """They, replayed by their own configuration."""
+    """The inputs, replayed with their own configuration."""
     replay(given, folder / "plain.mcap", ADAPTERS)
     return folder / "plain.mcap"
 
 
 @pytest.fixture(scope="module")
 def noisier(folder, given):
-    """They, replayed by one that takes the INS to be three times as noisy."""
+    """The inputs, replayed with a configuration in which the INS is three times as noisy."""
     with read_bag(given) as bag:
         text = bag.attachments["suite.yaml"].decode()
     assert text.count(NOISE) == 1
@@ -96,7 +96,7 @@ class TestAnotherConfiguration:
 
     @pytest.mark.slow
     def test_several_processes_give_the_same_bytes(self, told, plain, noisier, monkeypatch):
-        """Long bags are read by several processes; the size from which on is set to nothing here."""
+        """Long bags are read by several processes; here every bag counts as long."""
         monkeypatch.setattr("ship_replay.report.told.SHORT_BYTES", 0)
         assert pair_page(read_pair(plain, noisier)) == told
 
@@ -149,19 +149,19 @@ class TestAnotherConfiguration:
         assert table.angles == ["heading", "pitch", "roll"]
         assert [float(b) / float(a) for a, b in cells] == pytest.approx([3.0] * 3, rel=0.1)
 
-    def test_who_was_safe_for_longer(self, pair):
+    def test_safe_share(self, pair):
         """95 % pitch of three times the noise, 1.96 · 3″, is over its limit of 3″ at all times."""
         assert pair.b.night.seconds("pitch")[Safety.SAFE] == 0
         assert pair.a.night.seconds("pitch")[Safety.SAFE] > 0
-        assert any(re.match(r"A was SAFE for longer in .*pitch", text) for text in sentences(pair))
+        assert any(re.match(r"A was SAFE longer in .*pitch", text) for text in sentences(pair))
 
     def test_the_voyage_is_the_same(self, pair):
-        assert origin(pair)[0].startswith("Both stem from the same simulated voyage")
+        assert origin(pair)[0].startswith("The inputs are the same simulated voyage")
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
 def test_in_a_browser(told, folder):
-    """Nothing but the file itself is asked for, nothing is complained of, and a telephone need not scroll sideways."""
+    """No request except for the file itself, no error, and no horizontal scrolling on a telephone."""
     (folder / "told.html").write_text(told)
     with contextlib.closing(Browser()) as browser:
         for width, height in ((1280, 800), (390, 844)):
@@ -173,10 +173,10 @@ def test_in_a_browser(told, folder):
 
 
 class TestTheSameRecording:
-    def test_it_is_said_to_be_the_same_and_equal(self, plain):
+    def test_the_same_file_is_reported_as_same_and_equal(self, plain):
         twice = read_pair(plain, plain)
         assert twice.is_same
-        assert sentences(twice)[0] == "A and B are the same recording: their SHA-256 is the same."
+        assert sentences(twice)[0] == "A and B are the same recording (same SHA-256)."
         (found,) = twice.differences
         assert found.all_equal
         assert found.channels_equal == (True, True, True)
@@ -203,7 +203,7 @@ class TestTheSameRecording:
 
 
 def test_the_last_bit_counts(plain, folder):
-    """One heading one bit away: no longer equal, and all the others of that run still are."""
+    """One heading differs by one bit: the heading is not equal, all other values are."""
     with BagWriter(folder / "bit.mcap") as writer, read_bag(plain) as bag:
         for number, record in enumerate(bag.records({"ship/attitude"})):
             message = record.decode()
@@ -219,8 +219,8 @@ def test_the_last_bit_counts(plain, folder):
 
 
 @pytest.mark.slow
-def test_an_angle_that_only_one_has(plain, noisier, folder):
-    """Replayed pointings beside the attitudes in A; B has the attitudes alone."""
+def test_an_angle_in_one_run_only(plain, noisier, folder):
+    """A has replayed pointings and attitudes; B has attitudes only."""
     given = beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
     replay(given, folder / "theodolite.mcap", ADAPTERS)
     with BagWriter(folder / "both.mcap") as writer:
@@ -231,8 +231,8 @@ def test_an_angle_that_only_one_has(plain, noisier, folder):
                         writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
     pair = read_pair(folder / "both.mcap", noisier)
     told = sentences(pair)
-    assert "theodolite/pointing: only A has any." in told
-    assert any(re.match(r"Elevation: only A tells it \(SAFE .* of the time\); B never does\.", text) for text in told)
+    assert "theodolite/pointing: published in A only." in told
+    assert any(re.match(r"Elevation: published in A \(SAFE .* of the time\), not in B\.", text) for text in told)
     assert [found.orientation.topic for found in pair.differences] == ["ship/attitude"]
     text = pair_page(pair)
     row = re.search(r"<tr[^>]*><td>azimuth</td>(.*?)</tr>", text).group(1)
@@ -242,7 +242,7 @@ def test_an_angle_that_only_one_has(plain, noisier, folder):
 
 
 def test_a_sensor_out_in_one_only(plain, given, folder):
-    """B lacks what the forward sensor measured from 8 s on: the verdict names it, and what the nodes received."""
+    """B lacks the data of the forward sensor from 8 s on: the summary names it, and the received messages."""
     topic = "star/fore/horizon_attitude"
     with read_bag(given) as bag:
         cut_ns = bag.start_ns + 8 * SECOND_NS
@@ -251,7 +251,7 @@ def test_a_sensor_out_in_one_only(plain, given, folder):
     pair = read_pair(plain, folder / "lame.mcap")
     told = sentences(pair)
     # The bag begins at 11:50:07.8; of a star sensor three seconds of silence are an outage.
-    assert any(re.match(r"star.fore was out in B but not in A from 11:50:1\d to the end \(", one) for one in told)
+    assert any(re.match(r"star.fore was out in B and not in A: 11:50:1\d to the end \(", one) for one in told)
     assert any(re.search(rf"{topic} \d+ in A, \d+ in B", text) for text in told)
     events, both = only_one_has(pair)
     assert any(row["side"] == "B" and "star.fore OUT" in row["text"] for row in events)
@@ -263,26 +263,26 @@ def with_outages(told, outages_s):
     start_ns = told.night.start_utc_ns
     events = []
     for from_s, to_s in outages_s:
-        events.append(Event(start_ns + from_s * SECOND_NS, "source", "star.fore", "star.fore OUT, silent"))
+        events.append(Event(start_ns + from_s * SECOND_NS, "source", "star.fore", "star.fore OUT, no data"))
         if to_s is not None:
             events.append(Event(start_ns + to_s * SECOND_NS, "source", "star.fore", "star.fore IN"))
     return replace(told, night=replace(told.night, events=events))
 
 
 @pytest.mark.parametrize(("in_a", "in_b", "expected"), [
-    ([(5, 10)], [(6, 11)], ["Out in both at the same times: star.fore."]),
-    ([(5, 15)], [(8, 11)], ["star.fore was out in A but not in B from 5 to 8 (silent), 11 to 15 (silent)."]),
-    ([(5, None)], [(12, None)], ["star.fore was out in A but not in B from 5 to 12 (silent)."]),
-    ([(12, 14)], [(10, None)], ["star.fore was out in B but not in A from 14 to the end (silent)."]),
-    ([(3, 6)], [(9, 12)], ["star.fore was out in A but not in B from 3 to 6 (silent).",
-                           "star.fore was out in B but not in A from 9 to 12 (silent)."]),
+    ([(5, 10)], [(6, 11)], ["Identical outages in both runs: star.fore."]),
+    ([(5, 15)], [(8, 11)], ["star.fore was out in A and not in B: 5 to 8 (no data), 11 to 15 (no data)."]),
+    ([(5, None)], [(12, None)], ["star.fore was out in A and not in B: 5 to 12 (no data)."]),
+    ([(12, 14)], [(10, None)], ["star.fore was out in B and not in A: 14 to the end (no data)."]),
+    ([(3, 6)], [(9, 12)], ["star.fore was out in A and not in B: 3 to 6 (no data).",
+                           "star.fore was out in B and not in A: 9 to 12 (no data)."]),
     ([], [], ["No source was out in either."]),
 ])
-def test_a_source_out_in_both_is_told_where_they_differ(pair, in_a, in_b, expected):
-    """Two seconds and less are the same moment; times by hand."""
+def test_differing_outages_of_both_runs(pair, in_a, in_b, expected):
+    """Differences of two seconds or less count as the same time; times by hand."""
     changed = replace(pair, a=with_outages(pair.a, in_a), b=with_outages(pair.b, in_b))
     start_s = pair.a.night.start_utc_ns // SECOND_NS
-    told = [text for text in sentences(changed) if re.search(r"out in|Out in", text)]
+    told = [text for text in sentences(changed) if re.search(r"out in|outages in", text)]
     since_start = re.compile(r"\b(\d\d):(\d\d):(\d\d)\b")
 
     def shown(match):
@@ -298,14 +298,14 @@ def test_injected_faults_are_other_inputs(plain, folder):
         for record in bag.records():
             writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
     told = origin(read_pair(plain, folder / "injected.mcap"))
-    assert told == ["They do not stem from the same inputs: faults were injected (seed 7 in B only)."]
+    assert told == ["The inputs are not the same: faults were injected (seed 7 in B only)."]
 
 
-def test_last_bits_are_told_as_such(tmp_path):
-    """Of runs on two machines: not equal, and yet nothing to look for."""
+def test_rounding_differences_are_reported_as_such(tmp_path):
+    """Runs on two machines: not equal, but without a relevant difference."""
     a = write_attitudes(tmp_path / "a.mcap", 20, offset_rad=1.0)
     b = write_attitudes(tmp_path / "b.mcap", 20, offset_rad=math.nextafter(1.0, 2.0))
-    assert "the angles differ in their last bits only, by less than 1e-06″." in " ".join(sentences(read_pair(a, b)))
+    assert "the angles differ only by rounding, by less than 1e-06″." in " ".join(sentences(read_pair(a, b)))
 
 
 def test_a_difference_across_north(tmp_path):
@@ -316,7 +316,7 @@ def test_a_difference_across_north(tmp_path):
 
 
 def write_attitudes(path, seconds, start_s=0, offset_rad=0.0, covariance=None, truth=True):
-    """Attitudes ten times a second; of the truth none is off by more than ``offset_rad`` in heading."""
+    """Write attitudes ten times a second; with truth, their heading is off by ``offset_rad``."""
     with BagWriter(path) as bag:
         for tick in range(10 * seconds):
             stamp_ns = START_NS + start_s * SECOND_NS + tick * SECOND_NS // 10
@@ -332,27 +332,27 @@ def write_attitudes(path, seconds, start_s=0, offset_rad=0.0, covariance=None, t
 
 
 def test_partly_at_other_times(tmp_path):
-    """A lasts 40 s, B begins after 30 s and lasts 40 s: ten seconds are in both, which is said."""
+    """A lasts 40 s, B begins after 30 s and lasts 40 s: ten seconds are in common."""
     a = write_attitudes(tmp_path / "a.mcap", 40, offset_rad=2 * ARCSEC)
     b = write_attitudes(tmp_path / "b.mcap", 40, start_s=30, offset_rad=-1 * ARCSEC)
     pair = read_pair(a, b)
-    assert any("They are not of the same time" in text and "10 s are in both" in text for text in origin(pair))
+    assert any("The times differ" in text and "10 s in common" in text for text in origin(pair))
     assert pair.differences[0].alone == (300, 300)
     assert pair.differences[0].difference_arcsec[:, 0] == pytest.approx([-3.0] * 100)
     heading = error_rows(pair)[0]
     assert heading.rms == pytest.approx((2.0, 1.0))
     assert heading.samples == (100, 100)
-    assert "B is nearer to the truth in heading" in " ".join(sentences(pair))
+    assert "B has the smaller RMS error in heading" in " ".join(sentences(pair))
 
 
 def test_without_truth_innovations_stand_side_by_side(tmp_path):
     a = write_attitudes(tmp_path / "a.mcap", 20, truth=False)
     b = write_attitudes(tmp_path / "b.mcap", 20, offset_rad=ARCSEC, truth=False)
     text = pair_page(read_pair(a, b))
-    assert "There is no truth in these recordings" in text
+    assert "No truth in these recordings" in text
     assert "<svg" in text[text.index('id="errors"'):text.index('id="budget"')]
-    assert "nearer to the truth" not in text
-    assert "Nothing in the bags tells whether they stem from the same inputs." in text
+    assert "smaller RMS error" not in text
+    assert "Whether the inputs are the same is unknown" in text
 
 
 def test_stamps_that_never_meet(tmp_path):
@@ -364,12 +364,12 @@ def test_stamps_that_never_meet(tmp_path):
             bag.write("ship/attitude", ship_attitude(stamp_ns), stamp_ns)
             bag.write("ship/innovation", innovation(stamp_ns, "star.fore", [0.0] * 3, [ARCSEC] * 3, 1.0), stamp_ns)
     text = pair_page(read_pair(a, b))
-    assert "ship/attitude: A and B have no stamp in common, so that they cannot be subtracted." in text
+    assert "ship/attitude: A and B have no stamp in common, so no difference is shown." in text
     assert "A and B have no output with equal stamps." in text
 
 
-def test_outputs_that_claim_nothing(tmp_path):
-    """INVALID all the time, in A and in B: nothing to draw and nothing to subtract, and that is said."""
+def test_invalid_outputs_only(tmp_path):
+    """INVALID all the time, in A and in B: nothing to draw and no difference."""
     for name in "ab":
         with BagWriter(tmp_path / f"{name}.mcap") as bag:
             for tick in range(50):
@@ -383,10 +383,10 @@ def test_outputs_that_claim_nothing(tmp_path):
 
 
 def test_events_match_by_text_and_time(pair):
-    """Two seconds apart, or another number in the text, is the same event; three seconds apart is another."""
+    """Events two seconds apart, or with another number in the text, are the same; three seconds apart they differ."""
     times_and_counts = {"a": [(10, 5)], "b": [(12, 7), (15, 5)]}
     nights = {
-        side: [Event(time_s * SECOND_NS, "source", "ins", f"ins OUT, {count} refused in a row")
+        side: [Event(time_s * SECOND_NS, "source", "ins", f"ins OUT, {count} rejected in a row")
                for time_s, count in rows]
         for side, rows in times_and_counts.items()
     }
@@ -460,24 +460,24 @@ def test_it_is_written_and_not_written_over(tmp_path, capsys):
 
 
 class TestWarnings:
-    """Each says what is different, why that matters and what to do; it is no sentence of the verdict besides."""
+    """Each warning states what differs, why it matters and what to do; it is not repeated in the summary."""
 
     def test_other_times(self, tmp_path):
         a = write_attitudes(tmp_path / "a.mcap", 40, offset_rad=2 * ARCSEC)
         b = write_attitudes(tmp_path / "b.mcap", 40, start_s=30)
         pair = read_pair(a, b)
-        (times,) = [one for one in pair_warnings(pair, []) if "not of the same time" in one.what]
-        assert times.why.startswith("A share or mean of A is of other minutes")
+        (times,) = [one for one in pair_warnings(pair, []) if "The times differ" in one.what]
+        assert times.why.startswith("Shares and means of A and B refer to different times")
         assert "at equal stamps" in times.do
         text = pair_page(pair)
-        assert text.count("They are not of the same time") == 1
+        assert text.count("The times differ") == 1
         assert f"To do: {times.do}" in text
 
     def test_a_source_without_errors(self, tmp_path):
         pair = read_pair(write_attitudes(tmp_path / "a.mcap", 5), write_attitudes(tmp_path / "b.mcap", 5))
-        problem = "A and B: star.fore is left out: no attitude on star/fore/horizon_attitude while the truth is known"
+        problem = "A and B: star.fore not evaluated: no attitude on star/fore/horizon_attitude while the truth is known"
         found = pair_warnings(pair, [problem, "A: a warning of its own"])
-        assert found[-2].why.startswith("Errors of this source are not in the tables")
+        assert found[-2].why.startswith("Errors of this source are missing in the tables")
         assert "--truth BAG" in found[-2].do
         assert (found[-1].what, found[-1].why) == ("A: a warning of its own", "")
 

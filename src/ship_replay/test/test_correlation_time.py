@@ -25,7 +25,7 @@ def root_mean_square(values: np.ndarray) -> np.ndarray:
 
 
 def log_likelihoods(series: np.ndarray, step_s: float, times_s: np.ndarray) -> np.ndarray:
-    """Of series of axes, shape (k, n), with the density 2 of their noise, at times."""
+    """Return log likelihoods of series of axes, shape (k, n), with noise density 2, at times."""
     found = []
     for time_s in times_s:
         decay = np.exp(-step_s / time_s)

@@ -129,7 +129,7 @@ def test_a_star_sensor_alone_is_carried_to_the_deck_by_its_nominal_installation(
     assert values["star.fore.heading.bias_arcsec"] == pytest.approx(7.0, abs=1e-6)
     assert values["star.fore.pitch.rms_arcsec"] == pytest.approx(0.0, abs=1e-6)
     # Installation: 20, 1, 1 arcsec about forward, up, right; the boresight is 40° up. About the vertical axis:
-    # 20² sin²40° + 1² cos²40° (up and right alike), and 1 for the noise; level ship: heading is about Up.
+    # 20² sin²40° + 1² cos²40° (up and right equal), and 1 for the noise; level ship: heading is about Up.
     vertical = 400.0 * np.sin(np.deg2rad(40.0)) ** 2 + np.cos(np.deg2rad(40.0)) ** 2 + 1.0
     assert values["star.fore.heading.sigma_arcsec"] == pytest.approx(np.sqrt(vertical))
 
@@ -171,7 +171,7 @@ def test_solutions_of_the_stars(tmp_path):
     for source in ("star.fore", "star.joint"):
         assert values[f"{source}.samples"] == 2
         assert values[f"{source}.heading.bias_arcsec"] == pytest.approx(7.0, abs=1e-6)
-    # About Up: what the message says; of the sensor alone the installation besides, worked out as above.
+    # About Up: as in the message; for the sensor alone plus the installation, worked out as above.
     installation = (20.0 * np.sin(np.deg2rad(40.0))) ** 2 + np.cos(np.deg2rad(40.0)) ** 2
     assert values["star.joint.heading.sigma_arcsec"] == pytest.approx(4.0)
     assert values["star.fore.heading.sigma_arcsec"] == pytest.approx(np.sqrt(16.0 + installation))
@@ -255,7 +255,7 @@ def test_innovations_and_alignment_without_truth(tmp_path):
     assert values["alignment.ins.time_offset_s"] == pytest.approx(0.012)
 
 
-def test_a_measurement_judged_again_counts_once(tmp_path):
+def test_a_measurement_with_two_decisions_counts_once(tmp_path):
     path = tmp_path / "a.mcap"
     with BagWriter(path) as bag:
         for residual, accepted, reason in ((1.0, True, 0), (3.0, True, 20)):
@@ -271,10 +271,10 @@ def test_a_measurement_judged_again_counts_once(tmp_path):
     assert values["innovation.star.fore.nis_mean"] == pytest.approx(9.0)
 
 
-def test_mend_24_a_configured_sensor_without_attitudes_is_named(tmp_path):
+def test_a_configured_sensor_without_attitudes_is_named(tmp_path):
     path = write_run(tmp_path / "a.mcap", [(1.0, 2.0, 3.0)] * 5, suite=SUITE)
     assert evaluate(path).problems == [
-        "star.fore is left out: no attitude on star/fore/horizon_attitude while the truth is known"
+        "star.fore not evaluated: no attitude on star/fore/horizon_attitude while the truth is known"
     ]
 
 
@@ -283,7 +283,7 @@ class TestCommand:
         return main([str(argument) for argument in arguments])
 
     @pytest.mark.parametrize("skip", ["4.1", "1e300", "nan", "-1"])
-    def test_mend_24_a_skip_beyond_the_end_is_an_error(self, skip, tmp_path, capsys):
+    def test_a_skip_beyond_the_end_is_an_error(self, skip, tmp_path, capsys):
         bag = write_run(tmp_path / "a.mcap", [(1.0, 2.0, 3.0)] * 5)
         assert self.run(bag, "--skip", "4.0") == 0
         assert self.run(bag, f"--skip={skip}") == 2
@@ -299,7 +299,7 @@ class TestCommand:
         assert json.loads((tmp_path / "a.json").read_text())["fused.heading.rms_arcsec"] == pytest.approx(1.0)
         assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
-    def test_the_table_says_what_its_counts_are_of(self, tmp_path):
+    def test_the_table_names_its_counts(self, tmp_path):
         """One exposure that is used without two of its stars: one measurement, two stars."""
         bag = tmp_path / "a.mcap"
         with BagWriter(bag) as writer:
@@ -310,7 +310,7 @@ class TestCommand:
         table = innovation_table(evaluate(bag))
         counts = {str(column.header): next(iter(column.cells)) for column in table.columns[-2:]}
         assert counts["accepted (measurements)"] == "1"
-        assert counts["refused (messages, stars)"] == "2 (misidentified 2)"
+        assert counts["rejected (messages, stars)"] == "2 (misidentified 2)"
 
     def test_the_figure_is_the_same_each_time(self, tmp_path):
         bag = write_innovations(tmp_path / "a.mcap")
@@ -365,7 +365,7 @@ class TestCommand:
             ("fused.nees_mean: {min: 2, max: 1}\n", "min 2 is above max 1"),
             (
                 "fused.nees_mean: {max: 1}\nfused.nees_mean: {max: 2}\n",
-                "a.expected.yaml:2: 'fused.nees_mean' was",
+                "a.expected.yaml:2: 'fused.nees_mean' is",
             ),
             ("fused.neess: {max: 1}\n", "no such quantity: fused.neess"),
             ("- 1\n", "expected lines such as"),
@@ -389,9 +389,9 @@ class TestCommand:
 @pytest.mark.parametrize(
     ("angles", "covariance_enu", "text"),
     [
-        ((np.inf, 0.0, 0.0), np.zeros(9), "heading, pitch, roll holds infinity"),
-        ((0.0, -np.inf, 0.0), np.zeros(9), "heading, pitch, roll holds infinity"),
-        ((0.0, 0.0, 0.0), np.full(9, np.inf), "rotation_covariance holds infinity"),
+        ((np.inf, 0.0, 0.0), np.zeros(9), "heading, pitch, roll is infinite"),
+        ((0.0, -np.inf, 0.0), np.zeros(9), "heading, pitch, roll is infinite"),
+        ((0.0, 0.0, 0.0), np.full(9, np.inf), "rotation_covariance is infinite"),
     ],
 )
 def test_a_claimed_attitude_that_is_infinite_is_left_out_by_name(tmp_path, angles, covariance_enu, text):
@@ -410,4 +410,4 @@ def test_a_claimed_attitude_that_is_infinite_is_left_out_by_name(tmp_path, angle
         bag.write("ship/attitude", bad, stamp_ns)
     found = evaluate(tmp_path / "with.mcap")
     assert found.flat() == without.flat()
-    assert found.problems == [f"topic 'ship/attitude': messages left out: 1, the first because non_finite: {text}"]
+    assert found.problems == [f"topic 'ship/attitude': messages excluded: 1, the first because non_finite: {text}"]

@@ -1,4 +1,4 @@
-"""The end of a replay names the sources that were excluded and reinstated, with times."""
+"""A replay prints at its end the excluded and reinstated sources, with times."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,7 +24,7 @@ def integrity(time_s: float, **excluded_for_s: float) -> Any:
     )
 
 
-def test_an_exclusion_begins_where_the_message_says_and_ends_with_the_first_message_without_it() -> None:
+def test_times_of_an_exclusion() -> None:
     history = ExclusionHistory()
     for message in (
         integrity(1.0),
@@ -42,7 +42,7 @@ def test_an_exclusion_begins_where_the_message_says_and_ends_with_the_first_mess
     assert ExclusionHistory().lines(START_NS) == []
 
 
-def test_a_replay_names_the_knocked_sensor_below_the_statuses(tmp_path: Path, capsys) -> None:
+def test_a_replay_names_the_shifted_sensor_below_the_statuses(tmp_path: Path, capsys) -> None:
     clean, faulty = tmp_path / "clean.mcap", tmp_path / "faulty.mcap"
     beginning(ROOT / "bags" / "demo.mcap", clean, 6)
     (tmp_path / "faults.yaml").write_text(KNOCK)

@@ -1,4 +1,4 @@
-"""Voyages with faults: what is drawn, how it is judged, and that a killed run goes on."""
+"""Voyages with faults: drawing, evaluation, and continuation after a kill."""
 
 import json
 import math
@@ -96,7 +96,7 @@ def test_bags_and_modes_take_turns():
 
 
 def told_of(claims=(), not_valid=(), signs=()):
-    """What was told, times in s after the start at 0."""
+    """Return outputs with times in s after the start at 0."""
     ns = NS_PER_S
     return Told(
         claims=[Claim("ship/attitude", round(t * ns), round(t * ns), sigmas, level) for t, sigmas, level in claims],
@@ -109,26 +109,26 @@ FAULT = Fault(topic="ins/imu", kind="bias", start_s=10.0, end_s=20.0, up_arcsec=
 
 
 def passage(told=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan):
-    """A minute without faults."""
+    """Return a minute without faults."""
     lights_ns = (np.array(lights_s) * NS_PER_S).astype(np.int64)
     sigmas_arcsec = encoder_sigma_arcsec, ins_sigma_arcsec
     return Passage(told or told_of(), arrivals_ns or {}, lights_ns, *sigmas_arcsec, 0, 60 * NS_PER_S)
 
 
 def verdict(told, clean=None, until_s=60.0, first_s=10.02):
-    """The first message that the fault changes comes at 10.02 s, the next ones every 0.1 s."""
+    """Return the outcome of a fault whose changed messages arrive every 0.1 s from 10.02 s on."""
     changed_ns = np.arange(round(first_s * NS_PER_S), 20 * NS_PER_S, NS_PER_S // 10)
     return judged(FAULT, changed_ns, told, passage(clean), until_s)
 
 
-def test_how_soon_a_fault_must_be_told():
+def test_time_limit_for_detection():
     known = passage(arrivals_ns={"ins/imu": np.arange(60) * NS_PER_S, "met/pressure": np.array([0])})
     assert known.alert_limit_s(FAULT) == 3.0
     assert known.alert_limit_s(Fault(topic="met/pressure", kind="drop", start_s=10.0)) == 1.0
 
 
 def test_a_fault_counts_from_the_first_message_that_it_changed():
-    """What was said before is no sign of it, and its time to be told begins there."""
+    """Earlier indications do not count, and the time to detection begins there."""
     before = told_of(not_valid=[12.0], signs=[("ins", 12.0, "gate"), ("ins", 12.1, "gate")])
     assert verdict(before).detected
     assert not verdict(before, first_s=13.0).detected
@@ -136,15 +136,15 @@ def test_a_fault_counts_from_the_first_message_that_it_changed():
     assert (round(found.alert_s, 2), found.changed) == (0.5, 60)
 
 
-def test_what_an_earlier_fault_has_left_behind_tells_nothing_of_this_one():
-    """But nothing more is claimed either: in this the fault is told at once."""
+def test_effects_of_an_earlier_fault_do_not_count():
+    """No output is VALID then: the fault counts as detected immediately."""
     left = [round(8.0 + 0.1 * n, 1) for n in range(60)]
     found = verdict(told_of(not_valid=left))
     assert (found.detected, round(found.alert_s, 2)) == (False, 0.08)
     assert verdict(told_of(not_valid=[*left, 15.0])).detected
 
 
-def test_a_wrong_source_that_is_excluded_is_a_fault_told_and_named_wrongly():
+def test_an_excluded_wrong_source_is_detected_and_not_attributed():
     found = verdict(told_of(signs=[("star.bow", 10.5, EXCLUSION)]))
     assert (found.detected, found.attributed) == (True, False)
 
@@ -153,7 +153,7 @@ def slip(arcsec):
     return Fault(topic="theodolite/encoder", kind="slip", start_s=10.0, end_s=20.0, elevation_arcsec=arcsec)
 
 
-def test_only_a_slip_below_thirteen_sigmas_that_no_light_sees_cannot_be_told():
+def test_only_a_slip_below_thirteen_sigmas_without_lights_is_undetectable():
     arrivals_ns = {"theodolite/encoder": np.arange(0, 60 * NS_PER_S, NS_PER_S // 50)}
     begin_ns = 10 * NS_PER_S
     dark = passage(arrivals_ns=arrivals_ns, lights_s=[9.9, 11.1], encoder_sigma_arcsec=2.0)
@@ -172,18 +172,18 @@ def test_only_a_slip_below_thirteen_sigmas_that_no_light_sees_cannot_be_told():
 @pytest.mark.parametrize(
     ("topic", "size", "row"),
     [
-        ("theodolite/encoder", {"azimuth_arcsec_per_min": -101.0}, "encoder drift, told late"),
+        ("theodolite/encoder", {"azimuth_arcsec_per_min": -101.0}, "encoder drift, detected late"),
         ("theodolite/encoder", {"azimuth_arcsec_per_min": 99.0}, ""),
         ("theodolite/encoder", {"elevation_arcsec_per_min": 300.0}, ""),
-        ("ins/imu", {"up_arcsec_per_min": 61.0}, "ins drift, told late"),
-        ("ins/imu", {"forward_arcsec_per_min": -61.0}, "ins drift, told late"),
+        ("ins/imu", {"up_arcsec_per_min": 61.0}, "ins drift, detected late"),
+        ("ins/imu", {"forward_arcsec_per_min": -61.0}, "ins drift, detected late"),
         ("ins/imu", {"right_arcsec_per_min": 59.0}, ""),
-        ("star/bow/horizon_attitude", {"up_arcsec_per_min": 4.1}, "star drift, told late"),
+        ("star/bow/horizon_attitude", {"up_arcsec_per_min": 4.1}, "star drift, detected late"),
         ("star/bow/horizon_attitude", {"right_arcsec_per_min": -3.9}, ""),
         ("reference/gyro/imu", {"up_arcsec_per_min": 300.0}, ""),
     ],
 )
-def test_what_creeps_fast_is_told_late(topic, size, row):
+def test_fast_drifts_are_detected_late(topic, size, row):
     fault = Fault(topic=topic, kind="drift", start_s=10.0, **size)
     two, three = (
         passage(arrivals_ns={f"star/{name}/{kind}": [] for name in names for kind in ("observations", "solution")})
@@ -193,15 +193,15 @@ def test_what_creeps_fast_is_told_late(topic, size, row):
     assert three.unseen(fault, 10 * NS_PER_S) == ("" if topic.startswith(("ins", "star")) else row)
 
 
-def test_a_step_of_the_ins_that_no_sample_tells_is_a_small_one():
+def test_an_ins_step_below_the_sample_noise_is_small():
     found = passage(ins_sigma_arcsec=2.0)
     steps = [Fault(topic="ins/imu", kind="bias", start_s=10.0, east_arcsec=size) for size in (-21.9, 22.1)]
     assert [found.unseen(step, 10 * NS_PER_S) for step in steps] == ["ins step, small", ""]
     assert passage().unseen(steps[0], 10 * NS_PER_S) == ""
 
 
-def test_a_star_sensor_knocked_while_no_star_is_seen_cannot_be_told():
-    """Stars from 0 to 8 s and from 20 s on: the first message that is changed comes after 12 s of silence."""
+def test_a_mounting_shift_without_stars_is_undetectable():
+    """Stars from 0 to 8 s and from 20 s on: the first changed message comes after 12 s without stars."""
     seen_ns = np.r_[0:9, 20:40] * NS_PER_S
     clouded = passage(arrivals_ns={"star/bow/observations": seen_ns[:9], "star/port/observations": seen_ns})
     knock = Fault(topic="star/port/observations", kind="knock", start_s=10.0, up_arcsec=15.0)
@@ -212,14 +212,14 @@ def test_a_star_sensor_knocked_while_no_star_is_seen_cannot_be_told():
     assert other.unseen(knock, 20 * NS_PER_S) == ""
 
 
-def test_what_no_data_can_tell_is_what_the_page_lists():
+def test_undetectable_cases_are_those_of_the_page():
     page = (ROOT / "docs" / "explanation" / "integrity.md").read_text(encoding="utf-8")
     section = page.split("## What no data can tell")[1].split("\n##")[0]
     labels = [line.split("|")[2].strip() for line in section.splitlines() if line.startswith("|")][2:]
     assert sorted(label.strip("`") for label in labels if label != "-") == sorted(UNSEEN_ROWS)
 
 
-def test_a_fault_is_told_by_a_status_or_by_its_name_within_its_time():
+def test_a_fault_is_detected_by_status_or_by_name_in_time():
     assert not verdict(told_of()).detected
     found = verdict(told_of(not_valid=[10.5]))
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, False, 0.48)
@@ -230,7 +230,7 @@ def test_a_fault_is_told_by_a_status_or_by_its_name_within_its_time():
     assert not verdict(told_of(not_valid=[23.1], signs=[("ins", 23.1, "gate")])).detected
 
 
-def test_what_the_voyage_says_without_faults_is_no_sign():
+def test_indications_of_the_fault_free_voyage_do_not_count():
     signs, not_valid = [("ins", 12.0, "gate")], [15.0, 15.5]
     clean = told_of(not_valid=not_valid, signs=signs)
     assert not verdict(told_of(not_valid=[15.3], signs=signs), clean).detected
@@ -244,14 +244,14 @@ def named(*signs):
 STARS_REFUSED = [("star.bow", 10.1 + 0.1 * i, "gate") for i in range(5)]
 
 
-def test_who_is_excluded_counts_before_who_was_refused_in_comparison():
+def test_exclusion_precedes_rejection_in_comparison():
     assert named(*STARS_REFUSED) == {"star.bow"}
     assert named(*STARS_REFUSED, ("ins", 11.0, EXCLUSION)) == {"ins"}
-    # Of several that are excluded none is acquitted.
+    # With several exclusions, all are named.
     assert named(("ins", 11.0, EXCLUSION), ("star.bow", 12.0, EXCLUSION)) == {"ins", "star.bow"}
 
 
-def test_who_is_refused_by_itself_first_and_again_is_named_before_those_set_aside_in_doubt():
+def test_repeated_own_rejections_precede_later_exclusions():
     ins = [("ins", 10.0, "gate"), ("ins", 10.1, "gate")]
     aside = [("star.bow", 10.5, EXCLUSION), ("star.port", 10.5, EXCLUSION)]
     assert named(*ins, *aside) == {"ins"}
@@ -265,7 +265,7 @@ def test_who_is_refused_by_itself_first_and_again_is_named_before_those_set_asid
     assert named(("star.bow", 10.0, "frame"), ("star.bow", 10.1, "frame"), *aside) == {"star.bow"}
 
 
-def test_who_was_refused_again_and_again_counts_before_who_was_refused_once():
+def test_repeated_rejections_precede_a_single_one():
     assert named(("lights", 10.0, "gate"), *STARS_REFUSED) == {"star.bow"}
     assert named(("lights", 10.0, "gate"), ("star.bow", 10.1, "gate")) == {"lights"}
     assert named() == set()
@@ -281,7 +281,7 @@ def test_claims_beyond_five_sigmas_are_counted_until_the_next_fault():
 
 
 def test_an_output_that_was_not_valid_in_between_is_a_break():
-    """Two wrong claims ten seconds apart are no fifth of a second of them."""
+    """Two wrong outputs ten seconds apart are not continuous."""
     claims = told_of(claims=[(10.0, 9.0, 0.1), (10.1, 9.0, 0.1), (20.0, math.inf, 0.1), (20.1, 1.0, 0.1)]).claims
     assert beyond(claims) == (pytest.approx(0.3), pytest.approx(0.2))
 
@@ -350,8 +350,8 @@ def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():
     assert reported(book, 4, "ins/imu", 290, {"frame": 1}) == []
 
 
-def test_a_refusal_in_comparison_with_others_accuses_only_what_leads():
-    """A star in the gate may be right, and so may one whose position is not known; a fix that is refused is not."""
+def test_own_faults_among_rejections():
+    """A star rejected by the gate, or without a known position, may be correct; a rejected fix is not."""
     stars = {"gate": 3, "attitude_conflict": 1, "gap": 1, "no_fix": 1}
     assert reported(HealthBook(), 1, "star/bow/observations", 9, stars) == []
     assert reported(HealthBook(), 1, "theodolite/beacons", 9, stars) == []
@@ -370,7 +370,7 @@ def test_levels_and_exclusions_are_those_of_the_last_integrity_message():
 
 
 @pytest.mark.slow
-def test_a_voyage_is_judged_and_repeats(bag):
+def test_a_voyage_is_evaluated_reproducibly(bag):
     voyage = Voyage(5, bag, OVERLAPPING)
     clean = clean_voyage(bag)
     first, again = run_voyage(voyage, clean), run_voyage(voyage, clean)
@@ -382,7 +382,7 @@ def test_a_voyage_is_judged_and_repeats(bag):
     json.dumps(first, allow_nan=False)
 
 
-def test_an_exception_is_told_and_its_faults_with_it(bag, monkeypatch):
+def test_an_exception_is_recorded_with_its_faults(bag, monkeypatch):
     clean = clean_voyage(bag)
     monkeypatch.setattr(VoyageSink, "write", lambda *_: 1 / 0)
     result = run_voyage(Voyage(5, bag, SINGLE), clean)
@@ -455,20 +455,20 @@ def overlapping(number, **changes):
         ([result(3, worst_sigmas=5.1)], ["VALID beyond 5σ: 1;"]),
         ([result(3, threat=UNSEEN_ROWS[0], worst_sigmas=5.1)], []),
         ([result(3, threat=UNSEEN_ROWS[0], worst_over_level=1.1)], ["1 VALID beyond the protection level"]),
-        ([result(3, alert_s=1.1)], ["told within 1 s or 3 measurements: 98.0%"]),
+        ([result(3, alert_s=1.1)], ["detected within 1 s or 3 measurements: 98.0%"]),
         ([result(3, alert_s=1.1, sigmas=7.9)], []),
         ([result(3, alert_s=1.1, threat=UNTOLD_ROWS[0])], []),
-        ([result(3, alert_s=1.1, threat="ins step, small")], ["told within 1 s or 3 measurements: 98.0%"]),
-        ([result(3, alert_s=None, detected=False)], ["told within 1 s or 3 measurements: 98.0%"]),
+        ([result(3, alert_s=1.1, threat="ins step, small")], ["detected within 1 s or 3 measurements: 98.0%"]),
+        ([result(3, alert_s=None, detected=False)], ["detected within 1 s or 3 measurements: 98.0%"]),
         ([result(3, alert_s=None, detected=False, changed=2)], []),
-        ([result(i, attributed=False) for i in range(3)], ["the right source named: 94.2%"]),
+        ([result(i, attributed=False) for i in range(3)], ["attributed to the right source: 94.2%"]),
         ([result(i, attributed=False) for i in range(2)], []),
         ([overlapping(3, longest_beyond_s=2.1, worst_sigmas=9.0)], ["the longest VALID beyond 5σ 2.10 s"]),
         ([overlapping(3, longest_beyond_s=2.0, worst_sigmas=9.0, worst_over_level=3.0)], []),
         ([result(3) | {"failures": 1}], ["1 with exceptions"]),
     ],
 )
-def test_each_bound_is_told_with_whether_it_is_met(others, unmet):
+def test_each_bound_is_printed_with_its_result(others, unmet):
     found = totals([result(100 + i) for i in range(49)] + others)
     assert found.sound == (not unmet)
     lines = [line for line in found.lines if line.startswith("NOT MET")]
@@ -548,7 +548,7 @@ def test_the_tables_of_results_that_are_there_and_their_exit_code(tmp_path):
         ("everything", "topic: theodolite/encoder, kind: slip, start_s: 24.1, end_s: 34, elevation_arcsec: 30"),
     ],
 )
-def test_the_levels_told_last_hold_at_every_valid_output(scenario, words, tmp_path_factory):
+def test_the_last_published_levels_hold_at_every_valid_output(scenario, words, tmp_path_factory):
     bag = tmp_path_factory.getbasetemp() / f"{scenario}_1.mcap"
     make_bag(SCENARIOS / f"{scenario}.yaml", 45.0, 1, bag)
     with read_bag(bag) as opened:
@@ -561,7 +561,7 @@ def test_the_levels_told_last_hold_at_every_valid_output(scenario, words, tmp_pa
 
 @pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_results(tmp_path, bag):
-    """kill -9 of parent and workers after the first results; the second run makes only what is missing."""
+    """kill -9 of parent and workers after the first results; the second run computes only missing results."""
     out = tmp_path / "faults"
     (out / "bags").mkdir(parents=True)
     (out / "bags" / "demo_120s_1.mcap").write_bytes(bag.read_bytes())  # as the tool would name its own

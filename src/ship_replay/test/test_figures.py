@@ -1,4 +1,4 @@
-"""Figures of a run: what sets their scale, what they name, what may not lie over what."""
+"""Figures of a run: scales, names, and no overlapping labels."""
 
 from html import escape
 from itertools import combinations
@@ -44,7 +44,7 @@ STARTING = np.where(np.arange(COUNT) < 20, 3600.0, 2.0)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.8])
-def test_mend_24_the_first_sigma_sets_no_scale(share):
+def test_the_first_sigma_sets_no_scale(share):
     sigma = np.where(np.arange(COUNT) < share * COUNT, 3600.0, 2.0)
     error = np.where(sigma > 100.0, 900.0, 1.0)[:, None]
     for figure in (
@@ -58,7 +58,7 @@ def test_mend_24_the_first_sigma_sets_no_scale(share):
     assert settled(np.full(3, np.nan)) == slice(None)
 
 
-def test_mend_24_a_sensor_beyond_the_scale_or_without_a_measurement_is_named():
+def test_a_sensor_beyond_the_scale_or_without_a_measurement_is_named():
     figure = attitude_error_figure([errors("fused", 2.0), errors("star.mast", 2.0, 900.0), errors("ins", 2.0)], "t")
     lost = errors("star.mast", np.where(np.arange(COUNT) < COUNT - 30, 9000.0, 2.0), 1.0)
     lost.error_arcsec[: COUNT - 30] *= 900.0
@@ -71,7 +71,7 @@ def test_mend_24_a_sensor_beyond_the_scale_or_without_a_measurement_is_named():
     plt.close("all")
 
 
-def test_mend_24_labels_and_legends_lie_over_nothing():
+def test_labels_and_legends_do_not_overlap():
     several = [errors("fused", 2.0), *(errors(f"star.bridge_wing_{number}", 2.0) for number in range(5))]
     pointing = errors("pointing", 2.0, channels=("azimuth_cos_elevation", "elevation", "image_rotation"))
     sources = {f"star.a_sensor_with_a_long_name_{number}": innovations([1.0] * 9) for number in range(3)}

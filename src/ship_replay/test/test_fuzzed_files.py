@@ -1,6 +1,6 @@
 """Files with random mutations through every command that reads them: one line or a result, never a traceback.
 
-Mutated bags are sealed anew: their checksums are right, as whoever means harm would make them.
+Mutated bags get correct checksums, as an attacker would give them.
 """
 
 import io
@@ -58,7 +58,7 @@ SCENARIO = SHORT.replace("duration_s: 4.0", "duration_s: 1.0")
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Whole inputs of all commands."""
+    """Unchanged inputs of all commands."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "scenario.yaml").write_text(SCENARIO)
     assert simulate_command.main([str(folder / "scenario.yaml"), "--out", str(folder / "in.mcap")]) == 0
@@ -82,7 +82,7 @@ def whole(tmp_path_factory):
 
 
 def mutated(draw, data):
-    """Some bytes changed, cut out, doubled or replaced by a text that is hard to read."""
+    """Return data with some bytes changed, removed, doubled or replaced by a text that is hard to read."""
     data = bytearray(data)
     for _ in range(draw.choice((1, 1, 2, 5))):
         place = draw.randrange(len(data) + 1)
@@ -102,7 +102,7 @@ def mutated(draw, data):
 
 
 def mutated_text(draw, data):
-    """As :func:`mutated`, or one value of the text replaced by another."""
+    """Return data as from :func:`mutated`, or with one value of the text replaced by another."""
     if draw.random() < 0.3:
         return mutated(draw, data)
     words = data.replace(b"\n", b" \n ").split(b" ")
@@ -121,7 +121,7 @@ def record_bytes(record):
 
 
 def sealed(draw, data):
-    """A bag with a mutation within one of its records, and right checksums; without its summary."""
+    """Return a bag with a mutation within one of its records and correct checksums; without its summary."""
     end = next(offset for offset, opcode, _ in places(data[:-8]) if opcode == Opcode.DATA_END)
     records = [(opcode, data[offset + 9 : offset + length]) for offset, opcode, length in places(data[:end])]
     target = draw.choice([n for n, (opcode, _) in enumerate(records) if opcode != Opcode.MESSAGE_INDEX])
@@ -142,7 +142,7 @@ def sealed(draw, data):
 
 
 def mutated_content(draw, content):
-    """A mutation within one record of a chunk, often a definition: these come first and weigh most."""
+    """Return content with a mutation within one record of a chunk, often a definition, which has most effect."""
     if draw.random() < 0.1:
         return mutated(draw, content)
     records, offset = [], 0
@@ -165,7 +165,7 @@ def mutated_content(draw, content):
 
 
 def bag(draw, data):
-    """A mutated bag: sealed, or damaged as a disk does."""
+    """Return a mutated bag: with correct checksums, or damaged as by a disk."""
     choice = draw.random()
     if choice < 0.75:
         return sealed(draw, data)
@@ -214,11 +214,11 @@ KINDS = {
 }
 
 
-# What a mutated message says may be beyond all numbers.
+# Values in a mutated message may overflow.
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("kind", KINDS)
-def test_mend_25_no_mutation_of_a_file_ends_in_a_traceback(kind, whole, tmp_path, monkeypatch, capsys):
+def test_no_mutation_of_a_file_ends_in_a_traceback(kind, whole, tmp_path, monkeypatch, capsys):
     name, mutate, commands = KINDS[kind]
     data = (whole / name).read_bytes()
     monkeypatch.chdir(whole)

@@ -1,4 +1,4 @@
-"""Recordings with names that mean harm: in the pages of ``compare`` and ``report`` nothing runs, and all is shown."""
+"""Recordings with malicious names: in the pages of ``compare`` and ``report`` no code runs, and all names are shown."""
 
 import contextlib
 
@@ -22,7 +22,7 @@ NAMES = {
 
 
 def write_hostile(path, name, offset_rad, units="rad"):
-    """Twenty seconds of outputs in which the name stands wherever a recording has a name or a text."""
+    """Write twenty seconds of outputs with the name wherever a recording has a name or a text."""
     with BagWriter(path) as bag:
         bag.add_attachment("scenario.yaml", f"# {name}\nname: {offset_rad}\n")
         bag.add_metadata(name, {name: f"{name} {offset_rad}"})
@@ -100,7 +100,7 @@ def write_hostile(path, name, offset_rad, units="rad"):
 
 
 def looked_at(page, name):
-    """The text of a page as a browser shows it, where nothing ran and nothing else was asked for."""
+    """Return the text of a page as shown by a browser, without any code run or other request."""
     with contextlib.closing(Browser()) as browser:
         browser.open(page.as_uri())
         assert browser.problems == []

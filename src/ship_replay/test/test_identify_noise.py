@@ -1,4 +1,4 @@
-"""The command ``identify_noise`` on simulated bags: the file that the suite loads, the words, the exit codes."""
+"""The command ``identify_noise`` on simulated bags: the file that the suite loads, the texts, the exit codes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -58,7 +58,7 @@ def test_without_out_nothing_is_written(bag, tmp_path, monkeypatch, capsys):
     assert "parameters:" not in capsys.readouterr().out
 
 
-def test_bad_input_is_told_in_one_line(bag, tmp_path, capsys):
+def test_bad_input_is_reported_in_one_line(bag, tmp_path, capsys):
     write_session(tmp_path / "few.mcap", replace(SHORT, duration_s=100.0))
     line = refused(main, capsys, tmp_path / "few.mcap")
     assert "few.mcap: 11 epochs of stars: expected at least 50, better hours of them" in line
@@ -68,7 +68,7 @@ def test_bad_input_is_told_in_one_line(bag, tmp_path, capsys):
         leave_out=("star/fore/horizon_attitude", "star/starboard/horizon_attitude"),
     )
     line = refused(main, capsys, tmp_path / "dark.mcap")
-    assert "no star measurement was used (none came): nothing tells what the INS does" in line
+    assert "no star measurement was used (none received): the INS error is not observable" in line
     (tmp_path / "blind.yaml").write_text("ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n")
     line = refused(main, capsys, bag, "--config", tmp_path / "blind.yaml")
     assert "the configuration has no star_sensors of ship_attitude" in line

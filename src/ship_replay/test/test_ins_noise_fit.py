@@ -1,6 +1,6 @@
-"""The parameters of an INS found from simulated records: the right model, sigmas that hold, and what is not told.
+"""INS parameters from simulated records: model selection, consistent sigmas, and undetermined parameters.
 
-Expected values are those that the simulator draws by; its Schuler INS is integrated by scipy's matrix exponential.
+Expected values are those of the simulator; its Schuler INS is integrated by scipy's matrix exponential.
 """
 
 from pathlib import Path
@@ -29,12 +29,12 @@ CHANGES = {"tilt": 2.0 * TILT**2 / TILT_S, "heading": 2.0 * HEADING**2 / HEADING
 
 
 def told(fitted: FittedModel) -> dict[str, tuple[float, float]]:
-    """Name of a parameter of the suite → value and sigma of its logarithm."""
+    """Return name of a suite parameter → value and sigma of its logarithm."""
     return {what.name: fitted.told(what) for what in fitted.model.told}
 
 
 def changes(fitted: FittedModel) -> dict[str, tuple[float, float]]:
-    """2 σ²/τ of tilt and heading, arcsec²/s, each with the sigma of its logarithm."""
+    """Return 2 σ²/τ of tilt and heading, arcsec²/s, each with the sigma of its logarithm."""
     assert "2 σ²/τ of heading" in fitted.model.parameters[2].name
     return {axis: (fitted.values[row], fitted.log_sigmas[row]) for axis, row in (("tilt", 0), ("heading", 2))}
 
@@ -44,7 +44,7 @@ def three_hours() -> Identification:
     return identify(noise_session(scenario(10_800.0, white_sigma_arcsec=WHITE), 1))
 
 
-def test_three_hours_tell_white_noise_and_change(three_hours: Identification) -> None:
+def test_three_hours_determine_white_noise_and_change(three_hours: Identification) -> None:
     # Issue: white sigma within 10 %, 2 sigma²/tau inside its own interval.
     best = three_hours.best
     assert best.model.name == "gauss_markov"
@@ -57,22 +57,22 @@ def test_three_hours_tell_white_noise_and_change(three_hours: Identification) ->
         assert log_sigma < 0.2
 
 
-def test_three_hours_cannot_tell_sigma_and_time(three_hours: Identification) -> None:
+def test_three_hours_do_not_separate_sigma_and_time(three_hours: Identification) -> None:
     (tilt,) = (line for line in three_hours.warnings if line.startswith("gauss_markov, tilt: 3 h are "))
-    assert "correlation times and cannot tell σ and τ apart" in tilt
+    assert "correlation times, too short to separate σ and τ" in tilt
     assert "10 % and 30 % need 200 times" in tilt
-    assert tilt.endswith("what it tells is 2σ²/τ")
+    assert tilt.endswith("only 2σ²/τ is determined")
     log_sigmas = {name: log_sigma for name, (_, log_sigma) in told(three_hours.best).items()}
     assert log_sigmas["tilt_time_s"] > 0.3
     assert log_sigmas["heading_time_s"] > 0.5
 
 
-def test_the_right_model_is_honest_without_stars(three_hours: Identification) -> None:
+def test_the_right_model_is_consistent_without_stars(three_hours: Identification) -> None:
     checks = three_hours.outages["gauss_markov"]
     assert [check.intervals for check in checks] == [1, 3, 7, 15]
     assert [check.horizon_s for check in checks] == pytest.approx([5400.0, 2700.0, 1350.0, 675.0])
     assert all(missed.is_honest for check in checks for missed in check.parts.values())
-    assert not any("not honest" in line for line in three_hours.warnings)
+    assert not any("are inconsistent" in line for line in three_hours.warnings)
 
 
 @pytest.fixture(scope="module")
@@ -82,15 +82,15 @@ def free_ins() -> Identification:
 
 
 @pytest.mark.statistics
-def test_schuler_is_told_from_gauss_markov_which_is_not_honest(free_ins: Identification) -> None:
+def test_schuler_is_selected_and_gauss_markov_is_inconsistent(free_ins: Identification) -> None:
     # Issue: an independent computation had 13.4″ in the outage, 2.5 times its sigma.
     found = free_ins
     assert found.best.model.name == "schuler"
     assert found.best.aic + 100.0 < found.fitted[1].aic
-    start = "the most likely parameters of gauss_markov are not honest in an outage: tilt predicted over "
+    start = "the most likely parameters of gauss_markov are inconsistent in an outage: tilt predicted over "
     (line,) = (line for line in found.warnings if line.startswith(start))
     assert "× its σ of" in line
-    assert not any("of schuler are not honest" in line for line in found.warnings)
+    assert not any("of schuler are inconsistent" in line for line in found.warnings)
     errors = {name: value for name, (value, _) in told(found.best).items()}
     assert errors["white_sigma_arcsec"] == pytest.approx(1.0, rel=0.4)
 
@@ -106,10 +106,10 @@ def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_
     assert ins.schuler.damping_time_s == 0.0
     text = file.read_text(encoding="utf-8")
     assert "        damping_time_s: 0.0  # as configured\n" in text
-    assert "# the most likely parameters of gauss_markov are not honest in an outage: tilt" in text
+    assert "# the most likely parameters of gauss_markov are inconsistent in an outage: tilt" in text
 
 
-def test_two_hundred_times_tell_sigma_and_time() -> None:
+def test_two_hundred_times_determine_sigma_and_time() -> None:
     # Issue: sigma within 10 %, tau within 30 %.
     slow = {"tilt_sigma_arcsec": 10.0, "tilt_time_s": 60.0, "heading_sigma_arcsec": 20.0, "heading_time_s": 60.0}
     session = noise_session(scenario(12_000.0, **slow), 1)
@@ -122,7 +122,7 @@ def test_two_hundred_times_tell_sigma_and_time() -> None:
 
 
 @pytest.mark.statistics
-def test_the_sigmas_of_what_is_told_hold_over_many_records() -> None:
+def test_stated_sigmas_hold_over_many_records() -> None:
     hour, wrong = noise_session(scenario(2400.0), 1), []
     true = np.log([CHANGES["tilt"], CHANGES["heading"], WHITE])
     for seed in range(6):
@@ -137,7 +137,7 @@ def test_the_sigmas_of_what_is_told_hold_over_many_records() -> None:
 def test_without_a_latitude_schuler_is_not_tried() -> None:
     found = identify(noise_session(scenario(1200.0), 1, with_fixes=False))
     assert [fitted.model.name for fitted in found.fitted] == ["gauss_markov"]
-    assert "schuler was not tried: no position fix tells the latitude" in found.warnings
+    assert "schuler was not tried: the latitude is unknown without position fixes" in found.warnings
 
 
 def test_wrong_sigmas_in_the_configuration_do_not_matter() -> None:

@@ -1,8 +1,8 @@
-"""The likelihood of a record beside one that is computed otherwise: the joint density of all measurements at once.
+"""The likelihood of a record compared with an independent computation: the joint density of all measurements.
 
-The covariance of all of them is put together pair by pair: of the INS's error by the textbook's exponential, or by the
-filter's own Schuler process, which adds power series over steps of two seconds; of everything beside it by the blocks
-of the filter's model. scipy.stats evaluates the density.
+The joint covariance is assembled pair by pair. The INS's error uses the textbook's exponential, or the filter's own
+Schuler process by power series over steps of two seconds. All other states use the blocks of the filter's model.
+scipy.stats evaluates the density.
 """
 
 import itertools
@@ -32,7 +32,7 @@ WALK = 30.0
 
 @pytest.fixture(scope="module")
 def session() -> NoiseSession:
-    """Two minutes; nuisances of every kind: constant, walking, dying out. Stars come between samples of the INS."""
+    """Two minutes with other states of every kind: constant, random walk, Gauss-Markov. Stars are between samples."""
     voyage = scenario(120.0, star=LASTING)
     found = noise_session(replace(voyage, carrier=ROLLING, ins=replace(voyage.ins, rate_hz=1.0)), 1)
     block = found.model.blocks["star.fore.installation"]
@@ -41,7 +41,7 @@ def session() -> NoiseSession:
 
 
 class Still:
-    """A vertical that stays as it is."""
+    """A constant vertical."""
 
     def __init__(self, here: VerticalHere) -> None:
         self._here = here
@@ -51,7 +51,7 @@ class Still:
 
 
 def joint_density(session: NoiseSession, of_ins, white_arcsec: float) -> float:
-    """log p of all pairs; of_ins(i, j) is the covariance of the INS's error at pair i with that at pair j, rad²."""
+    """Return log p of all comparisons; of_ins(i, j) is the covariance of the INS's error at i with that at j, rad²."""
     model, pairs = session.model, session.pairs
     attitude, noise = model.slices["ins.attitude"], model.slices["ins.noise"]
     first_ns = pairs[0].time_ns
@@ -109,7 +109,7 @@ def test_gauss_markov_is_the_joint_density(session: NoiseSession) -> None:
 
 
 class Sensors(NamedTuple):
-    """Of a Schuler process, other than by default."""
+    """Parameters of a Schuler process that differ from the defaults."""
 
     tilt: float = 7.0
     heading: float = 40.0
@@ -167,7 +167,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     np.testing.assert_allclose(found[0], joint_density(session, of_ins, sensors.white), rtol=0.0, atol=1e-5)
 
 
-def test_a_long_record_is_thinned_and_says_so() -> None:
+def test_a_long_record_is_thinned_with_a_warning() -> None:
     session = noise_session(scenario(400.0), 2)
     assert star_record(session).every == 1
     thinned = star_record(session, most_epochs=15)

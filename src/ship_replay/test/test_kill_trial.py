@@ -45,6 +45,6 @@ def test_a_killed_node_has_its_inputs_in_the_box(tmp_path, seed):
     ],
     ids=["more than a period", "a gap", "rosbags reads less", "mcap reads less", "nothing is left"],
 )
-def test_a_trial_that_failed_says_so(lost_s, has_gap, recovered, readable):
+def test_a_failed_trial_is_reported(lost_s, has_gap, recovered, readable):
     assert KillTrial(100, 90, 0.05, False, 90, (90, 90)).keeps(0.1)
     assert not KillTrial(100, 90, lost_s, has_gap, recovered, readable).keeps(0.1)

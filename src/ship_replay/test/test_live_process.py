@@ -1,4 +1,4 @@
-"""ROS domains for live trials: real participants, on this machine alone."""
+"""ROS domains for live trials: real participants, limited to this machine."""
 
 import pytest
 from rclpy.context import Context
@@ -10,7 +10,7 @@ pytestmark = pytest.mark.live
 
 
 def test_a_domain_is_free_only_after_all_participants_have_left(monkeypatch):
-    """Also where the first, whose port is the lowest, leaves first."""
+    """Also if the first, whose port is the lowest, leaves first."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = free_domain_id()
     participants = []

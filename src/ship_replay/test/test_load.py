@@ -1,4 +1,4 @@
-"""The load of a suite by its rates: which rate counts for what, what is too much, and how fast this computer is."""
+"""The load of a suite from its rates: contributions, limits, and the speed of this computer."""
 
 import pytest
 
@@ -54,7 +54,7 @@ def test_the_speed_of_this_computer_is_a_figure_that_makes_sense():
     assert 0.02 < measured_slowness() < 50.0
 
 
-def test_check_config_tells_the_load_and_warns_where_it_is_too_much(tmp_path, capsys):
+def test_check_config_prints_the_load_and_warns_if_too_high(tmp_path, capsys):
     (tmp_path / "suite.yaml").write_text("ship_attitude:\n  ros__parameters:\n    ins:\n      frame_id: ins\n")
     with BagWriter(tmp_path / "fast.mcap") as bag:
         for number in range(2000):

@@ -1,4 +1,4 @@
-"""A bag whose recorder stalled: told, and replayed by its stamps as if it had not."""
+"""A bag whose recorder stalled: reported, and replayed by stamps like a regular recording."""
 
 from collections import Counter
 from pathlib import Path
@@ -22,7 +22,7 @@ STALL_S = (6.0, 9.0)
 
 
 def stalled(path, stall_s):
-    """The first fifteen seconds of the demo; what came during the stall was logged at its end."""
+    """Write the first fifteen seconds of the demo; messages of the stall are logged at its end."""
     with read_bag(DEMO) as bag, BagWriter(path) as out:
         out.add_attachment("suite.yaml", bag.attachments["suite.yaml"])
         first_ns, last_ns = (bag.start_ns + round(limit * SECOND_NS) for limit in stall_s)
@@ -35,7 +35,7 @@ def stalled(path, stall_s):
 
 
 def attitudes(path):
-    """Stamp → heading, of those that claim something."""
+    """Return stamp → heading of outputs other than INVALID."""
     with read_bag(path) as bag:
         messages = (record.decode() for record in bag.records({"ship/attitude"}))
         return {ns_from_stamp(m.header.stamp): m.heading for m in messages if m.status != m.INVALID}
@@ -47,7 +47,7 @@ def bags(tmp_path_factory):
     return stalled(folder / "regular.mcap", (0.0, 0.0)), stalled(folder / "stalled.mcap", STALL_S)
 
 
-def test_mend_22_by_its_stamps_a_stalled_recording_gives_what_a_regular_one_gives(bags, tmp_path):
+def test_replay_by_stamps_of_a_stalled_recording(bags, tmp_path):
     outputs, summaries = [], []
     for number, bag in enumerate(bags):
         out = tmp_path / f"{number}.mcap"
@@ -56,14 +56,14 @@ def test_mend_22_by_its_stamps_a_stalled_recording_gives_what_a_regular_one_give
     regular, held_up = map(attitudes, outputs)
     assert len(regular) > 700
     assert held_up == regular
-    # Nothing is to be told where it does no harm.
+    # No warning if there is no effect.
     assert [summary.log_times.held_up() for summary in summaries] == ["", ""]
     again = tmp_path / "again.mcap"
     replay(bags[1], again, (ShipAttitudeAdapter,), by_stamps=True)
     assert again.read_bytes() == outputs[1].read_bytes()
 
 
-def test_mend_22_irregular_log_times_are_told(bags, tmp_path, capsys):
+def test_irregular_log_times_are_reported(bags, tmp_path, capsys):
     for bag in bags:
         assert main([str(bag), "--out", str(tmp_path / f"out_{bag.name}")]) == 0
     told = [line for line in capsys.readouterr().out.splitlines() if "log times" in line]
@@ -76,7 +76,7 @@ def record_of(stamp_ns, log_time_ns):
     return BagRecord("ins/imu", "sensor_msgs/msg/Imu", log_time_ns, serialize(imu(stamp_ns)), message_store())
 
 
-def test_mend_22_messages_without_a_usable_stamp_keep_their_place():
+def test_messages_without_a_usable_stamp_keep_their_place():
     """Log times half a second after the stamps; one stamp is zero, one of another year."""
     rng = np.random.default_rng(1)
     stamps = START_NS + np.arange(300) * 10**8
@@ -96,14 +96,14 @@ def test_mend_22_messages_without_a_usable_stamp_keep_their_place():
 
 
 @pytest.mark.parametrize("option", ["--verify"])
-def test_mend_22_arrival_by_stamps_does_not_verify(bags, option, tmp_path, capsys):
+def test_arrival_by_stamps_does_not_verify(bags, option, tmp_path, capsys):
     assert main([str(bags[0]), "--out", str(tmp_path / "o.mcap"), "--arrival", "stamps", option]) == 2
     assert "contradict each other" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("late", [0, 10, 3000])
 def test_times_noted_together_are_those_noted_one_by_one(late):
-    """``late``: by so many places times come out of order, also more than are put in order."""
+    """``late``: number of places by which times are out of order, also more than are sorted."""
     rng = np.random.default_rng(late)
     times_ns = np.cumsum(rng.integers(0, 20_000_000, 5000))
     times_ns = times_ns[np.argsort(np.arange(5000) + rng.uniform(0, late, 5000), kind="stable")]

@@ -1,4 +1,4 @@
-"""What trials feed into a core is what an adapter reads in the messages of the same run."""
+"""Trials pass the same data to a core as an adapter reads from the messages of the same run."""
 
 import dataclasses
 from pathlib import Path
@@ -59,7 +59,7 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
 
 
 @pytest.mark.parametrize("exposure_s", [0.1, 2.0])
-def test_an_estimator_is_told_the_length_of_an_exposure_that_has_one(exposure_s):
+def test_exposures_have_their_length(exposure_s):
     still, moving = (
         star_exposure(simulate(with_sensor(paper_stars(duration_s=4.0), exposure_s=length_s), seed=1), "fore", 0)
         for length_s in (0.0, exposure_s)
@@ -93,7 +93,7 @@ def test_fixes_and_weather_are_read_as_the_run_holds_them():
 
 
 def one_by_one(core, run, wanted_ns):
-    """The outcomes of a run whose INS samples are given to the core one after another."""
+    """Return the outcomes of a run whose INS samples are passed to the core one after another."""
     for _, source, index in run.arrivals():
         if source == "ins":
             time_ns = int(run.ins.time_ns[index])
@@ -107,7 +107,7 @@ def one_by_one(core, run, wanted_ns):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper", "late_shuffled", "everything"])
-def test_samples_of_the_ins_judged_in_blocks_lead_to_what_they_lead_to_one_by_one(name):
+def test_ins_samples_in_batches_equal_those_one_by_one(name):
     scenario = dataclasses.replace(load_scenario(SCENARIOS / f"{name}.yaml"), duration_s=40.0)
     run = simulate(scenario, seed=1)
     wanted_ns = set(run.ins.time_ns[[700, 701, 1500, -1]].tolist())

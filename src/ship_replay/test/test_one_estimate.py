@@ -1,7 +1,6 @@
-"""The estimates without each source do not move that by all of them: on a clean voyage it is what it is alone.
+"""The subfilters do not change the main filter: on a voyage without faults it is equal with and without them.
 
-So integrity does not worsen the root mean square of the error. What the estimates dispute makes the covariance wider,
-and nothing else.
+So integrity does not increase the RMS error. Inconsistent estimates only increase the covariance.
 """
 
 from dataclasses import replace
@@ -25,7 +24,7 @@ def run_of(scenario: str, duration_s: float) -> SimulatedRun:
     return simulate(replace(found, duration_s=duration_s), seed=1)
 
 
-def test_the_ships_attitude_is_that_of_one_estimate_alone() -> None:
+def test_the_ships_attitude_is_that_of_the_main_filter_alone() -> None:
     run = run_of("three_sensors", 20.0)
     cores = core_for(run.scenario), core_for(run.scenario)
     cores[1].filter = WithoutIntegrity(cores[1].config)
@@ -33,7 +32,7 @@ def test_the_ships_attitude_is_that_of_one_estimate_alone() -> None:
     every_ns = set(run.ins.time_ns[::20].tolist())
     told = [list(attitude_outcomes(core, run, every_ns)) for core in cores]
     beside, alone = ([one for outcome in outcomes for one in outcome.estimates] for outcomes in told)
-    # Alone there is no gate, and with the others it refuses nobody.
+    # Without subfilters there is no gate; with them it rejects nothing.
     used, all_used = ([one.accepted for outcome in outcomes for one in outcome.decisions] for outcomes in told)
     assert used == all_used
     assert len(beside) == len(alone) > 100
@@ -47,7 +46,7 @@ def test_the_ships_attitude_is_that_of_one_estimate_alone() -> None:
     assert any(one.state.disputed_n is not None for one in beside)
 
 
-def test_the_pointing_is_that_of_one_estimate_alone() -> None:
+def test_the_pointing_is_that_of_the_main_filter_alone() -> None:
     run = run_of("theodolite", 30.0)
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     told = []

@@ -1,4 +1,4 @@
-"""Pixels counted from 1, by the turns of cameras: how often it is named where it is so, and where it is not."""
+"""Pixels counted from 1, by the rotations of cameras: detection rate and false alarms."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ ONE_PIXEL = PIXEL * np.array([0.0, 1.0, 1.0])
 
 
 def camera(rng, ins_d, rotation_ds, installation_arcsec, counts_from_one):
-    """A camera whose installation and mean are off by what their sigmas state."""
+    """Return a camera whose installation and mean are drawn by their sigmas."""
     root_d = rotation_ds * (np.array(installation_arcsec) * ARCSEC)
     covariance_d = root_d @ root_d.T + ARCSEC**2 * np.eye(3)
     turn_d = ins_d + root_d @ rng.standard_normal(3) + ARCSEC * rng.standard_normal(3)
@@ -35,7 +35,7 @@ def named(seed, of_fore, of_starboard, installation_arcsec=(20.0, 1.0, 1.0)):
 
 
 def separation(of_fore, of_starboard):
-    """Mahalanobis distance of the turns with a count from 1 from those without."""
+    """Return the Mahalanobis distance between the rotations with and without a count from 1."""
     cameras = [camera(np.random.default_rng(0), np.zeros(3), r, (20.0, 1.0, 1.0), False) for r in (FORE, STARBOARD)]
     covariance = np.kron(np.ones((2, 2)), INS_D**2) + block_diag(*(c.covariance_d for c in cameras))
     shift = np.concatenate([of_fore * cameras[0].pixel_d, of_starboard * cameras[1].pixel_d])
@@ -62,7 +62,7 @@ def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
 
 @pytest.mark.parametrize("installation_arcsec", [(20.0, 1.0, 1.0), (20.0, 5.0, 5.0), (60.0, 60.0, 60.0)])
 def test_pixels_counted_from_zero_are_hardly_ever_named(installation_arcsec):
-    """Of 2000 draws no more than 3 in 10 000 for each of three alternatives, by the binomial bound of 99.9 %."""
+    """At most 3 in 10 000 of 2000 draws for each of three alternatives, by the binomial bound of 99.9 %."""
     found = [named(seed, False, False, installation_arcsec) for seed in range(2000)]
     assert len(found) - found.count(()) <= binom.ppf(0.999, len(found), 9e-4)
 
@@ -77,7 +77,7 @@ def test_an_installation_that_is_off_is_no_count_from_one():
 
 
 def test_a_time_offset_of_the_ins_is_no_turn():
-    """300 voyages of a third of a swell: the squared errors of the turn at rest in their 99.9 % band."""
+    """300 voyages of a third of a swell: the squared errors of the corrected rotation in their 99.9 % band."""
     squares, times_s = [], np.linspace(0.0, 3.0, 30)
     rates_d = np.deg2rad(2.3) * np.sin(0.57 * times_s[:, None]) * np.array([1.0, 0.1, 0.3])
     for seed in range(300):

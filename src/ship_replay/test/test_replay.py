@@ -1,4 +1,4 @@
-"""Replay hands a bag to an adapter in order of log time and writes what comes out."""
+"""Replay passes a bag to an adapter in order of log time and writes the outputs."""
 
 import json
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class TinyConfig:
 
 
 class TinyAdapter:
-    """Imu in, attitude with the same stamp out, a known error added; notes each call."""
+    """Imu in, attitude with the same stamp out, with a known error; records each call."""
 
     node_name = "tiny"
     config_type = TinyConfig
@@ -133,7 +133,7 @@ def test_outputs_carry_the_log_time_of_what_caused_them(tmp_path):
     assert [time for time, _ in errors] == [START_NS + 50_000_000, START_NS + 150_000_000]
 
 
-def test_a_long_silence_does_not_tick_for_ever(tmp_path):
+def test_ticks_end_after_a_long_gap(tmp_path):
     path = tmp_path / "in.mcap"
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", SUITE)
@@ -188,8 +188,8 @@ def test_topics_of_any_namespace(tmp_path, topic, namespace):
     assert replay(bag, tmp_path / "out.mcap", (TinyAdapter,), namespace=namespace).inputs == {"ins/imu": 10}
 
 
-def test_mend_24_refused_and_noted_are_two_lists(tmp_path, capsys):
-    """A covariance that is not given leaves the message in use; another frame does not."""
+def test_rejected_and_noted_messages_are_two_lists(tmp_path, capsys):
+    """A message without covariance is used with a note; one with another frame is rejected."""
     path = tmp_path / "in.mcap"
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", "/**/ship_attitude:\n  ros__parameters: {ins: {frame_id: ins}}\n")
@@ -198,7 +198,7 @@ def test_mend_24_refused_and_noted_are_two_lists(tmp_path, capsys):
             bag.write("ins/imu", imu(stamp_ns, frame), stamp_ns)
     assert main([str(path), "--out", str(tmp_path / "out.mcap")]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "refused: ins/imu: frame 1" in lines
+    assert "rejected: ins/imu: frame 1" in lines
     assert "noted: ins/imu: covariance_unknown 3" in lines
 
 
@@ -264,7 +264,7 @@ class TestBadInput:
         self.refused(tmp_path, bag, r"in\.mcap: no message of ins/imu could be read$")
 
     def test_inputs_that_may_be_missing_are_named_where_all_are(self, tmp_path):
-        """The bag is in a namespace that nobody named."""
+        """The bag is in a namespace that was not given."""
         bag = tmp_path / "in.mcap"
         with BagWriter(bag) as writer:
             writer.add_attachment("suite.yaml", TRIANGULATION)
@@ -347,7 +347,7 @@ class TestCommand:
 
 
 def test_factory_messages_are_written_as_they_are(tmp_path):
-    """The adapter's messages come from the factory and are not changed on their way."""
+    """The adapter's messages come from the factory and are not changed."""
     bag = write_bag_with_truth(tmp_path / "in.mcap", 20)
     replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
     expected = ship_attitude(START_NS, true_heading(START_NS) + 2.0 * ARCSEC, factory=FACTORY)

@@ -1,4 +1,4 @@
-"""Verdicts over the bags of this repository: the right one where sigmas lie. (Of clean data: ``test/test_bags.py``.)"""
+"""Innovation diagnoses over the bags of this repository with wrong sigmas. (Without faults: ``test/test_bags.py``.)"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +19,7 @@ TICK_NS = 1_000_000_000
 
 
 def verdicts(name: str, change: Callable[[str, Any], None]) -> dict[str, list[tuple[int, str]]]:
-    """Level and text of each verdict and of the clocks, second by second, in a minute of a bag that is changed."""
+    """Return level and text of each diagnosis and of the clocks, second by second, in a minute of a changed bag."""
     told: dict[str, list[tuple[int, str]]] = {}
     with read_bag(BAGS / name) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), None, "")
@@ -42,7 +42,7 @@ def verdicts(name: str, change: Callable[[str, Any], None]) -> dict[str, list[tu
 
 
 @pytest.mark.slow
-def test_a_sigma_understated_by_two_is_told_within_a_minute_and_of_that_sensor_alone() -> None:
+def test_an_understated_sigma_is_reported_within_a_minute_for_that_sensor() -> None:
     def understated(topic: str, message: Any) -> None:
         if topic == "star/fore/horizon_attitude":
             for name in ("covariance", "rotation_covariance", "noise_covariance"):
@@ -57,8 +57,8 @@ def test_a_sigma_understated_by_two_is_told_within_a_minute_and_of_that_sensor_a
 
 
 @pytest.mark.slow
-def test_a_sensor_that_is_off_by_a_degree_is_biased_although_none_of_its_measurements_is_used() -> None:
-    """So much is no knock: the others do not learn it as a new mounting."""
+def test_a_sensor_off_by_a_degree_is_biased_although_unused() -> None:
+    """This is too large for a mounting shift: it is not adopted as a new mounting."""
     begun_ns: list[int] = []
 
     def turned(topic: str, message: Any) -> None:

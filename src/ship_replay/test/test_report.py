@@ -1,4 +1,4 @@
-"""The report: all sections, numbers of evaluate, words of the watch, the same bytes, no word of the network."""
+"""The report: all sections, numbers of evaluate, states of the live page, reproducible bytes, no network."""
 
 import re
 
@@ -55,8 +55,8 @@ def test_numbers_are_those_of_evaluate(night_path):
     assert shown[0] == "1"  # 1″ was put in
 
 
-def test_words_are_those_of_the_limits(night_path):
-    """95 % heading 7.8″ over 5″, pitch 3.9″ over 3″, roll 5.9″ over 3″: CAUTION; UNSAFE while nothing comes."""
+def test_states_follow_the_limits(night_path):
+    """95 % heading 7.8″ over 5″, pitch 3.9″ over 3″, roll 5.9″ over 3″: CAUTION; UNSAFE without data."""
     night = read_night(night_path)
     seconds = night.seconds("heading")
     assert seconds[Safety.SAFE] == 0
@@ -67,7 +67,7 @@ def test_words_are_those_of_the_limits(night_path):
     assert any("UNSAFE → CAUTION" in text for text in changes)
 
 
-def test_no_second_is_told_while_the_output_is_silent(night_path):
+def test_no_state_without_output(night_path):
     told = {second for second, _ in read_night(night_path).words["heading"]}
     start_s = START_NS // SECOND_NS
     # The limit of age is 1 s: from 22 s on the last value is old, until one comes at 25 s.
@@ -75,13 +75,13 @@ def test_no_second_is_told_while_the_output_is_silent(night_path):
     assert {start_s + 18, start_s + 27} <= told
 
 
-def test_refusals_are_counted_with_their_times(night_path):
+def test_rejections_are_counted_with_their_times(night_path):
     refusals = [one for one in read_night(night_path).refusals if one.by == "filter"]
     assert {one.source for one in refusals} == {"star.fore"}
     assert [one.utc_ns for one in refusals] == [START_NS + second * SECOND_NS for second in range(30, 37)]
 
 
-def test_a_source_refused_five_times_in_a_row_is_in_the_verdict_and_an_alert(night_path):
+def test_a_source_rejected_five_times_is_in_summary_and_alerts(night_path):
     told = read_told(night_path)
     out = [event for event in told.night.events if event.subject == "star.fore" and "OUT" in event.text]
     assert abs(out[0].utc_ns - (START_NS + 34 * SECOND_NS)) <= 2 * SECOND_NS // 10
@@ -95,18 +95,18 @@ def test_a_source_refused_five_times_in_a_row_is_in_the_verdict_and_an_alert(nig
 def test_an_outage_whose_reason_changes_is_one(night_path):
     night = read_night(night_path)
     first = START_NS + 10 * SECOND_NS
-    told = [("star.fore OUT, 5 refused in a row", 0), ("star.fore OUT, silent", 1), ("star.fore IN", 5),
-            ("ins OUT, silent", 7)]
+    told = [("star.fore OUT, 5 rejected in a row", 0), ("star.fore OUT, no data", 1), ("star.fore IN", 5),
+            ("ins OUT, no data", 7)]
     night.events = [Event(first + after * SECOND_NS, "source", text.split()[0], text) for text, after in told]
     assert [(one.source, one.from_ns - first, one.to_ns and one.to_ns - first, one.why) for one in outages(night)] == [
-        ("star.fore", 0, 5 * SECOND_NS, "5 refused in a row"), ("ins", 7 * SECOND_NS, 0, "silent")
+        ("star.fore", 0, 5 * SECOND_NS, "5 rejected in a row"), ("ins", 7 * SECOND_NS, 0, "no data")
     ]
-    assert outages(night)[1].text.endswith(" to the end (silent)")
+    assert outages(night)[1].text.endswith(" to the end (no data)")
 
 
 def test_without_truth_innovations_take_the_room(tmp_path):
     text = page(read_told(write_night(tmp_path / "out.mcap", with_truth=False)))
-    assert "There is no truth in this recording" in text
+    assert "No truth in this recording" in text
     assert '<svg' in text[text.index('id="errors"'):text.index('id="budget"')]
 
 
@@ -125,8 +125,8 @@ class TestBadInput:
         assert line.startswith(f"report: {bag}: no outputs of the suite: expected topic ship/attitude or")
 
     @pytest.mark.parametrize("short_bytes", [0, 8_000_000])
-    def test_outputs_that_nothing_can_be_held_against(self, short_bytes, tmp_path, capsys, monkeypatch):
-        """The complaint of the process that evaluates reaches the person, and so it does without one."""
+    def test_outputs_without_anything_to_compare(self, short_bytes, tmp_path, capsys, monkeypatch):
+        """The error of the evaluating process is reported, with and without a separate process."""
         monkeypatch.setattr("ship_replay.report.told.SHORT_BYTES", short_bytes)
         bag = tmp_path / "out.mcap"
         with BagWriter(bag) as writer:
@@ -153,14 +153,14 @@ class TestBadInput:
         assert "headding_arcsec" in line
 
 
-def test_limits_of_the_ship_change_the_words(tmp_path, night_path):
+def test_limits_of_the_ship_change_the_states(tmp_path, night_path):
     limits = tmp_path / "limits.yaml"
     limits.write_text("heading_arcsec: 2.0\n")
     assert main([str(night_path), "--limits", str(limits), "--out", str(tmp_path / "a.html")]) == 0
     assert re.search(r"<td>heading</td>.*2″</td>", (tmp_path / "a.html").read_text())
 
 
-def test_accuracy_that_was_never_told_is_no_obstacle(tmp_path):
+def test_missing_accuracy_is_no_obstacle(tmp_path):
     with BagWriter(tmp_path / "out.mcap") as bag:
         for second in range(5):
             stamp_ns = START_NS + second * SECOND_NS
@@ -192,7 +192,7 @@ def test_durations(seconds, text):
 
 
 def events(*entries):
-    """Events of one kind: seconds and texts, whose first word is the subject."""
+    """Return events of one kind: seconds and texts, whose first word is the subject."""
     return [Event(START_NS + second * SECOND_NS, kind, text.split()[0], text) for second, kind, text in entries]
 
 
@@ -206,24 +206,24 @@ class TestFiveSentences:
         shown = re.findall(r"<p>(.*?)</p>", section(page(told), "verdict").partition("<table>")[0])
         assert len(shown) == 5
 
-    def test_availability_counts_the_silence(self, night_path):
-        """Silent from 20 s to 25 s of 40 s; the first second of it is within the limit of age."""
+    def test_availability_counts_missing_outputs(self, night_path):
+        """No data from 20 s to 25 s of 40 s; the first second of it is within the age limit."""
         share = re.search(r"ship/attitude VALID ([\d.]+) % of the time", summary(read_night(night_path))[0])
         assert float(share[1]) == pytest.approx(90.0, abs=1.0)
 
     def test_the_cause_stands_before_what_needs_it(self, night_path):
         night = read_night(night_path)
         night.events = events(
-            (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, silent"),
-            (5, "state", "heading SAFE → UNSAFE, ins silent"), (9, "source", "ins IN"), (9, "source", "star.fore IN"),
+            (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, no data"),
+            (5, "state", "heading SAFE → UNSAFE, ins no data"), (9, "source", "ins IN"), (9, "source", "star.fore IN"),
         )
         sentences = summary(night)
         assert sentences[1].startswith("Worst source: ins, out once, 4 s in all (10 % of the time)")
         assert re.fullmatch(
-            r"Cause → consequence: ins silent at \S+ → heading not SAFE, star.fore not usable.", sentences[2]
+            r"Cause → consequence: ins no data at \S+ → heading not SAFE, star.fore not usable.", sentences[2]
         )
 
-    def test_a_relearnt_mounting_is_named(self, night_path):
+    def test_a_shifted_mounting_is_named(self, night_path):
         night = read_night(night_path)
         night.events = events(
             (5, "source", "star.fore OUT, excluded"), (30, "source", "star.fore IN"),
@@ -231,7 +231,7 @@ class TestFiveSentences:
         )
         assert summary(night)[3].startswith("Mountings: star.fore reinstated, mounting shifted by 51″ at ")
 
-    def test_a_calm_night_has_nothing_to_do(self, tmp_path):
+    def test_a_run_without_faults_has_nothing_to_do(self, tmp_path):
         sentences = summary(read_night(write_night(tmp_path / "out.mcap")))
         assert sentences[1] == "Worst source: none; no source was out."
 
@@ -241,17 +241,17 @@ class TestEvents:
         flapping = [(8 * number + 3 * (number % 2), "state",
                      f"roll {'CAUTION → SAFE' if number % 2 else 'SAFE → CAUTION, over the limit'}")
                     for number in range(8)]
-        other = [(4, "state", "pitch SAFE → CAUTION, over the limit"), (90, "source", "ins OUT, silent")]
+        other = [(4, "state", "pitch SAFE → CAUTION, over the limit"), (90, "source", "ins OUT, no data")]
         rows = event_rows(events(*sorted(flapping + other)))
         assert [row.text for row in rows] == [
             "roll SAFE ↔ CAUTION (over the limit), 4 times, longest CAUTION 11 s",
-            "pitch SAFE → CAUTION, over the limit", "ins OUT, silent",
+            "pitch SAFE → CAUTION, over the limit", "ins OUT, no data",
         ]
         assert sum(row.count for row in rows) == 10
         assert "–" in rows[0].when
 
     def test_changes_minutes_apart_are_rows_of_their_own(self):
-        apart = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, silent'}") for number in range(8)]
+        apart = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, no data'}") for number in range(8)]
         assert len(event_rows(events(*apart))) == 8
 
     def test_each_time_leads_to_its_line_in_the_figure(self, night_path):
@@ -261,8 +261,8 @@ class TestEvents:
         assert {*targets} <= {*re.findall(r'id="([^"]*)"', section(text, "status"))}
 
 
-def test_no_line_through_a_silence(night_path):
-    """Silent from 20 s to 25 s."""
+def test_no_line_through_a_gap(night_path):
+    """No data from 20 s to 25 s."""
     errors = thin_errors(evaluate(night_path).errors[0])
     empty = np.isnan(errors.error_arcsec).all(axis=1)
     (second,) = (errors.time_ns[empty] - START_NS) / SECOND_NS
@@ -291,7 +291,7 @@ def test_a_source_has_one_colour_in_all_figures(night_path):
 
 
 def test_the_commit_of_the_suite_is_stated_of_a_plain_bag(tmp_path):
-    """Both: of the suite that wrote the bag, as the bag states it, and of the one that made the report."""
+    """The commit of the suite that wrote the bag, from the bag, and that of the suite that made the report."""
     with BagWriter(tmp_path / "out.mcap") as writer:
         writer.add_metadata(COMMIT_RECORD, {"commit": "0123abcd"})
         copied(write_night(tmp_path / "night.mcap", 5), writer)

@@ -1,4 +1,4 @@
-"""The report of bags of every kind: in a namespace, in a folder, with alerts, of a star node alone, cut off."""
+"""The report of various bags: in a namespace, in a folder, with alerts, of a star node alone, truncated."""
 
 import hashlib
 import html
@@ -58,7 +58,7 @@ def test_the_hash_of_a_file_is_that_of_sha256sum(night_path):
     assert f">{whole}</td>" in section(page(read_told(night_path)), "provenance")
 
 
-def alert(state, second, text="star.fore out: silent"):
+def alert(state, second, text="star.fore out: no data"):
     stamp = make_header(FACTORY, START_NS + second * SECOND_NS, "").stamp
     return FACTORY.make(
         "ship_msgs/msg/Alert", id="star.fore.out", instance=1, priority=int(Priority.WARNING), state=int(state),
@@ -68,7 +68,7 @@ def alert(state, second, text="star.fore out: silent"):
 
 
 def test_alerts_that_were_recorded_stand_before_those_computed(night_path, tmp_path):
-    """With the words and times of the alert node, and with what a person did, which nobody can compute."""
+    """With the texts and times of the alert node, and with acknowledgements, which cannot be computed."""
     path = tmp_path / "out.mcap"
     course = [(10, AlertState.ACTIVE_UNACKNOWLEDGED), (14, AlertState.ACTIVE_ACKNOWLEDGED), (20, None)]
     with BagWriter(path) as writer, read_bag(night_path) as bag:
@@ -94,7 +94,7 @@ def test_alerts_that_were_recorded_stand_before_those_computed(night_path, tmp_p
 
 
 def test_outputs_of_one_node_alone(tmp_path):
-    """A bag with nothing but solutions of star sensors has no angle to show, and errors all the same."""
+    """A bag with solutions of star sensors only has no angle to show, but errors."""
     with BagWriter(tmp_path / "out.mcap") as bag:
         bag.add_attachment("suite.yaml", "star_attitude:\n  ros__parameters: {}\n")
         for tick in range(50):
@@ -107,7 +107,7 @@ def test_outputs_of_one_node_alone(tmp_path):
     assert "<td>star.joint</td>" in section(text, "errors")
 
 
-def test_versions_of_the_bag_and_of_the_report_are_told_apart(night_path, tmp_path):
+def test_versions_of_the_bag_and_of_the_report_are_separate(night_path, tmp_path):
     shown = section(page(read_told(night_path)), "provenance")
     assert "The bag does not contain the commit or the versions of the suite that made it." in shown
     assert shown.count("<h3>") == 1
@@ -133,8 +133,8 @@ def test_damaged_versions_are_none(night_path, tmp_path, damaged):
 
 
 @pytest.mark.parametrize(("left", "end_s"), [(0.97, 40.0), (0.5, 30.0)])
-def test_a_truncated_bag_is_told_as_far_as_it_goes(tmp_path, capsys, left, end_s):
-    """A night whose recorder died is worth a report; its first lines say that it is not whole, and where it ends."""
+def test_a_truncated_bag_is_reported_up_to_its_end(tmp_path, capsys, left, end_s):
+    """A truncated recording is reported with a warning and the time of its end."""
     whole = tmp_path / "whole.mcap"
     copied(write_night(tmp_path / "night.mcap"), writer := BagWriter(whole))
     assert writer.message_count > 800

@@ -1,4 +1,4 @@
-"""The page of a folder of bags: a row a session, differences to the one before, errors of bad bags."""
+"""The page of a folder of bags: a row per session, differences to the previous one, errors of bad bags."""
 
 import re
 import shutil
@@ -12,7 +12,7 @@ from ship_testing.reported_nights import write_night
 
 
 def rows_of(text):
-    """The cells of each row of the sessions, without tags; a difference stands behind its value."""
+    """Return the cells of each row of the sessions, without tags; a difference follows its value."""
     body = text.partition("</thead>")[2].partition("</table>")[0]
     return [
         [re.sub(r"<[^>]+>", " ", cell).split() for cell in re.findall(r"<td[^>]*>(.*?)</td>", row)]

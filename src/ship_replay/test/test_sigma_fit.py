@@ -1,4 +1,4 @@
-"""Verdicts on sigma by Monte Carlo: AR(1) errors and χ² innovations, with true and with false sigmas; a seed a run."""
+"""Consistency tests by Monte Carlo: AR(1) errors and χ² innovations, with correct and wrong sigmas, by seed."""
 
 import math
 
@@ -17,7 +17,7 @@ NS = 1_000_000_000
 
 
 def ar1(seed: int, time_s: float, count: int = FIVE_MINUTES) -> np.ndarray:
-    """Three channels of unit variance whose autocorrelation falls to 1/e in a time, from their steady state."""
+    """Return three channels of unit variance whose autocorrelation falls to 1/e in a time, in steady state."""
     rng = np.random.default_rng(seed)
     kept = math.exp(-1.0 / (time_s * RATE_HZ))
     driven = rng.standard_normal((count, 3)) * math.sqrt(1.0 - kept**2)
@@ -26,7 +26,7 @@ def ar1(seed: int, time_s: float, count: int = FIVE_MINUTES) -> np.ndarray:
 
 
 def errors(normalised: np.ndarray, sigma_ratio: float = 1.0) -> AttitudeErrors:
-    """Errors of a sigma of 2″ that is told as 2″ over the ratio."""
+    """Return errors with a sigma of 2″ that is stated as 2″ over the ratio."""
     told = np.full_like(normalised, 2.0 / sigma_ratio)
     nees = np.sum((normalised * 2.0 / told) ** 2, axis=1)
     time_ns = np.arange(len(normalised), dtype=np.int64) * NS // RATE_HZ
@@ -34,7 +34,7 @@ def errors(normalised: np.ndarray, sigma_ratio: float = 1.0) -> AttitudeErrors:
 
 
 def innovations(seed: int, sigma_ratios: list[float], a_minute: int = 300) -> SourceInnovations:
-    """A minute for each ratio of real to stated sigma, three degrees of freedom each time."""
+    """Return one minute for each ratio of actual to stated sigma, three degrees of freedom each time."""
     rng = np.random.default_rng(seed)
     part = SourceInnovations()
     for minute, ratio in enumerate(sigma_ratios):
@@ -46,7 +46,7 @@ def innovations(seed: int, sigma_ratios: list[float], a_minute: int = 300) -> So
 
 
 @pytest.mark.parametrize("time_s", [0.5, 3.0, 10.0])
-def test_independent_ones_are_as_many_as_theory_says(time_s: float) -> None:
+def test_number_of_independent_samples_agrees_with_theory(time_s: float) -> None:
     """Σ over the squared autocorrelation of AR(1): τ = (1 + a²)/(1 - a²)."""
     kept = math.exp(-1.0 / (time_s * RATE_HZ))
     expected = FIVE_MINUTES * (1.0 - kept**2) / (1.0 + kept**2)
@@ -64,8 +64,8 @@ def test_independent_ones_of_white_noise_of_nothing_and_of_a_bias() -> None:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("time_s", [0.1, 3.0, 10.0, 30.0])
-def test_an_honest_sigma_is_not_condemned(time_s: float) -> None:
-    """Of 1000 honest runs one is out of a band of 99.9 %; more than 6 in one of ten thousand such tests."""
+def test_a_correct_sigma_is_accepted(time_s: float) -> None:
+    """One of 1000 consistent runs is outside a band of 99.9 %; more than 6 in one of ten thousand such tests."""
     fits = [nees_fit(errors(ar1(seed, time_s))) for seed in range(1000)]
     condemned = [fit for fit in fits if "optimistic" in fit.words or "pessimistic" in fit.words]
     assert len(condemned) <= binom.ppf(0.9999, 1000, 0.001)
@@ -73,8 +73,8 @@ def test_an_honest_sigma_is_not_condemned(time_s: float) -> None:
         assert sum(fit.words == f"σ as stated ({fit.ratio:.2f})" for fit in fits) >= 990
 
 
-def test_a_band_of_as_many_as_there_are_would_condemn_it() -> None:
-    """What the effective number is for: three of four honest runs fail without it."""
+def test_a_band_without_correlation_would_reject_it() -> None:
+    """The reason for the effective number: three of four consistent runs fail without it."""
     low, high = chi2.ppf([0.0005, 0.9995], 3 * FIVE_MINUTES) / (3 * FIVE_MINUTES)
     means = np.array([nees_fit(errors(ar1(seed, 10.0))).mean / 3.0 for seed in range(100)])
     assert np.mean((means < low) | (means > high)) > 0.7
@@ -88,7 +88,7 @@ def test_a_false_sigma_is_named(ratio: float, word: str) -> None:
     assert np.median([fit.ratio for fit in fits]) == pytest.approx(ratio, rel=0.02)
 
 
-def test_errors_that_last_as_long_as_the_run_tell_nothing() -> None:
+def test_errors_correlated_over_the_run_give_no_result() -> None:
     fit = nees_fit(errors(np.full((FIVE_MINUTES, 3), 2.0)))
     assert fit.words == TOO_FEW_INDEPENDENT
     assert fit.ratio == pytest.approx(2.0)
@@ -97,7 +97,7 @@ def test_errors_that_last_as_long_as_the_run_tell_nothing() -> None:
     assert said.count(TOO_FEW_INDEPENDENT) > 90
 
 
-def test_sigmas_that_were_not_told_are_said() -> None:
+def test_missing_sigmas_are_reported() -> None:
     told = errors(ar1(1, 3.0))
     half = AttitudeErrors(told.label, told.channels, told.time_ns, told.error_arcsec, told.sigma_arcsec,
                           np.where(np.arange(FIVE_MINUTES) < 2000, told.nees, np.nan))
@@ -109,7 +109,7 @@ def test_sigmas_that_were_not_told_are_said() -> None:
 
 
 @pytest.mark.statistics
-def test_an_hour_of_honest_innovations_is_as_stated() -> None:
+def test_an_hour_of_consistent_innovations_is_as_stated() -> None:
     fits = [nis_fit("star.bow", innovations(seed, [1.0] * 60, 30)) for seed in range(100)]
     # More than two of sixty minutes outside: 3 of 100 000 runs.
     assert all(fit.words == f"σ as stated ({fit.ratio:.2f})" for fit in fits)
@@ -118,7 +118,7 @@ def test_an_hour_of_honest_innovations_is_as_stated() -> None:
     assert 0 < sum(60 - fit.minutes["as stated"] for fit in fits) <= binom.ppf(0.9999, 6000, 0.001)
 
 
-def test_three_percent_are_no_reason_to_condemn_a_night() -> None:
+def test_three_percent_are_as_stated() -> None:
     """Over an hour the band of all together would be 1 ± 0.01; no sigma is stated so exactly."""
     fit = nis_fit("star.bow", innovations(1, [1.03] * 60))
     assert fit.ratio == pytest.approx(1.03, abs=0.01)
@@ -131,7 +131,7 @@ def test_minutes_with_a_false_sigma_are_counted() -> None:
     assert fit.minutes == {"as stated": 40, "optimistic": 15, "pessimistic": 5}
 
 
-def test_one_minute_says_what_the_page_says() -> None:
+def test_one_minute_equals_the_live_page() -> None:
     part = innovations(3, [1.6])
     window = NisWindow()
     for stamp_ns, judged in sorted(part.compared.items()):
@@ -139,7 +139,7 @@ def test_one_minute_says_what_the_page_says() -> None:
     assert nis_fit("star.bow", part).words == f"{window.verdict(60 * NS - 1).text} in 1 of 1 minutes"
 
 
-def test_few_innovations_tell_nothing_and_what_is_not_finite_is_none() -> None:
+def test_few_or_non_finite_innovations_give_no_result() -> None:
     assert nis_fit("reference", innovations(4, [3.0], 5)).words == TOO_FEW
     part = innovations(5, [1.0] * 3)
     part.compared[10 * NS] = Judged(("x",), np.array([1.0]), np.ones(1), math.nan)

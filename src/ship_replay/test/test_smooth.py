@@ -1,4 +1,4 @@
-"""``smooth``: a bag in, its attitudes and pointings with hindsight out."""
+"""``smooth``: smoothed attitudes and pointings of a bag."""
 
 import json
 from dataclasses import replace
@@ -76,7 +76,7 @@ def variances(message):
     return np.diagonal(message.covariance.reshape(3, 3))
 
 
-def test_each_attitude_is_told_again_with_what_came_later(bag, tmp_path, capsys):
+def test_each_attitude_is_smoothed(bag, tmp_path, capsys):
     smoothed, replayed = tmp_path / "smoothed.mcap", tmp_path / "replayed.mcap"
     assert smooth([str(bag), "--out", str(smoothed)]) == 0
     assert replay([str(bag), "--out", str(replayed)]) == 0
@@ -88,13 +88,13 @@ def test_each_attitude_is_told_again_with_what_came_later(bag, tmp_path, capsys)
         assert ns_from_stamp(message.header.stamp) == ns_from_stamp(before.header.stamp)
         assert message.status == before.status
         assert np.all(variances(message) <= variances(before) * (1.0 + 1e-6))
-    # A second and a half of stars tell less than twelve.
+    # One and a half seconds of stars contain less information than twelve.
     assert np.all(variances(again[30][1]) < 0.7 * variances(told[30][1]))
     assert "241 messages on ship/attitude_smoothed" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_each_pointing_is_told_again_by_the_smoothed_attitude(theodolite_bag, tmp_path, capsys):
+def test_each_pointing_is_smoothed_with_the_smoothed_attitude(theodolite_bag, tmp_path, capsys):
     smoothed, replayed = tmp_path / "smoothed.mcap", tmp_path / "replayed.mcap"
     assert smooth([str(theodolite_bag), "--out", str(smoothed)]) == 0
     assert "121 messages on theodolite/pointing_smoothed" in capsys.readouterr().out
@@ -146,7 +146,7 @@ def test_the_same_bag_gives_the_same_bytes(theodolite_bag, tmp_path):
     assert outputs[0].read_bytes() == outputs[1].read_bytes()
 
 
-def test_evaluate_judges_it_against_the_truth(bag, tmp_path, capsys):
+def test_evaluate_compares_it_with_the_truth(bag, tmp_path, capsys):
     smoothed, bounds, numbers = tmp_path / "smoothed.mcap", tmp_path / "bounds.yaml", tmp_path / "numbers.json"
     assert smooth([str(bag), "--out", str(smoothed)]) == 0
     bounds.write_text("smoothed.heading.rms_over_sigma: {max: 2.6}\nsmoothed.nees_mean: {max: 11.3}\n")
@@ -156,7 +156,7 @@ def test_evaluate_judges_it_against_the_truth(bag, tmp_path, capsys):
     assert evaluate([*arguments, "--force"]) == 1
 
 
-def test_bad_input_is_one_line_that_says_what_is_wrong(bag, tmp_path, capsys):
+def test_bad_input_is_one_line(bag, tmp_path, capsys):
     out, config = tmp_path / "out.mcap", tmp_path / "suite.yaml"
     assert smooth([str(bag), "--out", str(bag), "--force"]) == 2
     assert "overwrite the input" in capsys.readouterr().err
@@ -174,7 +174,7 @@ def test_bad_input_is_one_line_that_says_what_is_wrong(bag, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch):
-    """The filter is spoilt after 15 s and replaced about half a minute later: two segments, no attitude is lost."""
+    """The filter is corrupted after 15 s and replaced about half a minute later: two segments, no attitude is lost."""
     bag, out = simulated(tmp_path, SCENARIO.replace("duration_s: 12.0", "duration_s: 60.0")), tmp_path / "out.mcap"
     look, adapters = ShipAttitudeAdapter._look, set()
     (start_ns, _), *_ = messages(bag, "ins/imu")

@@ -1,4 +1,4 @@
-"""Errors of the optical axis against the truth: by hand, in an evaluation, in a figure, and as replay fills them in."""
+"""Errors of the optical axis against the truth: by hand, in an evaluation, in a figure, and filled in by a replay."""
 
 import dataclasses
 
@@ -179,7 +179,7 @@ def test_encoder_and_ins_alone_are_held_against_the_truth_too(tmp_path):
     heading, across = values["ins.heading.rms_arcsec"], values["ins_encoder.azimuth_cos_elevation.rms_arcsec"]
     assert heading > 10.0
     assert 0.9 * heading < across < 0.99 * heading
-    # Axis errors that nobody knows, and the hull's deformation.
+    # Unknown axis errors, and the hull's deformation.
     values = evaluated(bag_scenario(duration_s=20.0), tmp_path / "usual.mcap")
     assert 10.0 < values["ins_encoder.elevation.rms_arcsec"] < 120.0
 

@@ -1,7 +1,7 @@
-"""A source that ``sources_off`` takes out changes what a bag without its topic changes, to the last bit.
+"""A source listed in ``sources_off`` has the same effect as a bag without its topic, to the last bit.
 
-Health, diagnostics and the innovations that name the source tell of its messages, and they alone may differ. What is
-expected is a replay of the same bag without the topic, by the same code without the parameter.
+Only health, diagnostics and the innovations that name the source may differ. The expected result is a replay of the
+same bag without the topic, by the same code without the parameter.
 """
 
 from pathlib import Path
@@ -35,7 +35,7 @@ CASES = [
 
 
 def replayed(run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = "") -> Published:
-    """What the nodes say of the beginning of a bag, one topic left out."""
+    """Return the outputs for the beginning of a bag without one topic."""
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), config_path)
         taken, sink = {topic.topic for topic in chain.inputs} - {without}, KeptSink()
@@ -51,7 +51,7 @@ def replayed(run_class: type[ReplayRun], bag_path: Path, config_path: Path | Non
 
 
 def suite_without(bag_path: Path, node: str, source: str, folder: Path) -> Path:
-    """The bag's suite file with a source taken out."""
+    """Return the bag's suite file with a source switched off."""
     with read_bag(bag_path) as bag:
         suite = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT])
     suite[f"/**/{node}"]["ros__parameters"]["sources_off"] = [source]
@@ -61,7 +61,7 @@ def suite_without(bag_path: Path, node: str, source: str, folder: Path) -> Path:
 
 
 def estimates(told: Published, source: str) -> tuple[Published, int]:
-    """All that is said but health, diagnostics and that the source is off; and how often that is said."""
+    """Return all outputs except health, diagnostics and reports that the source is off, and the report count."""
     kept, count = {}, 0
     for topic, messages in told.items():
         if topic not in OF_ITSELF:
@@ -99,7 +99,7 @@ def test_off_from_the_start_is_as_without_the_topic(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("bag_path", "node", "source", "_topic"), CASES[1:3], ids=[case[2] for case in CASES[1:3]])
-def test_blocks_say_what_is_said_one_by_one(
+def test_blocks_equal_one_by_one(
     bag_path: Path, node: str, source: str, _topic: str, tmp_path: Path
 ) -> None:
     suite = suite_without(bag_path, node, source, tmp_path)

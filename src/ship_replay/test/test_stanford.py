@@ -1,4 +1,4 @@
-"""Errors against protection levels: counts worked out by hand, over bags made by hand; the figure and its words."""
+"""Errors against protection levels: counts worked out by hand, over bags made by hand; the figure and its texts."""
 
 import json
 import math
@@ -42,7 +42,7 @@ def integrity(stamp_ns, levels_arcsec, limits_arcsec=(math.nan,) * 3, state=3, q
 
 
 def write_run(path, epochs, levels, start_ns=START_NS):
-    """Attitudes a tenth of a second apart and levels by the number of the epoch before which they are told.
+    """Write attitudes a tenth of a second apart, and levels by the number of the epoch before which they are published.
 
     Args:
         path: of the bag.
@@ -145,7 +145,7 @@ def pointing(stamp_ns, azimuth, elevation):
     )
 
 
-def test_the_azimuth_of_a_pointing_counts_on_the_sky_and_only_where_its_truth_was_told(tmp_path):
+def test_azimuth_counts_on_the_sky_at_stamps_of_the_truth(tmp_path):
     """At 60 degrees of elevation 18 arcseconds of azimuth are 9 on the sky: within a level of 10."""
     path, elevation = tmp_path / "p.mcap", np.deg2rad(60.0)
     with BagWriter(path) as bag:
@@ -231,7 +231,7 @@ def test_the_figure_names_the_regions_with_their_counts():
         assert words == ["nominal 990", "unavailable 0, not drawn", "misleading 10"]
 
 
-def test_no_two_names_of_regions_lie_over_each_other():
+def test_region_names_do_not_overlap():
     for limit in (30.0, math.inf):
         figure = stanford_figure([many(limit)], "t")
         figure.canvas.draw()
@@ -242,10 +242,10 @@ def test_no_two_names_of_regions_lie_over_each_other():
         plt.close(figure)
 
 
-def test_limits_that_change_cannot_be_drawn_and_epochs_without_a_level_say_so():
+def test_changing_limits_are_an_error_and_missing_levels_are_shown():
     mixed = many(30.0)
     mixed.limit_arcsec[500:] = 40.0
-    with pytest.raises(BadInput, match="30 and 40 arcsec: give one for all"):
+    with pytest.raises(BadInput, match="30 and 40 arcsec: set a common one"):
         stanford_figure([mixed], "t")
     plt.close("all")
     nothing = many(30.0)

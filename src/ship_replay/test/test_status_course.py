@@ -1,4 +1,4 @@
-"""What a replay tells at its end: the statuses over time, and why they were no better."""
+"""The end of a replay's output: the status history, and reasons for poor statuses."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +41,7 @@ def course_of(*entries: tuple[float, int]) -> StatusCourse:
     return course
 
 
-def test_mend_14_spans_of_a_status_are_merged_and_share_the_time() -> None:
+def test_spans_of_a_status_are_merged_and_share_the_time() -> None:
     begin = (0.0, DEGRADED), (1.0, DEGRADED), (2.0, VALID), (3.0, VALID)
     course = course_of(*begin, (4.0, COASTING), (9.0, VALID), (10.0, VALID))
     assert [(s.status, (s.start_ns - START_NS) / SECOND_NS, s.count) for s in course.spans] == [
@@ -62,17 +62,17 @@ def test_mend_14_spans_of_a_status_are_merged_and_share_the_time() -> None:
     assert lines[-1] == "9.0 s to 10.0 s VALID 2 outputs"
 
 
-def test_mend_14_invalid_ticks_stand_where_their_time_is() -> None:
-    """INVALID is told by the clock, after attitudes with later stamps as well as before earlier ones."""
+def test_invalid_ticks_are_placed_by_their_time() -> None:
+    """INVALID is stamped by the clock, after attitudes with later stamps as well as before earlier ones."""
     course = course_of((0.0, VALID), (5.0, VALID), (3.0, INVALID), (6.0, VALID))
     assert [span.status for span in course.spans] == ["VALID", "INVALID", "VALID"]
     assert [span.count for span in course.spans] == [2, 1, 1]
 
 
-def test_mend_14_of_many_spans_the_longest_are_shown() -> None:
+def test_of_many_spans_the_longest_are_shown() -> None:
     course = course_of(*((float(second), second % 2) for second in range(60)))
     assert course.lines("ship/attitude")[-1] == "  and 48 shorter spans"
-    assert StatusCourse().lines("ship/attitude") == ["status of ship/attitude: nothing was put out"]
+    assert StatusCourse().lines("ship/attitude") == ["status of ship/attitude: no output"]
 
 
 def test_gaps_are_those_between_times_in_order() -> None:
@@ -93,19 +93,19 @@ def slow_bag(path, period_s=1.0, count=60):
     return path
 
 
-def test_mend_14_an_ins_at_one_hertz_is_an_error_that_says_what_to_change(tmp_path, capsys):
-    """It was good, and then 714 of 715 attitudes were INVALID."""
+def test_an_ins_at_one_hertz_is_an_error_with_advice(tmp_path, capsys):
+    """Formerly accepted, and then 714 of 715 attitudes were INVALID."""
     config, bag = tmp_path / "suite.yaml", slow_bag(tmp_path / "a.mcap")
     config.write_text(SUITE)
     assert check_config([str(config), str(bag)]) == 2
     lines = capsys.readouterr().err.splitlines()
     said = f"error: {config}:3: parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in {bag} are stamped 1 s"
-    assert lines[0].startswith(f"{said} apart (59 of 59 gaps are longer): nothing is interpolated there")
+    assert lines[0].startswith(f"{said} apart (59 of 59 gaps are longer): no interpolation across such a gap")
     assert lines[0].endswith("record it faster (import_nmea --resample HZ), or set 'ins.max_gap_s' to 1.5")
     assert check_config([str(config), str(slow_bag(tmp_path / "b.mcap", period_s=0.1))]) == 0
 
 
-def test_mend_14_a_hole_is_a_warning(tmp_path, capsys):
+def test_a_gap_is_a_warning(tmp_path, capsys):
     config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
     config.write_text(SUITE)
     with BagWriter(bag) as writer:
@@ -120,23 +120,23 @@ def test_mend_14_a_hole_is_a_warning(tmp_path, capsys):
         "'ins.silence_s'",
     ]
     assert all("up to 3.1 s apart (1 of 299 gaps are longer)" in line for line in warnings)
-    assert all(line.endswith("look for what was lost") for line in warnings)
+    assert all(line.endswith("look for lost messages") for line in warnings)
 
 
-def test_mend_14_a_replay_says_why_nothing_was_valid(tmp_path, capsys):
+def test_a_replay_prints_why_nothing_was_valid(tmp_path, capsys):
     config, bag = tmp_path / "suite.yaml", slow_bag(tmp_path / "a.mcap")
     config.write_text(SUITE)
     assert replay([str(bag), "--config", str(config), "--out", str(tmp_path / "out.mcap")]) == 0
     lines = capsys.readouterr().out.splitlines()
     (heading,) = [number for number, line in enumerate(lines) if line.startswith("why ")]
     assert lines[heading].endswith("outputs of ship_attitude:")
-    assert lines[heading + 1] == "  it said 59 of 59 times: DEGRADED: INS alone, no star yet"
+    assert lines[heading + 1] == "  diagnostics, 59 of 59: DEGRADED: INS alone, no star yet"
     assert lines[heading + 3].startswith("  parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in the bag")
     assert any(line.startswith("status of ship/attitude from ") for line in lines[:heading])
     assert any("of 60 messages on 'reference/b/imu' 0 were used, " in line for line in lines[heading:])
 
 
-def test_mend_14_a_replay_names_the_input_that_never_came(tmp_path, capsys):
+def test_a_replay_names_a_missing_input(tmp_path, capsys):
     config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
     config.write_text("/**/ship_attitude: {ros__parameters: {references: {b: {frame_id: b}}}}\n")
     with BagWriter(bag) as writer:
@@ -148,31 +148,31 @@ def test_mend_14_a_replay_names_the_input_that_never_came(tmp_path, capsys):
     out = capsys.readouterr().out
     heading = "why 400 DEGRADED of 400 outputs of ship_attitude:\n"
     no_stars = "  no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY\n"
-    said = "  it said 20 of 20 times: DEGRADED: INS alone, no star yet\n"
-    assert f"{heading}{said}{no_stars}  nothing came on 'reference/b/imu'" in out
+    said = "  diagnostics, 20 of 20: DEGRADED: INS alone, no star yet\n"
+    assert f"{heading}{said}{no_stars}  no messages on 'reference/b/imu'" in out
 
 
 def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
-    """It was a level above its limit, and the replay named a sensor that never came, or said that nothing was wrong."""
+    """Formerly the replay named an optional sensor without data, or no reason, although a level was above its limit."""
     config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
     beginning(DEMO, bag, 6)
     with read_bag(DEMO) as demo:
         suite = demo.attachments[SUITE_ATTACHMENT].decode()
     limit = "    integrity: {alert_limit_arcsec: [0.1, 0.1, 0.1]}\n"
     absent = "    references: {gyro: {frame_id: gyro}}\n"
-    for more, line in ((limit, None), (limit + absent, "  nothing came on 'reference/gyro/imu'")):
+    for more, line in ((limit, None), (limit + absent, "  no messages on 'reference/gyro/imu'")):
         config.write_text(suite.replace("    star_sensors:\n", f"{more}    star_sensors:\n"))
         assert replay([str(bag), "--config", str(config), "--out", str(tmp_path / "out.mcap"), "--force"]) == 0
         why = capsys.readouterr().out.partition("\nwhy ")[2].splitlines()[1:]
-        assert why[0].startswith("  it said ")
+        assert why[0].startswith("  diagnostics, ")
         assert ": DEGRADED: a protection level is above its alert limit: heading " in why[0]
-        assert [each for each in why if not each.startswith("  it said ")] == ([line] if line else [])
+        assert [each for each in why if not each.startswith("  diagnostics, ")] == ([line] if line else [])
 
 
-def test_what_a_node_said_is_counted_without_its_numbers_and_not_while_it_was_valid() -> None:
+def test_diagnostics_are_counted_without_numbers_and_only_if_poor() -> None:
     course = course_of((0.0, DEGRADED))
     for saying in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
         course.note(saying)
     course.add(Output(make_header(RosbagsFactory(), START_NS + SECOND_NS, ""), VALID))
     course.note("VALID")
-    assert course.sayings == ["it said 2 of 3 times: above its limit: 12″", "it said 1 of 3 times: INS alone"]
+    assert course.sayings == ["diagnostics, 2 of 3: above its limit: 12″", "diagnostics, 1 of 3: INS alone"]

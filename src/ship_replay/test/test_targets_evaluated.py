@@ -1,4 +1,4 @@
-"""Errors of targets against the truth by hand: across the direction, in space, target by target."""
+"""Errors of targets against the truth by hand: across the direction, in position, target by target."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def told(
     target_id: str = "buoy",
     **changes: Any,
 ) -> Any:
-    """A target in the north, as told with errors; East, North, Up."""
+    """Return a target in the north, as published with errors; East, North, Up."""
     direction = np.array([east_arcsec * ARCSEC, 1.0, up_arcsec * ARCSEC])
     fields = {
         "header": make_header(FACTORY, START_NS + number * SECOND_NS, "horizon"),
@@ -96,7 +96,7 @@ def test_errors_are_those_by_hand(bag: Path) -> None:
 
 def test_what_is_skipped_is_left_out_with_its_target(bag: Path) -> None:
     values = evaluate(bag, skip_s=1.5).flat()
-    # Of the buoy nothing was claimed since: that is told, and no statistics of it.
+    # No direction of the buoy was published since: it is listed without statistics.
     assert (values["target.buoy.samples"], values["target.buoy.not_claimed"]) == (0, 2)
     assert "target.buoy.direction.rms_arcsec" not in values
     assert (values["target.kite.samples"], values["target.kite.not_claimed"]) == (1, 1)
@@ -147,7 +147,7 @@ def test_a_direction_of_wrong_form_is_left_out_by_name(tmp_path: Path, changes: 
     without, with_it = found
     assert with_it.flat() == without.flat()
     (line,) = with_it.problems
-    assert line.startswith(f"topic '{TARGET_DIRECTION}': messages left out: 1, the first because {text}")
+    assert line.startswith(f"topic '{TARGET_DIRECTION}': messages excluded: 1, the first because {text}")
 
 
 def test_a_truth_that_is_no_number_is_left_out_by_name(tmp_path: Path) -> None:
@@ -160,5 +160,5 @@ def test_a_truth_that_is_no_number_is_left_out_by_name(tmp_path: Path) -> None:
     found = evaluate(tmp_path / "run.mcap")
     assert found.flat()["target.buoy.samples"] == 1.0
     assert found.problems == [
-        f"topic '{TARGET_TRUTH}': messages left out: 1, the first because non_finite: direction of the truth holds inf"
+        f"topic '{TARGET_TRUTH}': messages excluded: 1, the first because non_finite: direction of the truth holds inf"
     ]

@@ -22,7 +22,7 @@ ATTITUDE = "ship/attitude"
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory):
-    """Five seconds of inputs, and what a replay gives for them; suite configuration."""
+    """Five seconds of inputs and the outputs of a replay; suite configuration."""
     folder = tmp_path_factory.mktemp("parts")
     with read_bag(DEMO) as bag, BagWriter(folder / "in.mcap") as writer:
         # For a ship in whatever namespace.
@@ -37,7 +37,7 @@ def parts(tmp_path_factory):
 
 
 def joined(path, parts, namespace="", change=lambda records: records):
-    """The bag that a recorder of all topics would have written."""
+    """Return the bag that a recorder of all topics would have written."""
     inputs, outputs, suite = parts
     with BagWriter(path) as writer:
         writer.add_attachment(SUITE_ATTACHMENT, suite)

@@ -1,9 +1,9 @@
-"""Sightings of lights in a bag as the table that ``fit_axes`` reads: encoder angles, and where the axis really looked.
+"""Sightings of lights in a bag as the table that ``fit_axes`` reads: encoder angles and true directions of the axis.
 
-The bag goes through the node ``optical_axis``, which judges every exposure. Of those with two lights or more that it
-used, the lights alone say how the telescope stood in the deck, and the configured parallelism brings that to the main
-axis. What lasts from exposure to exposure - the deck's deformation, the ship's error, errors of baselines, levers and
-refraction - is in the offsets, so the table says what each such error may do to each sighting.
+The node ``optical_axis`` processes the bag and decides on every exposure. For each exposure that it used with two
+lights or more, the lights alone determine the attitude of the telescope in the deck, and the configured parallelism
+relates it to the main axis. The offsets contain correlated errors: the deck's deformation, the ship's error, errors of
+baselines, levers and refraction. The table therefore lists the effect of each such error on each sighting.
 """
 
 from dataclasses import dataclass, field
@@ -32,27 +32,27 @@ from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 _LEAST_LIGHTS = 2
-# Below this (arcsec) everywhere an error is none.
+# Errors whose effects are all below this (arcsec) are omitted.
 _LEAST_EFFECT_ARCSEC = 0.01
 
 
 class _Sink:
-    """Takes what the node publishes and keeps nothing of it: only the judgements of the node are wanted."""
+    """Sink that discards the outputs: only the node's decisions are needed."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Pass over a message."""
+        """Discard a message."""
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Pass over the truth."""
+        """Discard a message of the truth."""
 
 
 @dataclass(frozen=True)
 class AxisSighting:
-    """What one exposure says of the axes: one row of the table.
+    """One exposure: one row of the table.
 
     Attributes:
         angles_deg: encoder azimuth, encoder elevation, offsets of the true direction from them.
-        slow: name and correlation time (s) of an error that lasts → what one sigma of it moves the sighting by, to the
+        correlated_effects: name and correlation time (s) of a correlated error → effect of one sigma on the sighting,
             right and up, shape (2,), rad.
     """
 
@@ -62,11 +62,11 @@ class AxisSighting:
 
 @dataclass
 class AxisSightings:
-    """The table of sightings.
+    """Table of sightings.
 
     Attributes:
-        rows: by stamp, ns.
-        unused: exposures that were refused, or showed a single light.
+        rows: sightings by stamp, ns.
+        unused_count: number of exposures that were rejected, or showed a single light.
     """
 
     rows: dict[int, AxisSighting] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class AxisSightings:
 
     @property
     def chosen(self) -> list[int]:
-        """Stamps of the rows that are written, in order: all, or as many as a fit takes, evenly spread."""
+        """Stamps of the rows to write, in order: all, or evenly spread as many as a fit reads."""
         stamps = sorted(self.rows)
         if len(stamps) <= MOST_SIGHTINGS:
             return stamps
@@ -85,7 +85,7 @@ class AxisSightings:
         chosen = self.chosen
         slow = [key for key in self._slow_errors() if self._moves(key, chosen)]
         names = [slow_column(side, *key) for key in slow for side in (0, 1)]
-        # Angles in degrees want more decimals than a table in arcseconds; so does the time.
+        # Angles in degrees and times need more decimals than a table in arcseconds.
         write_csv(
             path,
             [LABEL_COLUMN, TIME_COLUMN, *COLUMNS, *names],
@@ -96,7 +96,7 @@ class AxisSightings:
         )
 
     def take(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:
-        """Keep what the lights of an exposure say, where the core used them all as they are named."""
+        """Add an exposure if the core used all its lights as named."""
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return  # stars, or a target
@@ -128,16 +128,16 @@ def axis_sightings(
     namespace: str = "",
     watch: Watcher = lambda records, bag: records,
 ) -> AxisSightings:
-    """The sightings of a bag.
+    """Return the sightings of a bag.
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        progress: wraps the iteration over the bag, for a progress bar.
 
     Raises:
-        BadInput: the bag or the configuration does not serve, or no exposure of two lights was used.
+        BadInput: the bag or the configuration cannot be used, or no exposure of two lights was used.
     """
     found = AxisSightings()
 
@@ -155,17 +155,17 @@ def axis_sightings(
             run.take(names[record.topic], record)
     if not found.rows:
         others = f"{found.unused} others"
-        raise BadInput(f"no exposure of two lights was used ({others}): nothing to fit axes by", file=bag_path)
+        raise BadInput(f"no exposure of two lights was used ({others}): axes cannot be fitted", file=bag_path)
     return found
 
 
 def _row(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
-    """What the lights of an exposure say; None where they were not all used, or are too few."""
+    """Return the sighting of an exposure; None if not all its lights were used, or if they are too few."""
     sighting = core.sighting(exposure)
     usable = decision.accepted and decision.reason is Reason.NONE and not decision.left_out
     if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:
         return None
-    # The camera and the lines of sight as configured: nothing that the filter has learnt may come back as a sighting.
+    # Camera and lines of sight as configured: estimates of the filter must not enter a sighting.
     filter_, telescope = core.filter, core.config.telescope
     prediction = filter_.sightings.predict(np.zeros(filter_.model.size), sighting)
     attitude = solve(sighting.image, prediction.camera, prediction.lines)

@@ -1,4 +1,4 @@
-"""How the installation angles of a session came about. Loading matplotlib takes longer than many a session."""
+"""Figure of the installation angles over a session. Importing matplotlib takes longer than many a session."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,10 +28,10 @@ def _figures(calibration: InstallationCalibration) -> Iterator[tuple[str, Figure
 
 
 def _course_figure(calibration: InstallationCalibration) -> Figure:
-    """Correction of every angle over the session, one row a sensor; the last values stand above."""
+    """Return the correction of every angle over the session, one row per sensor, with the last values as titles."""
     rows = len(calibration.sensors)
     figure, grid = plt.subplots(rows, 3, figsize=(14, 3.2 * rows + 1), sharex=True, squeeze=False, layout="constrained")
-    figure.suptitle(f"{calibration.session.name}: correction of the installation angles, inside its ±1σ")
+    figure.suptitle(f"{calibration.session.name}: correction of the installation angles, with its ±1σ")
     for number, angle in enumerate(calibration.angles):
         _draw_course(grid[divmod(number, 3)], calibration, angle)
     for axes in grid[-1]:
@@ -55,7 +55,7 @@ def _draw_course(axes: Axes, calibration: InstallationCalibration, angle: Instal
         f"{angle.angle} {angle.correction_arcsec:+.2f} ± {angle.sigma / ARCSEC:.2f}″, "
         f"before ± {angle.sigma_before / ARCSEC:.4g}″"
     )
-    # The start would flatten all the rest: its band may leave the frame.
+    # The wide band at the start may lie outside, so that the rest is visible.
     later = settled(sigma)
     edges = np.concatenate([value[later] - sigma[later], value[later] + sigma[later]])
     edges = edges[np.isfinite(edges)]

@@ -1,16 +1,16 @@
-"""What a session says of the installation: each angle, and each combination of them.
+"""Installation angles from a session: each angle, and each combination of them.
 
-Which combinations a session could tell follows from the covariances before and after it. What star sensors see against
-each other is free of the INS's errors. What they have together — one turn of all of them on the deck — is seen only
-against an attitude of the deck: at constant heading the INS's error and a common error of the installation look alike
-(docs/explanation/filter.md). So the joint error e = C t + r of all installations, C the turn of the deck in the
-sensors' axes, is split in two parts that the prior P0 holds independent of each other:
+The observability of a combination follows from the covariances before and after the session. Differences between star
+sensors are free of the INS's errors. A common rotation of all of them on the deck is observed only against an attitude
+of the deck: at constant heading the INS's error and a common installation error are not separable
+(docs/explanation/filter.md). So the joint error e = C t + r of all installations, with C the rotation of the deck in
+the sensors' axes, is split in two parts that are independent under the prior covariance P0:
 
-    apart      r, with C^T P0^-1 r = 0, of 3 (N - 1) dimensions, in its principal directions
-    together   t, as known once r is: (C^T P^-1 C)^-1
+    relative   r, with C^T P0^-1 r = 0, of 3 (N - 1) dimensions, in its principal directions
+    common     t, as known once r is known: (C^T P^-1 C)^-1
 
-and each is compared with what was known of it beforehand: by the prior, and of t also by the errors of the INS as
-configured, (C^T P0^-1 C + Sigma_ins^-1)^-1, which is what one look at constant heading gives.
+Each is compared with its prior knowledge. For t this includes the configured errors of the INS: (C^T P0^-1 C +
+Sigma_ins^-1)^-1, the result of one observation at constant heading.
 """
 
 from dataclasses import dataclass
@@ -27,31 +27,31 @@ from ship_replay.calibration.session import InputCount, Session
 ANGLES = ("azimuth", "elevation", "roll")
 
 _TAKES_PART = 0.25
-"""Share of an angle's variance from which on it is open for a combination's sake."""
+"""Share of an angle's variance from which on a combination leaves the angle unresolved."""
 
 _EXPECTED_SHARE = 0.01
-"""Of the messages that the gate may refuse without a warning: ten times and more of what chance refuses."""
+"""Share of messages that the gate may reject without a warning: ten times the share expected by chance."""
 
 NOT_OBSERVED = 0.9
-"""From this ratio of the sigmas, after / beforehand, on."""
+"""Ratio of the sigmas, after / before, from which on a quantity is not observed."""
 
 WELL_OBSERVED = 0.5
-"""Up to this ratio: three quarters of the variance are gone."""
+"""Ratio up to which a quantity is observed: three quarters of the variance are removed."""
 
 DECK_AXES = ("bow", "up", "starboard")
 
 
 @dataclass(frozen=True)
 class JointTurn:
-    """A turn of several sensors at the same time: one way in which all installations may be wrong together.
+    """A simultaneous rotation of several sensors: one way in which all installations may be wrong together.
 
     Attributes:
-        axis: of the deck, about which all sensors are turned together; None where they turn against each other.
-        run_s: how far each sensor is turned for one sigma of it, rotation vector in its axes (forward, up, right), rad,
-            shape (N, 3).
-        sigma_before: known beforehand, rad.
-        sigma: after the session, rad.
-        shares: of the sources of error in its variance, shape (n_sources,).
+        axis: axis of the deck for a common rotation of all sensors; None for a relative one.
+        rotation_s: rotation of each sensor for one sigma, rotation vector in its axes (forward, up, right), rad, shape
+            (N, 3).
+        sigma_before: prior standard deviation, rad.
+        sigma: standard deviation after the session, rad.
+        shares: shares of the sources of error in its variance, shape (n_sources,).
     """
 
     axis: str | None
@@ -62,36 +62,36 @@ class JointTurn:
 
     @property
     def ratio(self) -> float:
-        """Sigma after the session over sigma beforehand."""
+        """Sigma after the session over sigma before."""
         return self.sigma / self.sigma_before
 
     @property
     def observed(self) -> str:
-        """yes, partly or no."""
+        """Observability: yes, partly or no."""
         return verdict(self.ratio)
 
 
 def combinations(
     prior_sigma: FloatArray, parts: FloatArray, rotations_ds: FloatArray, ins_sigma_d: FloatArray
 ) -> list[JointTurn]:
-    """The three turns of all sensors together, then the turns against each other that were not well observed.
+    """Return the three common rotations of all sensors, then the relative ones that were not well observed.
 
     The latter come worst first.
 
     Args:
-        prior_sigma: of each sensor's installation about its axes, rad, not zero, shape (N, 3).
-        parts: joint covariance after the session by source of error, rad², shape (n_sources, 3 N, 3 N).
+        prior_sigma: prior sigma of each sensor's installation about its axes, rad, not zero, shape (N, 3).
+        covariance_by_source: joint covariance after the session by source of error, rad², shape (n_sources, 3 N, 3 N).
         rotations_ds: deck from sensor, shape (N, 3, 3).
         ins_sigma_d: error of the INS about the axes of the deck, rad, shape (3,).
     """
     scale = prior_sigma.ravel()
     whitened = parts / np.outer(scale, scale)
     turn = np.concatenate([rotation.T for rotation in rotations_ds])
-    # All in prior sigmas: there the prior is the unit matrix, and independent means orthogonal.
+    # In units of the prior sigmas the prior is the unit matrix, and independent means orthogonal.
     turned = turn / scale[:, None]
     information = np.linalg.solve(whitened.sum(axis=0), turned)
     to_together = np.linalg.solve(turned.T @ information, information.T)
-    # An INS without errors about an axis is the deck itself: a look at it is an observation.
+    # An INS without errors about an axis is an exact reference: it is not part of the prior.
     has_errors = ins_sigma_d > 0.0
     ins_information = np.diag(np.divide(1.0, ins_sigma_d**2, out=np.zeros(3), where=has_errors))
     before = np.linalg.inv(turned.T @ turned + ins_information)
@@ -107,7 +107,7 @@ def combinations(
 
 
 def _apart(whitened: FloatArray, scale: FloatArray, basis: FloatArray) -> list[JointTurn]:
-    """Directions of the sensors against each other that the session did not observe well."""
+    """Return the relative rotations of the sensors that were not well observed."""
     _, vectors = np.linalg.eigh(basis.T @ whitened.sum(axis=0) @ basis)
     found = []
     for vector in (basis @ vectors[:, ::-1]).T:
@@ -121,13 +121,13 @@ def _apart(whitened: FloatArray, scale: FloatArray, basis: FloatArray) -> list[J
 
 
 def _variances(parts: FloatArray, functional: FloatArray) -> FloatArray:
-    """Variance of a linear combination by source of error, shape (n_sources,)."""
+    """Return the variance of a linear combination by source of error, shape (n_sources,)."""
     variances: FloatArray = np.einsum("i,kij,j->k", functional, parts, functional)
     return variances
 
 
 def verdict(ratio: float) -> str:
-    """Whether a session that left this share of a sigma has observed the quantity: yes, partly or no."""
+    """Return the observability for a ratio of sigmas, after / before: yes, partly or no."""
     if ratio >= NOT_OBSERVED:
         return "no"
     return "partly" if ratio > WELL_OBSERVED else "yes"
@@ -137,16 +137,16 @@ def verdict(ratio: float) -> str:
 class InstalledAngle:
     """One installation angle of a star sensor.
 
-    At the zenith azimuth and roll are not told apart: their sigmas are NaN.
+    At the zenith azimuth and roll are not separable: their sigmas are NaN.
 
     Attributes:
-        sensor: id.
+        sensor: id of the sensor.
         angle: azimuth, elevation or roll.
-        configured: rad.
-        installed: as the session has it, rad.
-        sigma_before: as configured, rad.
-        sigma: after the session, rad.
-        open_in: labels of the combinations, not well observed, that leave it open.
+        configured: configured angle, rad.
+        installed: angle found in the session, rad.
+        sigma_before: configured standard deviation, rad.
+        sigma: standard deviation after the session, rad.
+        unresolved_in: labels of combinations, not well observed, that leave it unresolved.
     """
 
     sensor: str
@@ -164,7 +164,7 @@ class InstalledAngle:
 
     @property
     def observed(self) -> str:
-        """yes, partly or no; empty where the angle cannot be told from another."""
+        """Observability: yes, partly or no; empty if the angle is not separable from another."""
         if not np.isfinite(self.sigma):
             return ""
         observed = verdict(self.sigma / self.sigma_before)
@@ -173,16 +173,16 @@ class InstalledAngle:
 
 @dataclass(frozen=True)
 class InstallationCalibration:
-    """What a session says of all installations.
+    """Result of a session for all installations.
 
     Attributes:
-        angles: of all star sensors.
-        combinations: by label, 1, 2, ….
+        angles: angles of all star sensors.
+        combinations: combinations by label, 1, 2, ….
         sensors: ids of the star sensors, in the order of the rows of the combinations.
-        sources: of error, in the order of the shares of the combinations.
-        covariance: joint, of all installation angles in the order of ``angles``, rad².
-        prior: what the next voyage starts from.
-        session: what it rests on.
+        sources: sources of error, in the order of the shares of the combinations.
+        covariance: joint covariance of all installation angles in the order of ``angles``, rad².
+        prior: initial state of the next voyage.
+        session: the session.
     """
 
     angles: list[InstalledAngle]
@@ -195,16 +195,16 @@ class InstallationCalibration:
 
     @property
     def warnings(self) -> list[str]:
-        """What is wrong with the session, one line each."""
+        """Problems of the session, one line each."""
         lines = [_gate_warning(source, count) for source, count in self.session.counts.items()]
         return [*(line for line in lines if line), *self.session.problems]
 
 
 def calibration_of(session: Session) -> InstallationCalibration:
-    """What a session says of all installations.
+    """Return the calibration of all installations from a session.
 
     Raises:
-        BadInput: nothing was measured.
+        BadInput: no measurement was used.
     """
     core, config = session.core, session.config
     prior = core.alignment_to_save()
@@ -233,9 +233,9 @@ def calibration_of(session: Session) -> InstallationCalibration:
 
 
 def _installation_parts(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> FloatArray:
-    """Joint covariance by source of the installations, in the sensors' installed axes, rad², (n_sources, 3 N, 3 N).
+    """Return the joint covariance of the installations by source, in the installed axes, rad², (n_sources, 3 N, 3 N).
 
-    The state's vectors begin at the configured axes: a degree from there, a turn of the deck has other elements.
+    The state vectors refer to the configured axes: a degree from there, a rotation of the deck has other components.
     """
     blocks = [core.filter.model.slices[f"star.{id_}.installation"] for id_ in sensors]
     to_axes = np.zeros((3 * len(sensors), core.filter.model.size))
@@ -273,7 +273,7 @@ def _installed_angles(
 
 
 def _angle_changes(combination: JointTurn, angles: FloatArray) -> FloatArray:
-    """What one sigma of a combination changes in all angles, rad, shape (3 N,)."""
+    """Return the change of all angles by one sigma of a combination, rad, shape (3 N,)."""
     changes = []
     for run_s, (azimuth, elevation, roll) in zip(combination.run_s, angles.reshape(-1, 3), strict=True):
         run_d = rotation_from_angles(azimuth, elevation, roll) @ run_s
@@ -282,11 +282,11 @@ def _angle_changes(combination: JointTurn, angles: FloatArray) -> FloatArray:
 
 
 def _gate_warning(source: str, count: InputCount) -> str:
-    """Says that many messages of a device were too improbable; empty where they were not."""
+    """Return a warning if too many messages of a device were too improbable; else an empty text."""
     judged = count.used + count.improbable
     if count.improbable <= _EXPECTED_SHARE * judged:
         return ""
     return (
-        f"{source}: {count.improbable} of {judged} messages were too improbable to use: its installation or its noise "
-        "is not as configured (for the first: --prior-sigma)"
+        f"{source}: {count.improbable} of {judged} messages were rejected as improbable: its installation or its noise "
+        "is not as configured (installation: use --prior-sigma)"
     )

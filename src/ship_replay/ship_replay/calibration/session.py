@@ -1,7 +1,7 @@
-"""A calibration session: a bag through the suite's nodes, with the installation of the star sensors to be found.
+"""A calibration session: a bag through the suite's nodes, with the installation of the star sensors to be estimated.
 
-It is the filter of ``ship_attitude`` itself, fed as in a replay. No smoother follows: installation angles are constants
-(or walks whose last value is wanted), and of those the last state of a filter knows all that the session has to tell.
+It is the filter of ``ship_attitude`` itself, as in a replay. No smoother follows: installation angles are constants (or
+random walks whose last value is wanted), so the last state of the filter contains all information.
 """
 
 from collections.abc import Mapping
@@ -30,17 +30,17 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 _ALIGNMENT_TOPIC = "ship/alignment"
 _IMPROBABLE = Reason.GATE.word, Reason.ATTITUDE_CONFLICT.word
-"""Reasons of refusal that an installation further off than its sigma leads to."""
+"""Rejection reasons caused by an installation further off than its sigma."""
 
 
 @dataclass(frozen=True)
 class InputCount:
-    """What became of a device's messages.
+    """Counts of a device's messages.
 
     Attributes:
-        used: messages that the filter used.
-        refused: messages that it did not use.
-        reasons: word of a reason → how often; also of messages that were used with a note (single stars refused).
+        used_count: number of messages that the filter used.
+        rejected_count: number of messages that it did not use.
+        reasons: reason → count; includes messages used with a note (single stars rejected).
     """
 
     used: int
@@ -49,26 +49,26 @@ class InputCount:
 
     @property
     def improbable(self) -> int:
-        """Number of messages that were too improbable to use."""
+        """Number of messages rejected as improbable."""
         return min(self.refused, sum(self.reasons.get(reason, 0) for reason in _IMPROBABLE))
 
     @property
     def words(self) -> str:
-        """Reasons with their counts."""
-        return ", ".join(f"{reason} {count}" for reason, count in self.reasons.items()) or "no message came"
+        """Reasons with their counts, as text."""
+        return ", ".join(f"{reason} {count}" for reason, count in self.reasons.items()) or "no message received"
 
 
 @dataclass(frozen=True)
 class Session:
-    """A session and what the filter made of it.
+    """A session and its filter.
 
     Attributes:
-        name: of the bag.
-        config: configuration with the sigmas that the session began with.
+        name: name of the bag.
+        config: configuration with the sigmas at the beginning of the session.
         core: the filter after the last message.
-        counts: source (``star.<id>``, ``reference.<name>``) → what became of its messages.
-        times_s: moments of the course, seconds after the first, shape (n,).
-        course: name of an installation angle → values and sigmas at those moments, rad, shape (n, 2).
+        counts: source (``star.<id>``, ``reference.<name>``) → counts of its messages.
+        times_s: times of the history, seconds after the first, shape (n,).
+        history: name of an installation angle → values and sigmas at those times, rad, shape (n, 2).
         duration_s: length of the bag.
         problems: what is wrong with the bag, one line each.
     """
@@ -90,18 +90,18 @@ def run_session(
     namespace: str = "",
     watch: Watcher = lambda records, bag: records,
 ) -> Session:
-    """Run a bag through the suite.
+    """Process a bag with the suite's nodes.
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
         config_path: suite configuration; None takes the one attached to the bag.
-        prior_sigma_arcsec: what is known of every star sensor's installation, about each of its axes; None: what the
-            configuration says.
+        prior_sigma_arcsec: prior sigma of every star sensor's installation about each of its axes; None takes the
+            configured ones.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        progress: wraps the iteration over the bag, for a progress bar.
 
     Raises:
-        BadInput: the bag or the configuration does not serve, or a star sensor gave nothing to calibrate it by.
+        BadInput: the bag or the configuration cannot be used, or a star sensor has no usable message.
     """
     with read_bag(bag_path) as bag:
         nodes = (_node_of_session(prior_sigma_arcsec), StarAttitudeAdapter)
@@ -134,9 +134,9 @@ def run_session(
 
 
 def session_config(config: ShipAttitudeConfig, prior_sigma_arcsec: float | None) -> ShipAttitudeConfig:
-    """The configuration of a session.
+    """Return the configuration of a session.
 
-    A saved alignment is left aside: it may rest on this very session, which must not count twice.
+    A saved alignment is not loaded: it may result from this very session, which must not count twice.
     """
     stars = config.star_sensors
     if prior_sigma_arcsec is not None:
@@ -154,7 +154,7 @@ def _with_sigma(star: StarSensorConfig, sigma_arcsec: float) -> StarSensorConfig
 
 
 def _node_of_session(prior_sigma_arcsec: float | None) -> type[Adapter]:
-    """The node ``ship_attitude``, configured for a session."""
+    """Return the node ``ship_attitude``, configured for a session."""
 
     class SessionAdapter(ShipAttitudeAdapter):
         def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
@@ -181,8 +181,8 @@ def _check_installations(bag: Bag, config: ShipAttitudeConfig) -> None:
             if sigma < 1e-3 * ARCSEC:
                 name = f"star_sensors.{id_}.installation_sigma_{axis}_arcsec"
                 raise BadInput(
-                    f"parameter '{name}' = {sigma / ARCSEC:g} holds the installation fixed: give what is known of it, "
-                    "or --prior-sigma",
+                    f"parameter '{name}' = {sigma / ARCSEC:g} keeps the installation fixed: set its prior sigma, "
+                    "or use --prior-sigma",
                     parameters=(name,),
                     value=sigma / ARCSEC,
                 )
@@ -195,7 +195,7 @@ def _check_star_topics(bag: Bag, config: ShipAttitudeConfig, there: set[str]) ->
             stars = sorted(name for name in bag.topics if "star/" in name)
             raise BadInput(
                 f"topic '{topic}' of star sensor '{id_}' is missing; found "
-                f"{', '.join(stars) or 'no star data'}: record it, or take the sensor out of the configuration",
+                f"{', '.join(stars) or 'no star data'}: record it, or remove the sensor from the configuration",
                 file=bag.path,
             )
 
@@ -204,13 +204,13 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
     for source, device in core.filter.devices.items():
         count = counts[source]
         if device.is_star and source not in core.state.used_ns:
-            hint = ": its installation is further off than its sigma: give --prior-sigma" if count.improbable else ""
+            hint = ": its installation error exceeds its sigma: use --prior-sigma" if count.improbable else ""
             raise BadInput(f"no message of {source} was used: {count.words}{hint}", file=bag.path)
 
 
 @dataclass
 class Course:
-    """The alignments over a session; takes the outputs of its replay."""
+    """History of the alignment in a session; receives the outputs of its replay."""
 
     times_ns: list[int] = field(default_factory=list)
     names: tuple[str, ...] = ()
@@ -218,16 +218,16 @@ class Course:
     sigmas: list[FloatArray] = field(default_factory=list)
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take an output."""
+        """Add an alignment; ignore other outputs."""
         if topic == _ALIGNMENT_TOPIC:
             covariance = np.reshape(message.covariance, (len(message.names), len(message.names)))
             self.add(log_time_ns, tuple(message.names), np.array(message.values), covariance)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Pass over the truth: a calibration must not see it."""
+        """Ignore the truth: a calibration must not use it."""
 
     def add(self, time_ns: int, names: tuple[str, ...], values: FloatArray, covariance: FloatArray) -> None:
-        """Take an alignment."""
+        """Add an alignment."""
         self.names = names
         self.times_ns.append(time_ns)
         self.values.append(values)
@@ -235,12 +235,12 @@ class Course:
 
     @property
     def times_s(self) -> FloatArray:
-        """Moments, seconds after the first, shape (n,)."""
+        """Times, seconds after the first, shape (n,)."""
         times_ns = np.array(self.times_ns, dtype=np.int64)
         return (times_ns - times_ns[:1]) / NS_PER_S
 
     def installations(self) -> dict[str, FloatArray]:
-        """Name of an installation angle → values and sigmas, rad, shape (n, 2)."""
+        """Return name of an installation angle → values and sigmas, rad, shape (n, 2)."""
         angles = "azimuth", "elevation", "roll"
         wanted = [n for n, name in enumerate(self.names) if name.startswith("star.") and name.endswith(angles)]
         both = np.stack([np.array(self.values), np.array(self.sigmas)], axis=-1)
@@ -248,7 +248,7 @@ class Course:
 
 
 def input_counts(adapter: ShipAttitudeAdapter, now_ns: int) -> dict[str, InputCount]:
-    """What became of the messages of each star sensor and reference."""
+    """Return the message counts of each star sensor and reference."""
     config = adapter.core.config
     topics = {f"star/{id_}/{star.input}": f"star.{id_}" for id_, star in config.star_sensors.items()}
     topics |= {f"reference/{name}/imu": f"reference.{name}" for name in config.references}

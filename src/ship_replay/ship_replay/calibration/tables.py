@@ -1,4 +1,4 @@
-"""A calibration as tables on a terminal, as JSON, and in the words of a shipwright."""
+"""A calibration as tables on a terminal, as JSON, and as sentences."""
 
 import json
 import math
@@ -12,24 +12,24 @@ from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.calibration.result import InstallationCalibration, JointTurn
 
 _TOGETHER = {
-    "bow": "turned together in roll (about the deck's bow axis)",
-    "up": "turned together in azimuth (about the deck's up axis)",
-    "starboard": "turned together in pitch (about the deck's starboard axis)",
+    "bow": "rotated together in roll (about the deck's bow axis)",
+    "up": "rotated together in azimuth (about the deck's up axis)",
+    "starboard": "rotated together in pitch (about the deck's starboard axis)",
 }
 _SENSOR_AXES = "boresight", "up axis", "right axis"
 _TAKES_PART = 0.3
-"""Of a turn, as a share of the largest."""
+"""Minimum share of the largest component of a rotation for a component to be named."""
 
-_TILT_REMEDY = "turn the ship by 180 deg or more, or give a reference of known installation"
+_TILT_REMEDY = "turn the ship by 180 deg or more, or add a reference of known installation"
 _AZIMUTH_REMEDY = (
-    "give a reference of known heading, or stay longer in a swell that heels the ship by degrees; turning the ship in "
+    "add a reference of known heading, or record longer in a swell that rolls the ship by degrees; turning the ship in "
     "calm water does not help: the INS's heading error turns with it"
 )
-_APART_REMEDY = "a longer session, or more stars"
+_APART_REMEDY = "record longer, or observe more stars"
 
 
 def print_calibration(calibration: InstallationCalibration, console: Console) -> None:
-    """Print what a session says."""
+    """Print the result of a session."""
     session = calibration.session
     counts = ", ".join(f"{source} {count.used} messages" for source, count in session.counts.items())
     console.print(f"{session.name}: {session.duration_s:.0f} s; used: {counts}", highlight=False)
@@ -40,7 +40,10 @@ def print_calibration(calibration: InstallationCalibration, console: Console) ->
 
 
 def json_text(calibration: InstallationCalibration) -> str:
-    """All of it: angles in degrees, corrections and sigmas in arcseconds, covariance in rad²; null where undefined."""
+    """Return the result as JSON; null if undefined.
+
+    Angles are in degrees, corrections and sigmas in arcseconds, the covariance in rad².
+    """
     session = calibration.session
     document = {
         "bag": session.name,
@@ -104,13 +107,13 @@ def _angle_table(calibration: InstallationCalibration) -> Table:
 
 
 def _combination_table(calibration: InstallationCalibration) -> Table:
-    table = Table(title="Combinations, 1σ; before: by the configuration and one look at constant heading")
+    table = Table(title="Combinations, 1σ; before: from the configuration and one observation at constant heading")
     table.add_column("")
     table.add_column("combination")
     for column in ("before [″]", "after [″]"):
         table.add_column(column, justify="right")
     table.add_column("observed")
-    table.add_column("what is left comes from")
+    table.add_column("largest remaining error")
     for label, combination in calibration.combinations.items():
         table.add_row(
             label,
@@ -124,7 +127,7 @@ def _combination_table(calibration: InstallationCalibration) -> Table:
 
 
 def _shown_deg(angle: float) -> float:
-    """From -180 deg to 180 deg."""
+    """Return an angle in degrees from -180 to 180."""
     return math.degrees(float(wrap_pi(angle)))
 
 
@@ -137,7 +140,7 @@ def _text(value: float) -> str:
 
 
 def combination_words(combination: JointTurn, sensors: tuple[str, ...]) -> str:
-    """What is turned, and how."""
+    """Return a description of a combination."""
     if combination.axis is not None:
         who = sensors[0] if len(sensors) == 1 else "all sensors"
         return f"{who} {_TOGETHER[combination.axis]}"
@@ -148,24 +151,24 @@ def combination_words(combination: JointTurn, sensors: tuple[str, ...]) -> str:
         value = run_arcsec[sensor, axis]
         if abs(value) > _TAKES_PART * np.max(np.abs(run_arcsec)):
             parts.append(f"{sensors[sensor]} about its {_SENSOR_AXES[axis]} {value:+.2f}″")
-    return f"turned against each other: {', '.join(parts)}"
+    return f"relative rotation: {', '.join(parts)}"
 
 
 def remedy(combination: JointTurn) -> str:
-    """What would have told the turn."""
+    """Return the advice for observing a combination."""
     if combination.axis is None:
         return _APART_REMEDY
     return _AZIMUTH_REMEDY if combination.axis == "up" else _TILT_REMEDY
 
 
 def limit_words(calibration: InstallationCalibration, combination: JointTurn) -> str:
-    """The source of error with the largest share in the variance that is left."""
+    """Return the source of error with the largest share in the remaining variance."""
     largest = int(np.argmax(combination.shares))
     return f"{calibration.sources[largest].replace('_', ' ')} {combination.shares[largest]:.0%}"
 
 
 def statements(calibration: InstallationCalibration) -> list[str]:
-    """One line for each turn that the session did not observe well; a single line where there is no such turn."""
+    """Return one line for each combination that was not well observed; a single line if there is none."""
     lines = []
     for label, combination in calibration.combinations.items():
         if combination.observed != "yes":
@@ -174,4 +177,4 @@ def statements(calibration: InstallationCalibration) -> list[str]:
                 f"({label}) {how}, {combination.sigma / ARCSEC:.2f}″ of {combination.sigma_before / ARCSEC:.2f}″: "
                 f"{combination_words(combination, calibration.sensors)}; {remedy(combination)}"
             )
-    return lines or ["every combination of the installation angles was observed"]
+    return lines or ["all combinations of the installation angles were observed"]

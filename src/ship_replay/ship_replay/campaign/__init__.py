@@ -1,5 +1,5 @@
-"""Many runs at once: bags or scenarios, parameter sets and seeds, made by worker processes here or by a Dask cluster.
+"""Campaigns: bags or scenarios, parameter sets and seeds, run by worker processes here or by a Dask cluster.
 
-What is to be made is a list of items, each with a key by all that its result depends on; results are files by that key.
-The room imports ``offline/``, ``evaluation/`` and ``report/``, and the simulation.
+A campaign is a list of items, each with a key derived from everything its result depends on; results are files named by
+that key. The room imports ``offline/``, ``evaluation/`` and ``report/``, and the simulation.
 """

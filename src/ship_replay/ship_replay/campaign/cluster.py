@@ -1,4 +1,4 @@
-"""Items made by the workers of a Dask cluster; this module alone imports dask.distributed, which is optional."""
+"""Items run by the workers of a Dask cluster; only this module imports the optional dask.distributed."""
 
 import threading
 from collections.abc import Iterator, Sequence
@@ -11,20 +11,20 @@ from ship_replay.campaign.one_item import Result, failed
 from ship_replay.campaign.processes import Make
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Of the threads of a worker: an item computes all the time, and others would only wait for the interpreter."""
+"""Lock between the threads of a worker: an item uses the interpreter all the time, so parallel threads gain nothing."""
 
 
 def in_cluster(make: Make, items: Sequence[Item], address: str) -> Iterator[tuple[Item, Result]]:
-    """Each item with its result, as they are made; the cluster redoes the items of a worker that died.
+    """Yield each item with its result on completion; the cluster repeats the items of a worker that died.
 
     Args:
-        make: makes an item in an empty folder; a function of a module that the workers have.
-        items: their files lie at the same paths for the workers as here.
-        address: of the scheduler, tcp://host:port.
+        make: runs an item in an empty folder; a function of a module that the workers have.
+        items: items whose files have the same paths for the workers as here.
+        address: address of the scheduler, tcp://host:port.
 
     Raises:
         BadInput: dask.distributed is not installed.
-        OSError: nothing answers at the address.
+        OSError: no scheduler answers at the address.
     """
     try:
         from distributed import Client, as_completed

@@ -1,4 +1,4 @@
-"""What a campaign makes: items, each a bag or a scenario with a seed, under one parameter set."""
+"""Items of a campaign: each a bag or a scenario with a seed, under one parameter set."""
 
 import hashlib
 import json
@@ -21,12 +21,12 @@ _SEEDS = re.compile(r"\d+(?:-\d+)?(?:,\d+(?:-\d+)?)*")
 
 @dataclass(frozen=True)
 class GivenFile:
-    """A file as somebody gave it.
+    """A file named on the command line.
 
     Attributes:
-        name: as it was typed.
-        path: the same, from the root.
-        contents: the file and what it refers to, each from the root, with its hash.
+        name: path as typed.
+        path: absolute path.
+        contents: the file and the files it refers to, each with absolute path and hash.
     """
 
     name: str
@@ -35,19 +35,19 @@ class GivenFile:
 
     @property
     def sha256(self) -> str:
-        """What tells the contents from others."""
+        """Hash of the contents."""
         return "\n".join(digest for _, digest in self.contents)
 
     @property
     def is_scenario(self) -> bool:
-        """Whether this source is to be simulated; else it is a bag."""
+        """True if this source is a scenario to be simulated, False if it is a bag."""
         return self.path.suffix in _SCENARIO_SUFFIXES
 
     def check(self) -> None:
-        """Make sure that the file is still the same.
+        """Check that the file is unchanged.
 
         Raises:
-            BadInput: it is another.
+            BadInput: it has changed.
             OSError: it cannot be read.
         """
         if any(content_sha256(path) != digest for path, digest in self.contents):
@@ -61,11 +61,11 @@ class Item:
     Attributes:
         source: bag or scenario.
         parameters: suite file; None takes the one attached to the bag, or made from the scenario.
-        seed: of the simulation; None for a bag.
-        skip_s: the evaluation leaves out what is earlier than this after the beginning.
-        namespace: of the ship in the bag.
-        remaps: of topics in the bag, see :class:`ship_bags.renamed_topics.TopicNames`.
-        code: hash of the code that is to make it.
+        seed: seed of the simulation; None for a bag.
+        skip_s: time after the beginning that is excluded from the evaluation.
+        namespace: namespace of the ship in the bag.
+        remaps: topic remappings in the bag, see :class:`ship_bags.renamed_topics.TopicNames`.
+        code: hash of the code that runs it.
     """
 
     source: GivenFile
@@ -78,7 +78,7 @@ class Item:
 
     @property
     def ingredients(self) -> dict[str, Any]:
-        """All that the result depends on; names and places of files are not among it."""
+        """Everything the result depends on, without names and places of files."""
         return {
             "source_sha256": self.source.sha256,
             "parameters_sha256": None if self.parameters is None else self.parameters.sha256,
@@ -91,22 +91,22 @@ class Item:
 
     @property
     def key(self) -> str:
-        """The name of the result."""
+        """Name of the result."""
         return hashlib.sha256(json.dumps(self.ingredients).encode()).hexdigest()[:_KEY_LENGTH]
 
     @property
     def parameters_name(self) -> str:
-        """The parameter set for people."""
+        """Name of the parameter set for people."""
         return "as attached" if self.parameters is None else self.parameters.name
 
     @property
     def order(self) -> tuple[str, str, int]:
-        """By which items are sorted in tables."""
+        """Sort key in tables."""
         return self.source.name, self.parameters_name, -1 if self.seed is None else self.seed
 
     @property
     def name(self) -> str:
-        """The item for people."""
+        """Name of the item for people."""
         seed = "" if self.seed is None else f", seed {self.seed}"
         return f"{self.source.name}, {self.parameters_name}{seed}"
 
@@ -119,18 +119,18 @@ def items_of(
     namespace: str = "",
     remaps: Sequence[tuple[str, str]] = (),
 ) -> list[Item]:
-    """All items of a campaign, sorted: each source under each parameter set, a scenario with each seed.
+    """Return all items of a campaign, sorted: each source under each parameter set, a scenario with each seed.
 
     Args:
         sources: scenarios (.yaml) and bags.
-        parameter_sets: suite files; none takes what belongs to each source.
-        seeds: of the scenarios.
+        parameter_sets: suite files; if empty, the one of each source is used.
+        seeds: seeds of the scenarios.
         skip_s: see :class:`Item`.
-        namespace: of the ship in the bags.
-        remaps: of topics in the bags.
+        namespace: namespace of the ship in the bags.
+        remaps: topic remappings in the bags.
 
     Raises:
-        BadInput: a scenario or suite file is none. What is wrong with a bag, its run tells.
+        BadInput: a scenario or suite file is invalid. Problems of a bag are reported by its run.
         OSError: a file cannot be read.
     """
     given = [_source(path) for path in dict.fromkeys(sources)]
@@ -146,10 +146,10 @@ def items_of(
 
 
 def seeds_of(text: str) -> list[int]:
-    """The seeds that "1-200" or "1,5,7-9" names.
+    """Return the seeds in a text such as "1-200" or "1,5,7-9".
 
     Raises:
-        ValueError: it is none of these.
+        ValueError: the text has another form.
 
     Example:
         >>> seeds_of("1,5,7-9")
@@ -159,7 +159,7 @@ def seeds_of(text: str) -> list[int]:
         raise ValueError(f"'{text}' are no seeds such as 1-200 or 1,5,7-9")
     ranges = [[int(end) for end in part.split("-")] for part in text.split(",")]
     if any(ends[0] > ends[-1] for ends in ranges):
-        raise ValueError(f"'{text}' holds a range that ends before it begins")
+        raise ValueError(f"'{text}' contains a range that ends before it begins")
     return list(dict.fromkeys(seed for ends in ranges for seed in range(ends[0], ends[-1] + 1)))
 
 

@@ -1,4 +1,4 @@
-"""One item made: simulated where it is a scenario, replayed through the suite's nodes, evaluated against the truth."""
+"""Run of one item: simulated if it is a scenario, replayed through the suite's nodes, evaluated against the truth."""
 
 import math
 from collections.abc import Mapping
@@ -20,31 +20,31 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 
 Result = dict[str, Any]
-"""What came of an item, as plain data of JSON: ``error``, which is None where it was made, and then
+"""Result of an item as plain data for JSON: ``error``, which is None on success, and
 
 - ``errors``: source of an orientation → its ``channels``, its statistics by the names of ``evaluate --json`` [arcsec],
-  ``nees_count`` and ``nees_independent``: how many errors have a NEES, and as many independent ones tell as much;
+  ``nees_count``, the number of NEES, and ``nees_independent``, the equivalent number of independent ones;
 - ``values``: all quantities of ``evaluate --json``;
-- ``statuses``: topic → status → outputs;
-- ``refused``: topic → reason → messages that were not used.
+- ``statuses``: topic → status → number of outputs;
+- ``refused``: topic → reason → number of messages not used.
 """
 
 
 def make(item: Item, folder: Path) -> Result:
-    """Make an item; whatever goes wrong is told in the result.
+    """Run an item; errors are reported in the result.
 
     Args:
-        item: what is to be made.
-        folder: empty, for the bags on the way.
+        item: the item.
+        folder: empty folder for intermediate bags.
     """
     try:
         return _made(item, folder)
     except InputError as problem:
         error = str(problem)
     except Exception as problem:
-        # A defect in one run must not take the others with it.
+        # A software defect in one run must not stop the others.
         error = f"{type(problem).__name__}: {problem}"
-    # The same words wherever it was made.
+    # The same text on every machine.
     error = error.replace(f"{folder}/", "").replace(str(item.source.path), item.source.name)
     if item.parameters is not None:
         error = error.replace(str(item.parameters.path), item.parameters.name)
@@ -52,13 +52,13 @@ def make(item: Item, folder: Path) -> Result:
 
 
 def failed(error: str) -> Result:
-    """The result of an item that could not be made."""
+    """Return the result of an item that failed."""
     return {"error": error, "errors": {}, "values": {}, "statuses": {}, "refused": {}}
 
 
 def _made(item: Item, folder: Path) -> Result:
     if item.code != code_sha256():
-        raise InputError("the worker has another version of the suite or of its libraries than who began the campaign")
+        raise InputError("the worker's version of the suite or of its libraries differs from that of the campaign")
     given = [item.source] if item.parameters is None else [item.source, item.parameters]
     for file in given:
         file.check()
@@ -90,5 +90,5 @@ def _statistics(errors: AttitudeErrors) -> dict[str, Any]:
 
 
 def _plain(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Values as JSON has them: null for what is no number."""
+    """Return values for JSON: null for NaN."""
     return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}

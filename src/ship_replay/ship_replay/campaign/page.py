@@ -1,4 +1,4 @@
-"""A campaign told in one page and in a few lines."""
+"""Summary of a campaign as a page and as a table on the terminal."""
 
 from collections.abc import Iterable, Sequence
 
@@ -11,19 +11,19 @@ from ship_replay.report.page import render, versions
 from ship_replay.report.wording import number
 
 SECTIONS = (
-    ("made", "What was made"),
+    ("made", "Items"),
     ("errors", "Errors by parameter set"),
-    ("statuses", "Statuses and refusals"),
+    ("statuses", "Statuses and rejections"),
     ("sources", "Errors by bag or scenario"),
     ("worst", "Worst items"),
     ("failed", "Failed items"),
     ("provenance", "Hashes and versions"),
 )
-"""Ids and titles of the sections, in their order."""
+"""Ids and titles of the sections, in order."""
 
 
 def page(made: Sequence[Made]) -> str:
-    """The campaign as one HTML file that names no other; the same results give the same text."""
+    """Return the campaign as a single HTML file; the same results give the same text."""
     in_order = sorted(made, key=lambda each: each[0].order)
     items = [item for item, _ in in_order]
     return render(
@@ -45,12 +45,12 @@ def page(made: Sequence[Made]) -> str:
 
 
 def by_parameters(made: Sequence[Made]) -> list[Pool]:
-    """What the parameter sets come to, each over all its items."""
+    """Return the results of each parameter set, pooled over all its items."""
     return pools(made, lambda item: item.parameters_name)
 
 
 def pooled_table(pooled: Sequence[Pool]) -> Table:
-    """The pooled errors for the terminal."""
+    """Return the pooled errors as a table for the terminal."""
     table = Table(title="Errors against the truth over all items, arcseconds")
     for column in ("parameters", "source", "angle"):
         table.add_column(column)

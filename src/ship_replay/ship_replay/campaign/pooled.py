@@ -1,4 +1,4 @@
-"""What many results say together: errors, sigmas and statuses of each parameter set, and the worst of the items."""
+"""Statistics pooled over many results: errors, sigmas and statuses of each parameter set, and the worst items."""
 
 import math
 from collections import Counter
@@ -19,9 +19,9 @@ class PooledChannel:
     """One channel of a source of an orientation, over all samples of several items.
 
     Attributes:
-        name: of the channel.
+        name: name of the channel.
         rms_arcsec: root mean square of the errors.
-        sigma_arcsec: root of the mean predicted variance; NaN where an item states none.
+        sigma_arcsec: root of the mean predicted variance; NaN if an item states none.
     """
 
     name: str
@@ -39,12 +39,12 @@ class PooledErrors:
     """One source of an orientation over several items.
 
     Attributes:
-        label: as in an evaluation: ``fused``, ``ins``, ``star.<id>``, ``pointing``.
-        items: how many have it.
-        samples: in all.
+        label: label as in an evaluation: ``fused``, ``ins``, ``star.<id>``, ``pointing``.
+        items: number of items with this source.
+        samples: total number of samples.
         channels: its three errors.
-        fit: whether the mean NEES is that of a sigma that fits.
-        band: the 99.9 % band of that mean.
+        fit: result of the consistency test of the mean NEES.
+        band: 99.9 % band of the mean NEES.
     """
 
     label: str
@@ -57,15 +57,15 @@ class PooledErrors:
 
 @dataclass(frozen=True)
 class Pool:
-    """Several items that are told together.
+    """Several items with common statistics.
 
     Attributes:
-        name: of what they share.
-        items: that were made.
-        failed: that were not.
-        errors: by source of an orientation, in the order in which the items have them.
+        name: common name.
+        items: number of completed items.
+        failed: number of failed items.
+        errors: errors by source of an orientation, in the order of the items.
         shares: topic → status → share of its outputs.
-        refused: messages that were not used.
+        refused: number of messages that were not used.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Pool:
 
 @dataclass(frozen=True)
 class WorstItem:
-    """The channel of an item whose errors are largest for their sigma."""
+    """The channel of an item with the largest error relative to its sigma."""
 
     item: Item
     label: str
@@ -89,13 +89,13 @@ class WorstItem:
 
 
 def pools(made: Sequence[Made], name: Callable[[Item], str]) -> list[Pool]:
-    """The items pooled by a name that they share, in the order of the names."""
+    """Return the items pooled by a common name, in the order of the names."""
     by_name = sorted(made, key=lambda each: (name(each[0]), each[0].order))
     return [_pool(shared, list(group)) for shared, group in groupby(by_name, key=lambda each: name(each[0]))]
 
 
 def worst_items(made: Sequence[Made]) -> list[WorstItem]:
-    """The items whose largest ratio of RMS to predicted sigma is largest, the worst first."""
+    """Return the items with the largest ratios of RMS to predicted sigma, the worst first."""
     worst = []
     for item, result in made:
         ratios = [
@@ -147,7 +147,7 @@ def _pooled_errors(label: str, parts: list[dict[str, Any]]) -> PooledErrors:
         )
         for channel in parts[0]["channels"]
     ]
-    # A run whose errors hang together tells as much as its independent ones.
+    # Errors are correlated within a run: weight by the number of independent ones.
     told = [part for part in parts if part["nees_mean"] is not None]
     independent = math.fsum(part["nees_independent"] for part in told)
     mean = math.fsum(part["nees_mean"] * part["nees_independent"] for part in told) / independent if told else math.nan
@@ -157,6 +157,6 @@ def _pooled_errors(label: str, parts: list[dict[str, Any]]) -> PooledErrors:
 
 
 def _root_mean_square(values: Iterable[float | None], weights: Sequence[float]) -> float:
-    """The root of the weighted mean square; NaN where a value is missing."""
+    """Return the root of the weighted mean square; NaN if a value is missing."""
     squares = [math.nan if value is None else weight * value**2 for value, weight in zip(values, weights, strict=True)]
     return math.sqrt(sum(squares) / math.fsum(weights))

@@ -1,6 +1,6 @@
-"""Items made by processes of this machine, each item in a new one: what kills a worker kills one item, which is redone.
+"""Items run in processes of this machine, each in a new one: if a worker is killed, only its item is repeated.
 
-A pool of the standard library breaks as a whole when one of its processes is killed.
+A pool of the standard library breaks completely if one of its processes is killed.
 """
 
 import json
@@ -20,22 +20,22 @@ from ship_replay.campaign.items import Item
 from ship_replay.campaign.one_item import Result, failed
 
 MOST_DEATHS = 3
-"""An item whose worker died so often is given up."""
+"""Number of worker failures after which an item counts as failed."""
 
 Make = Callable[[Item, Path], Result]
 
 
 def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tuple[Item, Result]]:
-    """Each item with its result, as they are made.
+    """Yield each item with its result on completion.
 
     Args:
-        make: makes an item in an empty folder; a function of a module.
-        items: in any order.
-        workers: processes at a time.
+        make: runs an item in an empty folder; a function of a module.
+        items: items in any order.
+        workers: number of parallel processes.
     """
-    # Matrices here are small: threads of BLAS would only wait for one another. The server of processes inherits it.
+    # Matrices are small: BLAS threads would only slow each other down. The fork server inherits this setting.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # What is imported once is there in each process; the server has no threads that a fork would cut off.
+    # Modules are imported once, in the fork server, which has no threads that a fork would break.
     context = get_context("forkserver")
     context.set_forkserver_preload(["__main__", make.__module__])
     _start_server()
@@ -54,7 +54,7 @@ def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tu
                     if deaths[item.key] < MOST_DEATHS:
                         waiting.append(item)
                         continue
-                    result = failed(f"its worker died {MOST_DEATHS} times, at last with {worker.exit_text}")
+                    result = failed(f"its worker died {MOST_DEATHS} times, the last time with {worker.exit_text}")
                 yield item, result
     finally:
         for worker in running.values():
@@ -62,9 +62,9 @@ def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tu
 
 
 def _start_server() -> None:
-    """Start the server of processes with SIGINT ignored, which its processes inherit.
+    """Start the fork server with SIGINT ignored, which its processes inherit.
 
-    Ctrl-C is the command's to answer. A process that it reaches before serve_a_command() would print a traceback.
+    Ctrl-C is handled by the command. A process interrupted before serve_a_command() would print a traceback.
     """
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
@@ -74,7 +74,7 @@ def _start_server() -> None:
 
 
 class _Worker:
-    """A process that makes one item."""
+    """A process that runs one item."""
 
     def __init__(self, context: Any, make: Make, item: Item) -> None:
         self.item = item
@@ -82,11 +82,11 @@ class _Worker:
         self.connection, given = context.Pipe(duplex=False)
         self._process = context.Process(target=_serve, args=(make, item, Path(self._folder.name), given), daemon=True)
         self._process.start()
-        # With this end closed here, the death of the process is the end of the pipe.
+        # With this end closed here, the pipe ends if the process dies.
         given.close()
 
     def result(self) -> Result | None:
-        """What it said; None where it died before."""
+        """Return the result; None if the process died before sending it."""
         try:
             told: Result | None = json.loads(self.connection.recv_bytes())
         except EOFError:
@@ -97,12 +97,12 @@ class _Worker:
 
     @property
     def exit_text(self) -> str:
-        """How the process ended."""
+        """Exit code or signal of the process, as text."""
         code = self._process.exitcode or 0
         return f"signal {-code}" if code < 0 else f"exit code {code}"
 
     def end(self) -> None:
-        """End the process, whatever it does."""
+        """Kill the process."""
         self._process.kill()
         self._process.join()
         self._leave()

@@ -1,4 +1,4 @@
-"""The folder of a campaign: a file for each result, by its key, and one table of all."""
+"""Folder of a campaign: a file for each result, named by its key, and one table of all."""
 
 import csv
 import io
@@ -18,13 +18,13 @@ Made = tuple[Item, Result]
 
 
 class ResultFolder:
-    """Results that outlive whatever ends the campaign.
+    """Results stored on the disk.
 
     Args:
-        folder: is made where it is not there.
+        folder: created if it does not exist.
 
     Raises:
-        BadInput: it cannot be made or written to.
+        BadInput: it cannot be created or written to.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -33,14 +33,14 @@ class ResultFolder:
         (folder / "results").mkdir(parents=True, exist_ok=True)
 
     def path(self, item: Item) -> Path:
-        """Where the result of an item lies."""
+        """Return the path of an item's result."""
         return self.folder / "results" / f"{item.key}.json"
 
     def result(self, item: Item) -> Result | None:
-        """What came of an item; None where it was not yet made.
+        """Return the result of an item; None if it was not yet run.
 
         Raises:
-            BadInput: what lies there is no result.
+            BadInput: the file is no result.
         """
         path = self.path(item)
         try:
@@ -49,16 +49,16 @@ class ResultFolder:
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError) as problem:
-            raise BadInput("is no result of a campaign: take it away", file=path) from problem
+            raise BadInput("is no result of a campaign: remove it", file=path) from problem
         if ingredients != item.ingredients:
-            raise BadInput("is the result of another item: take it away", file=path)
+            raise BadInput("is the result of another item: remove it", file=path)
         told: Result = result
         return told
 
     def keep(self, item: Item, result: Result) -> None:
-        """Write a result; it is on the disk, whole, when this returns.
+        """Write a result; it is completely on the disk on return.
 
-        One that failed is not kept: a worker that was killed, or a disk that was full, may do better the next time.
+        A failed one is not stored: a killed worker or a full disk may be a temporary problem.
         """
         if result["error"] is None:
             text = json.dumps({"item": item.ingredients, "result": result}, indent=1)
@@ -66,7 +66,7 @@ class ResultFolder:
 
 
 def table(made: Sequence[Made]) -> str:
-    """All results as CSV, one line each in the order of the items, whoever made them.
+    """Return all results as CSV, one line each in the order of the items.
 
     The columns are those of ``evaluate --json``, then ``status.<topic>.<status>``, outputs, and
     ``refused.<topic>.<reason>``, messages.

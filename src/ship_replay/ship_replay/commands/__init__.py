@@ -1,4 +1,4 @@
-"""What people type: arguments in, lines and exit codes out.
+"""Command lines: arguments in, text and exit codes out.
 
-The room imports all other rooms but ``trials/``.
+The room imports all other rooms except ``trials/``.
 """

@@ -22,11 +22,11 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="axis_sightings",
         example="./ros2run ship_replay axis_sightings bags/theodolite.mcap --out sightings.csv",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
-        description="Write the sightings of a bag as a table for fit_axes: of every exposure of two lights or more "
-        "that the node optical_axis used, the encoder angles and the true direction of the main axis in the deck minus "
-        "them [deg], its time [s] and what one sigma of each error that lasts (deformation, ship, baselines, levers, "
-        "refraction) moves it by [arcsec].",
+        epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
+        description="Write the sightings of a bag as a table for fit_axes. Each exposure with two lights or more that "
+        "the node optical_axis used is one row: encoder angles [deg], true direction of the main axis on deck minus "
+        "these [deg], time [s], and the effect of one sigma of each correlated error (deformation, ship, baselines, "
+        "levers, refraction) [arcsec].",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
     parser.add_argument("--out", type=Path, required=True, metavar="SIGHTINGS.csv", help="table to write")
@@ -40,11 +40,11 @@ def _parser() -> CommandParser:
 
 def _run(options: argparse.Namespace) -> int:
     if options.out.suffix.lower() != ".csv":
-        raise BadInput("fit_axes reads .csv: give the table such a name", file=options.out)
+        raise BadInput("fit_axes reads .csv: use this extension", file=options.out)
     check_file(options.out, options.force)
     sightings = axis_sightings(options.bag, options.config, options.namespace, watch=watched)
     sightings.write(options.out)
     count, written = len(sightings.rows), len(sightings.chosen)
-    spread = "" if written == count else f" ({written} of them written, evenly spread: as many as fit_axes takes)"
+    spread = "" if written == count else f" ({written} of them written, evenly spread: the most that fit_axes reads)"
     sys.stdout.write(f"{options.out}: {count} sightings{spread}, {sightings.unused} exposures not used\n")
     return EXIT_DONE

@@ -1,4 +1,4 @@
-"""``calibrate_installation``: a harbour or sea session becomes the installation angles that ``ship_attitude`` loads."""
+"""``calibrate_installation``: installation angles for ``ship_attitude`` from a session in harbour or at sea."""
 
 import argparse
 import sys
@@ -26,11 +26,11 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="calibrate_installation",
         example="./ros2run ship_replay calibrate_installation harbour.mcap --out alignment.yaml --report report",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
+        epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
         description="Find the installation angles of all star sensors from a session in harbour or at sea: a bag with "
         "ins/imu, the sensors' topics and, if there is one, reference/<name>/imu of known installation. Writes the "
-        "file that ship_attitude reads by its parameter alignment_file, and says which combinations of the angles the "
-        "session could not observe. Angles in degrees, corrections and sigmas (1 sigma) in arcseconds.",
+        "file that ship_attitude reads by its parameter alignment_file, and lists the combinations of angles that were "
+        "not observable. Angles in degrees, corrections and sigmas (1 sigma) in arcseconds.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
     parser.add_argument("--out", type=Path, required=True, metavar="ALIGNMENT.yaml", help="alignment file to write")
@@ -41,7 +41,7 @@ def _parser() -> CommandParser:
         "--prior-sigma",
         type=_arcsec,
         metavar="ARCSEC",
-        help="how well every installation is known beforehand, about each axis of its sensor [arcsec] (default: the "
+        help="prior standard deviation of every installation, about each axis of its sensor [arcsec] (default: the "
         "configured installation_sigma_..._arcsec)",
     )
     add_bag_names(parser)
@@ -55,7 +55,7 @@ def _arcsec(text: str) -> float:
         value = float(text)
     except ValueError:
         value = 0.0
-    # Errors of more than a few degrees are not small: the filter's covariance would be too small.
+    # Beyond a few degrees the small-angle approximation fails and the filter's covariance is too small.
     if not 0.001 <= value <= 3600.0:
         raise argparse.ArgumentTypeError(f"'{text}' is no sigma: expected 0.001 to 3600 arcsec")
     return value

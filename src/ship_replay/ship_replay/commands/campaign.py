@@ -1,4 +1,4 @@
-"""``campaign``: bags or scenarios under parameter sets and seeds, many at a time, with one table and one page."""
+"""``campaign``: bags or scenarios under parameter sets and seeds, run in parallel, with one table and one page."""
 
 import argparse
 import functools
@@ -21,7 +21,7 @@ from ship_replay.evaluation.tables import table_console
 _MOST_FAILURES_TOLD = 10
 
 Maker = Callable[[list[Item]], Iterator[tuple[Item, Result]]]
-"""Makes items, in any order."""
+"""Runs items and yields their results, in any order."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,30 +33,30 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="campaign",
         example="./ros2run ship_replay campaign bags/demo.mcap --config examples/two_sensors.yaml --out out/campaign",
-        epilog="exit code: 0 all items made; 1 an item failed, which is a line of the table with its error; 2 bad "
-        "input or usage; 130 interrupted: what is made is kept",
-        description="Make many runs: each bag, and each scenario with each seed, under each parameter set. A scenario "
-        "is simulated; each bag is replayed through the suite's nodes, and the outputs are evaluated against the truth "
-        f"in it. FOLDER holds a result for each item, {TABLE} with all quantities of evaluate --json [arcsec, deg, s, "
-        f"m] and counts of statuses and refusals, and {PAGE} with the errors of each parameter set. A second run makes "
-        "only what is missing: a result is known by the contents of bag or scenario and of the parameter set, the "
-        "seed, and the code. The results are the same whatever the number of workers.",
+        epilog="exit code: 0 all items completed; 1 an item failed, its line in the table contains the error; 2 bad "
+        "input or usage; 130 interrupted: completed results are kept",
+        description="Run many items: each bag, and each scenario with each seed, under each parameter set. A scenario "
+        "is simulated; each bag is replayed through the suite's nodes, and the outputs are compared with the truth. "
+        f"FOLDER contains a result for each item, {TABLE} with all quantities of evaluate --json [arcsec, deg, s, "
+        f"m] and counts of statuses and rejections, and {PAGE} with the errors of each parameter set. A second run "
+        "computes missing results only: a result is identified by the contents of bag or scenario and parameter set, "
+        "the seed, and the code. The results do not depend on the number of workers.",
     )
     parser.add_argument("sources", type=Path, nargs="+", metavar="SOURCE", help="scenario (.yaml), or bag with truth")
     parser.add_argument(
         "--config", type=Path, nargs="+", default=[], metavar="FILE",
-        help="parameter sets: suite files (default: that attached to the bag, or made from the scenario)",
+        help="parameter sets: suite files (default: the one attached to the bag, or made from the scenario)",
     )  # fmt: skip
-    parser.add_argument("--seeds", type=_seeds, metavar="LIST", help="of the scenarios: 1-200, or 1,5,7-9 (1)")
+    parser.add_argument("--seeds", type=_seeds, metavar="LIST", help="scenario seeds: 1-200, or 1,5,7-9 (default: 1)")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of results, table and page")
-    parser.add_argument("--skip", type=float, default=0.0, metavar="S", help="leave out the first S seconds (0)")
+    parser.add_argument("--skip", type=float, default=0.0, metavar="S", help="exclude the first S seconds (default: 0)")
     add_bag_names(parser, "of the ship's topics in the bags")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=_workers, metavar="N", help="processes at a time (default: one a processor)")
+    where.add_argument("--workers", type=_workers, metavar="N", help="parallel processes (default: one per processor)")
     where.add_argument(
         "--scheduler",
         metavar="tcp://HOST:PORT",
-        help="let the workers of this Dask cluster make the items; they have the suite, and the files at equal paths",
+        help="run the items on this Dask cluster; its workers need the suite, and the files at the same paths",
     )
     return parser
 
@@ -78,12 +78,12 @@ def _run(options: argparse.Namespace) -> int:
     seeds = options.seeds or [1]
     items = items_of(options.sources, options.config, seeds, options.skip, options.namespace, options.remap)
     if options.seeds is not None and all(item.seed is None for item in items):
-        raise BadInput("--seeds is for scenarios (.yaml), and none is given")
+        raise BadInput("--seeds needs scenarios (.yaml), but there is none")
     if not options.skip >= 0.0:
         raise BadInput(f"--skip {options.skip:g}: expected 0 s or more")
     folder = ResultFolder(options.out)
     made = _made(items, folder, _maker(options))
-    # Loading what draws pages takes longer than to find out that an argument is wrong.
+    # Importing the page libraries is slow: check the arguments first.
     from ship_replay.campaign.page import page
 
     for name, text in ((TABLE, table(made)), (PAGE, page(made))):
@@ -98,11 +98,11 @@ def _maker(options: argparse.Namespace) -> Maker:
 
 
 def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Made]:
-    """Every item with its result: those that are missing are made, with progress on stderr, and kept."""
+    """Return every item with its result; missing items are run, with progress on stderr, and their results saved."""
     known = ((item.key, folder.result(item)) for item in items)
     found = {key: result for key, result in known if result is not None}
     missing = {item.key: item for item in items if item.key not in found}
-    print(f"{len(items)} items: {len(found)} results there already, {len(missing)} to make", flush=True)
+    print(f"{len(items)} items: {len(found)} results exist, {len(missing)} to run", flush=True)
     if missing:
         for item, result in with_count(maker(list(missing.values())), "campaign", len(missing)):
             folder.keep(item, result)
@@ -111,7 +111,7 @@ def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Mad
 
 
 def _told(made: Sequence[Made], folder: Path) -> int:
-    """Print what came of the campaign; returns the exit code."""
+    """Print the summary of the campaign; return the exit code."""
     from ship_replay.campaign.page import by_parameters, pooled_table
 
     pooled = by_parameters(made)

@@ -1,4 +1,4 @@
-"""``check_config``: what a suite configuration lacks, and what of it does not fit a bag."""
+"""``check_config``: missing or wrong parameters of a suite configuration, and contradictions to a bag."""
 
 import argparse
 import sys
@@ -16,7 +16,7 @@ from ship_replay.preflight.check_installation import check_installation, check_t
 from ship_replay.preflight.check_trial import check_trial
 
 _CHECKS = (check_bag, check_installation, check_telescope, check_rates)
-"""In the order in which they are told."""
+"""Checks, in the order in which their findings are printed."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,17 +28,17 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="check_config",
         example="./ros2run ship_replay check_config examples/two_sensors.yaml bags/demo.mcap",
-        epilog="exit code: 0 good, or warnings only; 1 more than half of an input would not be used; "
-        "2 something is wrong, or bad usage",
-        description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters), "
+        epilog="exit code: 0 no errors, possibly warnings; 1 more than half of an input would not be used; "
+        "2 errors found, or bad usage",
+        description="Check a suite configuration (ROS 2 parameter file; units are in the parameter names), "
         "with the sections of nmea_in and nmea_out, "
         "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles of star sensors and "
         "references, by their attitudes against ins/imu; of cameras that give single stars, on the deck and on the "
         "theodolite, the focal length by the angles between stars, mirrored axes, pixels counted from 1 (on the deck), "
-        "magnitudes of another band; the telescope's focal length; what a node would refuse; sigmas that the "
-        "innovations contradict by a factor of 1.5 or more; about how much of a core each node will take. Exit code 2 "
-        "when something is wrong, 1 when more than half of an input would not be used, 0 when there is nothing but "
-        "warnings.",
+        "magnitudes of another band; the telescope's focal length; inputs that a node would reject; sigmas that the "
+        "innovations contradict by a factor of 1.5 or more; the estimated processor load of each node. Exit code 2 if "
+        "there are errors, 1 if more than half of an input would not be used, 0 if there are only warnings or none "
+        "at all.",
     )
     parser.add_argument("config", type=Path, metavar="FILE", help="suite configuration")
     parser.add_argument(
@@ -52,14 +52,14 @@ def _run(options: argparse.Namespace) -> int:
     findings = Findings()
     nodes = check_file(options.config, ADAPTERS, findings, options.namespace)
     if options.bag is not None and not nodes and not findings.errors:
-        findings.warnings.append(f"{options.config}: no section for an estimator: nothing of the bag is checked")
+        findings.warnings.append(f"{options.config}: no section for an estimator: the bag is not checked")
     if options.bag is not None and nodes:
         with read_bag(options.bag) as bag:
             check = BagCheck(options.config, nodes, bag, options.namespace, findings)
             for look in _CHECKS:
                 look(check)
             if not findings.errors:
-                # What is wrong already would only be told a second time, as what follows from it.
+                # Known errors would only be reported a second time by their effects.
                 check_trial(check)
     for line in findings.errors:
         print(f"error: {one_line(line)}", file=sys.stderr)

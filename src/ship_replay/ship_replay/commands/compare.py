@@ -18,13 +18,13 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="compare",
         example="./ros2run ship_replay compare again.mcap calmer.mcap --truth bags/demo.mcap --out compared.html",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
-        description="Put two recordings, of two runs or of two configurations, side by side in one HTML file that "
-        "needs no network and prints: which was SAFE for longer, whose errors [arcsec] are smaller, B minus A of the "
-        "outputs at equal stamps, budgets, alignments, what only one of them refused, alerted or was configured with.",
+        epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
+        description="Show two recordings, of two runs or of two configurations, side by side in one HTML file that "
+        "needs no network and is printable: SAFE shares, errors [arcsec], B minus A of the outputs at equal stamps, "
+        "budgets, alignments, and rejections, alerts and parameters that differ.",
     )
     parser.add_argument("a", type=Path, metavar="A.mcap", help="bag with the nodes' outputs, or rosbag2 folder")
-    parser.add_argument("b", type=Path, metavar="B.mcap", help="the other one")
+    parser.add_argument("b", type=Path, metavar="B.mcap", help="the second bag")
     add_page_options(parser, "A.mcap or B.mcap", "A_B.html")
     return parser
 
@@ -33,7 +33,7 @@ def _run(options: argparse.Namespace) -> int:
     path = options.out or Path(f"{options.a.stem}_{options.b.stem}.html")
     check_file(path, options.force)
     limits = limits_of(options)
-    # Loading the figures' libraries takes longer than to find out that an argument is wrong.
+    # Importing the figure libraries is slow: check the arguments first.
     from ship_replay.report.pair import read_pair
     from ship_replay.report.pair_page import pair_page
 

@@ -1,4 +1,4 @@
-"""``evaluate``: errors, covariance and innovations of a run, as tables, JSON and a figure, against bounds."""
+"""``evaluate``: errors, covariance and innovations of a run, as tables, JSON and a figure, checked against bounds."""
 
 import argparse
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ def _parser() -> CommandParser:
         prog="evaluate",
         example="./ros2run ship_replay evaluate out.mcap --against bags/demo.mcap --bounds bags/demo.expected.yaml",
         epilog="exit code: 0 evaluated, all bounds met; 1 a bound is not met; 2 bad input or usage; 130 interrupted",
-        description="Evaluate a run: with truth, RMS, bias, predicted sigma [arcsec] and NEES per source; in any "
-        "case innovations [arcsec] by source and the last alignment. Exit code 1 when a bound is not met.",
+        description="Evaluate a run: with truth, RMS, bias, predicted sigma [arcsec] and NEES by source; always "
+        "innovations [arcsec] by source and the last alignment. Exit code 1 if a bound is not met.",
     )
     parser.add_argument("bag", type=Path, metavar="OUT.mcap", help="bag with the node's outputs, or rosbag2 folder")
     parser.add_argument(
-        "--against", type=Path, metavar="TRUTH.mcap", help="bag with truth and inputs, where OUT.mcap has none"
+        "--against", type=Path, metavar="TRUTH.mcap", help="bag with truth and inputs, if OUT.mcap has none"
     )
     parser.add_argument(
         "--bounds",
@@ -35,11 +35,11 @@ def _parser() -> CommandParser:
         metavar="FILE.yaml",
         help="bounds to meet: 'quantity: {min: .., max: ..}' (bags/README.md)",
     )
-    parser.add_argument("--skip", type=float, metavar="S", help="leave out the first S seconds (default: 0)")
+    parser.add_argument("--skip", type=float, metavar="S", help="exclude the first S seconds (default: 0)")
     add_bag_names(parser, "of the ship's topics in the bags")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all quantities (flat, units in the names)")
     parser.add_argument(
-        "--figure", type=Path, metavar="FILE.png", help="draw the errors [arcsec] inside their ±3σ (.png, .pdf, .svg)"
+        "--figure", type=Path, metavar="FILE.png", help="draw the errors [arcsec] with their ±3σ (.png, .pdf, .svg)"
     )
     add_force(parser)
     return parser
@@ -65,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _draw(evaluation: Evaluation, title: str, path: Path) -> None:
-    # Loading the figures' libraries takes longer than many an evaluation.
+    # Importing the figure libraries is slow.
     from ship_replay.evaluation.figures import evaluation_figure, save_figure
 
     save_figure(evaluation_figure(evaluation, title), path)

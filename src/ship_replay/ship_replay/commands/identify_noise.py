@@ -1,4 +1,4 @@
-"""``identify_noise``: how the error of the INS goes on, from a bag with stars, as parameters of ``ship_attitude``."""
+"""``identify_noise``: parameters of the INS's error model for ``ship_attitude``, from a bag with stars."""
 
 import argparse
 import sys
@@ -24,12 +24,12 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="identify_noise",
         example="./ros2run ship_replay identify_noise night.mcap --out noise.yaml",
-        epilog="exit code: 0 found, with or without warnings; 2 bad input or usage, with one line that says which; 130 "
+        epilog="exit code: 0 identified, with or without warnings; 2 bad input or usage, with a one-line reason; 130 "
         "interrupted",
-        description="Find how the error of the INS goes on, from a bag with ins/imu, star sensors and, for the model "
+        description="Identify the error model of the INS from a bag with ins/imu, star sensors and, for the model "
         "schuler, gnss/fix: white noise, Gauss-Markov or Schuler, by maximum likelihood over the innovations of the "
-        "star attitudes. Says which model fits, how well each parameter is known [1 sigma], and where predictions "
-        "over parts of the record without stars were worse than claimed.",
+        "star attitudes. Prints which model fits, the uncertainty of each parameter [1 sigma], and where predictions "
+        "over parts of the record without stars were worse than predicted.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""``replay``: a bag through the adapters of the suite's nodes, offline; or a black box, exactly as it was."""
+"""``replay``: a bag through the adapters of the suite's nodes, offline; or a black box, exactly as recorded."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -30,15 +30,15 @@ def _parser() -> CommandParser:
         prog="replay",
         example="./ros2run ship_replay replay bags/demo.mcap --out out.mcap --report report",
         epilog="exit code: 0 replayed, with --verify: and all numbers equal to the last bit; 1 --verify found another "
-        "number or could not compare all; 2 bad input or usage, with one line that says which; 130 interrupted",
+        "number or could not compare all; 2 bad input or usage, with a one-line reason; 130 interrupted",
         description=f"Replay a bag through the nodes that the configuration has sections for "
-        f"({', '.join(adapter.node_name for adapter in ADAPTERS)}; what one publishes goes on to those after it), in "
-        "process and as fast as it goes; the same bag and configuration give the same output. Topics truth/* are "
+        f"({', '.join(adapter.node_name for adapter in ADAPTERS)}; outputs are inputs of the nodes after them), in "
+        "process and as fast as possible; the same bag and configuration give the same output. Topics truth/* are "
         "copied. A node's black box is replayed with its ticks, parameter changes, service calls and files, in the "
         "order of use.",
     )
     parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder, or a black box")
-    parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="bag to write; only --verify does without")
+    parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="bag to write; optional with --verify")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
@@ -47,13 +47,13 @@ def _parser() -> CommandParser:
         "--arrival",
         choices=("log", "stamps"),
         default="log",
-        help="when a message arrives: when it was logged (default), or at its stamp, for a bag whose recorder stalled",
+        help="arrival time of a message: its log time (default), or its stamp, for a bag whose recorder stalled",
     )
     parser.add_argument(
         "--one-by-one",
         action="store_true",
-        help="hand each message over by itself, as a live node hears it; without it those that go the usual way are "
-        "taken together, which publishes the same in less time",
+        help="process each message by itself, as a live node does; by default messages are processed in blocks where "
+        "possible, with the same output in less time",
     )
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="folder for OUT.html, as report writes it, and "
@@ -62,9 +62,9 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--verify",
         action="store_true",
-        help="compare with the outputs in IN.mcap, diagnostics and health aside; tells the first difference: topic, "
-        "stamp (UTC and ns), field, both values (SI units, rad). A black box is promised to be equal with the version "
-        "of the suite and on the kind of machine that wrote it",
+        help="compare with the outputs in IN.mcap, except diagnostics and health; prints the first difference: topic, "
+        "stamp (UTC and ns), field, both values (SI units, rad). Equality is guaranteed for a black box, with the "
+        "version of the suite and on the kind of machine that wrote it",
     )
     add_force(parser)
     return parser
@@ -72,10 +72,10 @@ def _parser() -> CommandParser:
 
 def _run(options: argparse.Namespace) -> int:
     if options.out is None and (not options.verify or options.report is not None):
-        raise BadInput("--out is missing: only --verify does without, and it draws no report")
+        raise BadInput("--out is missing: it is optional only with --verify and without --report")
     by_stamps = options.arrival == "stamps"
     if by_stamps and options.verify:
-        raise BadInput("--arrival stamps and --verify contradict each other: outputs are as they were by log time")
+        raise BadInput("--arrival stamps and --verify contradict each other: recorded outputs follow log time")
     if options.out is not None and options.out.resolve() == options.bag.resolve():
         raise BadInput("the output would overwrite the input", file=options.out)
     if options.out is not None:
@@ -86,7 +86,7 @@ def _run(options: argparse.Namespace) -> int:
         verification = None
         is_box = is_black_box(bag)
         if is_box and by_stamps:
-            raise BadInput("a black box holds its own order of arrival: leave out --arrival stamps", file=options.bag)
+            raise BadInput("a black box has its own order of arrival: omit --arrival stamps", file=options.bag)
         if is_box:
             verification = replay_black_box(bag, ADAPTERS, options.config, options.out, _replaying)
         elif options.verify:
@@ -100,16 +100,16 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _report_names(options: argparse.Namespace) -> tuple[str, str]:
-    """The files of a report: page and values."""
+    """Return the file names of a report: page and values."""
     return f"{options.out.stem}.html", f"{options.out.stem}.json"
 
 
 def _report(options: argparse.Namespace) -> None:
-    # Loading the figures' libraries takes longer than many a replay.
+    # Importing the figure libraries is slow.
     from ship_replay.report.page import page
     from ship_replay.report.told import has_truth, read_told
 
-    # What the sensors measured is in the bag that was replayed alone; it is compared where the truth is known.
+    # Sensor data are only in the replayed bag; with truth they are evaluated too.
     truth = options.bag if has_truth(options.bag, options.namespace) else None
     told = read_told(options.out, truth, namespace=options.namespace)
     options.report.mkdir(parents=True, exist_ok=True)
@@ -123,7 +123,7 @@ def _print(summary: ReplaySummary) -> None:
     print(f"in:  {_counts(summary.inputs)}")
     print(f"out: {_counts(summary.outputs)}")
     for topic, reasons in sorted(summary.refused.items()):
-        print(f"refused: {topic}: {_counts(reasons)}")
+        print(f"rejected: {topic}: {_counts(reasons)}")
     for topic, reasons in sorted(summary.noted.items()):
         print(f"noted: {topic}: {_counts(reasons)}")
     for topic, count in sorted(summary.undecodable.items()):
@@ -134,7 +134,7 @@ def _print(summary: ReplaySummary) -> None:
         print(f"warning: {problem}")
     held_up = summary.log_times.held_up()
     if held_up:
-        print(f"warning: {held_up}; --arrival stamps takes the stamps for the times of arrival")
+        print(f"warning: {held_up}; --arrival stamps uses the stamps as arrival times")
     rate = summary.duration_s / summary.elapsed_s
     print(f"{summary.duration_s:.1f} s of data in {summary.elapsed_s:.1f} s ({rate:.0f} x real time)")
     for line in [*summary.course_lines(), *summary.reasons]:
@@ -142,13 +142,13 @@ def _print(summary: ReplaySummary) -> None:
 
 
 def _judge(verification: Verification, decides: bool) -> int:
-    """Print the result of a comparison and return the exit code: a difference is one only if --verify was given."""
+    """Print the result of a comparison and return the exit code: a difference counts only with --verify."""
     print(f"used:  {_counts(verification.used)}")
     print(f"equal: {_counts(verification.equal)}")
     for note in verification.notes:
         print(f"note: {note}")
     if verification.unverified:
-        print(f"verified up to there: {verification.unverified}")
+        print(f"verified up to this point: {verification.unverified}")
     if verification.text_difference is not None:
         print(f"other texts: {_counts(verification.other_texts)}; the first: {verification.text_difference.line}")
     if verification.difference is not None:
@@ -160,4 +160,4 @@ def _judge(verification: Verification, decides: bool) -> int:
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items())) or "nothing"
+    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items())) or "none"

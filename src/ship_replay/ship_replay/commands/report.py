@@ -1,4 +1,4 @@
-"""``report``: a recording in one HTML file; of a folder of bags, a page with a row for each session."""
+"""``report``: a recording in one HTML file; for a folder of bags, a page with a row for each session."""
 
 import argparse
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str) -> None:
-    """The options of a page: truth, file, limits of the ship, namespace.
+    """Add the options of a page: truth, file, limits of the ship, namespace.
 
     Args:
-        parser: gets them.
-        bags: which bags may be without truth, for the help.
-        page_name: name of the page where none is given, for the help.
+        parser: the parser.
+        bags: names of the bags that may be without truth, for the help.
+        page_name: default name of the page, for the help.
     """
-    parser.add_argument("--truth", type=Path, metavar="TRUTH.mcap", help=f"bag with truth, where {bags} has none")
+    parser.add_argument("--truth", type=Path, metavar="TRUTH.mcap", help=f"bag with truth, if {bags} has none")
     parser.add_argument("--out", type=Path, metavar="FILE.html", help=f"file to write (default: {page_name})")
     parser.add_argument(
         "--limits", type=Path, metavar="FILE",
@@ -35,7 +35,7 @@ def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str)
 
 
 def limits_of(options: argparse.Namespace) -> Limits:
-    """The limits that were named; the defaults where none were."""
+    """Return the limits of the options; defaults if none are given."""
     return Limits() if options.limits is None else read_limits(options.limits)
 
 
@@ -43,11 +43,11 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="report",
         example="./ros2run ship_replay report out.mcap --truth bags/demo.mcap --out night.html",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
-        description="Tell a recording in one HTML file that needs no network and prints: how long each angle was SAFE, "
-        "CAUTION and UNSAFE, what failed when, errors [arcsec] or innovations inside their σ, budget, alignment, "
-        "alerts, refusals, configuration. Of a folder of bags: a page with one row for each session and its difference "
-        "to the session before, and the report of each in FILE_reports/.",
+        epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
+        description="Summarise a recording in one HTML file that needs no network and is printable: SAFE, CAUTION and "
+        "UNSAFE shares of each angle, outages, errors [arcsec] or innovations with their σ, budget, alignment, "
+        "alerts, rejections, configuration. For a folder of bags: a page with one row for each session and its "
+        "difference to the previous session, and the report of each in FILE_reports/.",
     )
     parser.add_argument(
         "bag", type=Path, metavar="OUT.mcap", help="bag with the nodes' outputs, rosbag2 folder, or folder of bags"
@@ -60,7 +60,7 @@ def _run(options: argparse.Namespace) -> int:
     path = options.out or Path(f"{options.bag.resolve().stem}.html")
     check_file(path, options.force)
     limits = limits_of(options)
-    # Loading the figures' libraries takes longer than to find out that an argument is wrong.
+    # Importing the figure libraries is slow: check the arguments first.
     from ship_replay.report.folder import bags_in
 
     if bags := bags_in(options.bag):

@@ -1,4 +1,4 @@
-"""``smooth``: a bag's attitudes and pointings with hindsight, each by all that was measured before and after it."""
+"""``smooth``: smoothed attitudes and pointings of a bag, each from all measurements before and after it."""
 
 import argparse
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="smooth",
         example="./ros2run ship_replay smooth bags/demo.mcap --out smoothed.mcap",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
-        description="Write ship/attitude_smoothed: the attitude of ship_attitude at each stamp of the INS by all "
-        "measurements of the bag, those that came later too (Rauch, Tung and Striebel), with its covariance; and "
-        "theodolite/pointing_smoothed: the pointing of optical_axis at each reading of the encoders likewise, with "
+        epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
+        description="Write ship/attitude_smoothed: the attitude of ship_attitude at each stamp of the INS from all "
+        "measurements of the bag, later ones included (Rauch, Tung and Striebel), with its covariance; and "
+        "theodolite/pointing_smoothed: the pointing of optical_axis at each encoder reading likewise, with "
         "the smoothed attitude of the ship. The status is that of ship/attitude or theodolite/pointing, and worse "
-        "where lights contradict the smoothed attitude. What was in doubt because sources contradicted one another is "
-        "not smoothed. Topics truth/* are copied, so that evaluate tells the errors.",
+        "where lights contradict the smoothed attitude. Times of an unresolved fault are not smoothed. "
+        "Topics truth/* are copied, so that evaluate can compute the errors.",
     )
     parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")
@@ -38,7 +38,7 @@ def _parser() -> CommandParser:
         "--arrival",
         choices=("log", "stamps"),
         default="log",
-        help="when a message arrives: when it was logged (default), or at its stamp, for a bag whose recorder stalled",
+        help="arrival time of a message: its log time (default), or its stamp, for a bag whose recorder stalled",
     )
     add_force(parser)
     return parser
@@ -54,7 +54,7 @@ def _run(options: argparse.Namespace) -> int:
         if sigmas_arcsec is not None:
             both = zip(smoothed.angles, *sigmas_arcsec.tolist(), strict=True)
             sigmas = ", ".join(f"{angle} {at_once:.2f} -> {again:.2f}" for angle, at_once, again in both)
-            print(f"median sigma at once -> smoothed [arcsec]: {sigmas}")
+            print(f"median sigma in real time -> smoothed [arcsec]: {sigmas}")
     for problem in summary.problems:
         print(f"warning: {problem}")
     return EXIT_DONE

@@ -1,4 +1,4 @@
-"""``stanford``: errors against protection levels over one or many runs, as a figure, a table and JSON."""
+"""``stanford``: errors against protection levels over one or more runs, as a figure, a table and JSON."""
 
 import argparse
 import json
@@ -31,8 +31,8 @@ def _parser() -> CommandParser:
         example="./ros2run ship_replay stanford out1.mcap out2.mcap --figure stanford.png --alert-limit 30 30 30",
         epilog="exit code: 0 no error was above its protection level; 1 one was; 2 bad input or usage; 130 interrupted",
         description="Errors against protection levels (a Stanford diagram) of the ship's attitude and of the pointing, "
-        "over all bags together. An epoch is an output whose truth is known; the level is the last one told. An output "
-        "that is DEGRADED or INVALID, or whose level is missing or above the alert limit, counts as unavailable.",
+        "over all bags together. An epoch is an output whose truth is known; the level is the last published one. "
+        "An output that is DEGRADED or INVALID, or whose level is missing or above the alert limit, is unavailable.",
     )
     parser.add_argument(
         "bags", type=Path, nargs="+", metavar="OUT.mcap", help="bags with outputs, levels and truth, or rosbag2 folders"
@@ -75,7 +75,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Sequence[float]]:
-    """Label of an orientation → alert limits given on the command line, arcsec."""
+    """Return label of an orientation → alert limits given on the command line, arcsec."""
     limits = {}
     for name, orientation in _LIMITED.items():
         given = getattr(options, name)
@@ -89,7 +89,7 @@ def _limits(options: argparse.Namespace) -> dict[str, Sequence[float]]:
 
 
 def stanford_table(found: Sequence[Epochs]) -> Table:
-    """Epochs of each angle by region, with availability, usual level and the largest error in levels."""
+    """Return the epochs of each angle by region, with availability, median level and the largest error/level."""
     table = Table(title="Epochs by error and protection level")
     for column in ("output", "angle"):
         table.add_column(column)
@@ -112,7 +112,7 @@ def stanford_table(found: Sequence[Epochs]) -> Table:
 
 
 def _draw(found: Sequence[Epochs], bag_count: int, path: Path) -> None:
-    # Loading the figures' libraries takes longer than many an evaluation.
+    # Importing the figure libraries is slow.
     from ship_replay.evaluation.figures import save_figure
     from ship_replay.evaluation.stanford_figure import stanford_figure
 

@@ -1,4 +1,4 @@
-"""What a run was worth: errors against the truth, innovations, estimates, as tables and figures, against bounds.
+"""Evaluation of a run: errors against the truth, innovations and estimates, as tables and figures, with bounds.
 
-The room reads what nodes have published. Of this package it imports ``offline/`` alone.
+The room reads published outputs. Of this package it imports only ``offline/``.
 """

@@ -1,4 +1,4 @@
-"""Bounds that a run has to meet: ``<bag>.expected.yaml`` (format in bags/README.md)."""
+"""Bounds on the quantities of a run: ``<bag>.expected.yaml`` (format in bags/README.md)."""
 
 import math
 from collections.abc import Mapping
@@ -17,11 +17,11 @@ _LIMITS = ("min", "max")
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a file of bounds says.
+    """Contents of a file of bounds.
 
     Attributes:
-        skip_s: what comes earlier than this after the beginning of the bag is left out of the evaluation.
-        limits: quantity → (least, greatest) value allowed; infinite where not limited.
+        skip_s: time after the beginning of the bag that is excluded from the evaluation.
+        limits: quantity → (minimum, maximum) allowed; infinite if not limited.
     """
 
     skip_s: float
@@ -30,7 +30,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class _Entry:
-    """One entry of a file of bounds: where it stands, its key and its value."""
+    """One entry of a file of bounds: its place, key and value."""
 
     path: Path
     line: int
@@ -41,7 +41,7 @@ class _Entry:
         return BadInput(f"'{self.key}'{text}", file=self.path, line=self.line, parameters=(self.key,), value=self.value)
 
     def limits(self) -> tuple[float, float]:
-        """Least and greatest value allowed."""
+        """Return the minimum and maximum allowed."""
         if not isinstance(self.value, dict) or not self.value or not set(self.value) <= set(_LIMITS):
             raise self.error(f": expected {{min: NUMBER, max: NUMBER}} or one of them, got {self.value!r}")
         least, greatest = (
@@ -53,7 +53,7 @@ class _Entry:
         return least, greatest
 
     def number(self, value: Any) -> float:
-        """A finite number."""
+        """Return a finite number."""
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise self.error(f": expected a number, got {value!r:.40}")
         return float(value)
@@ -61,7 +61,7 @@ class _Entry:
 
 @dataclass(frozen=True)
 class JudgedBound:
-    """A quantity held against its limits. NaN never meets a bound."""
+    """A quantity compared with its limits. NaN never meets a bound."""
 
     quantity: str
     value: float
@@ -70,12 +70,12 @@ class JudgedBound:
 
     @property
     def met(self) -> bool:
-        """Whether the value lies within the limits."""
+        """True if the value lies within the limits."""
         return self.least <= self.value <= self.greatest
 
     @property
     def line(self) -> str:
-        """One line for people."""
+        """Result in one line."""
         limits = [f">= {self.least:g}"] if math.isfinite(self.least) else []
         limits += [f"<= {self.greatest:g}"] if math.isfinite(self.greatest) else []
         return f"{'met' if self.met else 'NOT MET'}: {self.quantity} = {self.value:.6g}, bound {' and '.join(limits)}"
@@ -98,7 +98,7 @@ def read_bounds(path: Path) -> Bounds:
         key = str(key_node.value)
         entry = _Entry(path, key_node.start_mark.line + 1, key, data_of(str(path), value_node))
         if key in limits:
-            raise entry.error(" was given before")
+            raise entry.error(" is given twice")
         if key == SKIP_KEY:
             skip_s = entry.number(entry.value)
         else:
@@ -107,7 +107,7 @@ def read_bounds(path: Path) -> Bounds:
 
 
 def judge(values: Mapping[str, float], bounds: Bounds, name: str) -> list[JudgedBound]:
-    """Each bound with the value that it limits.
+    """Compare each bounded quantity with its limits.
 
     Raises:
         BadInput: a quantity with bounds was not evaluated.

@@ -1,4 +1,4 @@
-"""What a run was worth: errors against the truth where it is known, innovations and alignment in any case."""
+"""Evaluation of one run: errors where the truth is known, innovations and alignment in any case."""
 
 import json
 import math
@@ -33,15 +33,15 @@ Config = TypeVar("Config")
 
 _INNOVATION_TOPICS = ("ship/innovation", "theodolite/innovation", "target/innovation")
 _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibration"}
-"""Topics of what filters estimate besides → what it is called here."""
+"""Topic of additional filter estimates → its name in an evaluation."""
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
 _SMOOTHED = (SMOOTHED_TOPIC, SMOOTHED_POINTING_TOPIC)
 _PUBLISHED = (*(orientation.topic for orientation in ORIENTATIONS), *_SMOOTHED, JOINT_SOLUTION, TARGET_DIRECTION)
 _OF_THE_RUN = (*_PUBLISHED, *_RESULTS)
-"""Topics that are taken from the run's own bag alone: in another they are its inputs, or results of another run."""
+"""Topics taken from the run's own bag only: in another bag they are inputs of this run, or results of another run."""
 
 _INSTALLED = "star.", "reference."
-"""How names of installation angles begin."""
+"""Prefixes of the names of installation angles."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class AlignmentValue:
     """One estimated quantity.
 
     Attributes:
-        name: as in the message.
-        value: in ``unit``, angles from -180 deg to 180 deg.
-        sigma: its standard deviation, same unit.
+        name: name in the message.
+        value: value in ``unit``, angles from -180 deg to 180 deg.
+        sigma: standard deviation, same unit.
         unit: ``arcsec`` for errors of the INS and of axes, ``deg`` for installation angles, ``s`` for time offsets, or
             ``m``.
     """
@@ -67,12 +67,12 @@ class Evaluation:
     """Results of one run.
 
     Attributes:
-        errors: per source of an orientation: of the ship's attitude the fused one first, then pointings; empty without
-            truth.
-        innovations: by name of the source.
-        targets: by target_id, of directions and places; empty without truth.
+        errors: errors by source of an orientation: for the ship's attitude the fused one first, then pointings; empty
+            without truth.
+        innovations: innovations by name of the source.
+        targets: errors of directions and positions by target_id; empty without truth.
         estimates: ``alignment`` or ``calibration`` → last estimates of the filters.
-        invalid_counts: published orientation → messages that claimed nothing, where there is truth.
+        invalid_counts: published orientation → number of INVALID messages, if there is truth.
         problems: what is wrong with the bags, one line each.
         start_ns: log time at which the bag begins.
     """
@@ -86,7 +86,7 @@ class Evaluation:
     start_ns: int
 
     def flat(self) -> dict[str, float]:
-        """Name of each quantity → value; the names that bounds refer to (bags/README.md)."""
+        """Return name → value of each quantity, with the names used in bounds (bags/README.md)."""
         values: dict[str, float] = {}
         for errors in self.errors:
             values |= {f"{errors.label}.{name}": value for name, value in errors.statistics().items()}
@@ -101,28 +101,28 @@ class Evaluation:
         return values
 
     def json_text(self) -> str:
-        """:meth:`flat` as JSON; null where a value is undefined."""
+        """Return all quantities as JSON; null where a value is undefined."""
         values = {name: value if math.isfinite(value) else None for name, value in self.flat().items()}
         return json.dumps(values, indent=1) + "\n"
 
 
 class RefusedMessages:
-    """The messages that an evaluation leaves out because their form is wrong, by topic."""
+    """Malformed messages excluded from an evaluation, by topic."""
 
     def __init__(self) -> None:
         self._texts: dict[str, list[str]] = {}
 
     def offer(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
-        """Give a message to what takes those of its topic; record it if it is refused."""
+        """Add a message to the collector of its topic; record it if it is malformed."""
         try:
             take(message)
         except Refused as refused:
             self._texts.setdefault(topic, []).append(str(refused))
 
     def lines(self) -> list[str]:
-        """One line for each topic: number of messages, and why the first one was refused."""
+        """Return one line for each topic: number of messages, and the reason for the first."""
         return [
-            f"topic '{topic}': messages left out: {len(texts)}, the first because {texts[0]}"
+            f"topic '{topic}': messages excluded: {len(texts)}, the first because {texts[0]}"
             for topic, texts in self._texts.items()
         ]
 
@@ -131,13 +131,13 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
     """Evaluate the outputs in a bag.
 
     Args:
-        bag_path: bag that holds ``ship/attitude``, ``theodolite/pointing`` and what else the nodes published.
-        against: bag with the truth and the inputs, where they are not in ``bag_path``.
-        skip_s: leave out what is stamped earlier than this after the beginning of the bag.
-        namespace: namespace of the ship in the bags; what a replay wrote may have none.
+        bag_path: bag with ``ship/attitude``, ``theodolite/pointing`` and other outputs.
+        against: bag with the truth and the inputs, if they are not in ``bag_path``.
+        skip_s: exclude messages stamped less than this after the beginning of the bag.
+        namespace: namespace of the ship in the bags; bags written by a replay may have none.
 
     Raises:
-        BadInput: a bag cannot be read, or holds nothing to evaluate.
+        BadInput: a bag cannot be read, or contains nothing to evaluate.
     """
     with read_bag(bag_path) as bag:
         others = [] if against is None or against.resolve() == bag_path.resolve() else [read_bag(against)]
@@ -201,10 +201,10 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
 
 
 def _left_out(collectors: Mapping[str, AttitudeSource], errors: list[AttitudeErrors]) -> list[str]:
-    """One line for each sensor that is configured but stands in no table."""
+    """Return one line for each configured sensor that has no errors."""
     shown = {series.label for series in errors}
     return [
-        f"{source.label} is left out: no attitude on {topic} while the truth is known"
+        f"{source.label} not evaluated: no attitude on {topic} while the truth is known"
         for topic, source in collectors.items()
         if source.is_configured and source.label not in shown
     ]
@@ -215,10 +215,10 @@ _Named = Mapping[Bag, Mapping[str, str]]
 
 
 def _reading_plan(named: _Named, own: Bag, topics: list[str]) -> list[tuple[Bag, dict[str, str]]]:
-    """Which bag serves which topics (name in the bag → relative name).
+    """Return which topics to read from which bag (name in the bag → relative name).
 
-    Results come from the run's own bag, inputs from the bag that it is held against where that has them. A sensor's
-    solutions may be either: those of the run come first.
+    Results come from the run's own bag, inputs from the bag given by ``against`` if it has them. A sensor's solutions
+    may be either: those of the run take precedence.
     """
     plan: list[tuple[Bag, dict[str, str]]] = [(candidate, {}) for candidate in named]
     for topic in topics:
@@ -231,7 +231,7 @@ def _reading_plan(named: _Named, own: Bag, topics: list[str]) -> list[tuple[Bag,
 
 
 def _truths(named: _Named) -> dict[str, Truth]:
-    """Topic → truth of the first bag that holds any."""
+    """Return topic → truth of the first bag that contains any."""
     truths: dict[str, Truth] = {}
     for bag, names in named.items():
         wanted = {
@@ -246,7 +246,7 @@ def _truths(named: _Named) -> dict[str, Truth]:
 
 
 def _true_targets(named: _Named, refused: RefusedMessages) -> TargetDirections:
-    """Targets with the truth of the first bag that holds any."""
+    """Return targets with the truth of the first bag that contains any."""
     targets = TargetDirections()
     for bag, names in named.items():
         if TARGET_TRUTH in names and not len(targets):
@@ -256,7 +256,7 @@ def _true_targets(named: _Named, refused: RefusedMessages) -> TargetDirections:
 
 
 def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | None:
-    """The configuration of a node in the suite file that is attached to one of the bags; None where there is none."""
+    """Return a node's configuration from the suite file attached to one of the bags; None if there is none."""
     for bag in reversed(bags):
         if SUITE_ATTACHMENT in bag.attachments:
             text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
@@ -268,19 +268,19 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
 
 
 def named_config(text: str, kind: type[Config], node_name: str) -> Config | None:
-    """The configuration of a node in the text of a suite file, whatever its namespace; None where it names none.
+    """Return a node's configuration from the text of a suite file, in any namespace; None if it has no section for it.
 
     Raises:
         BadInput: a parameter is unknown or out of range.
     """
-    # A section for all nodes is ship_attitude's alone, as in a replay (bag_suite.nodes_of).
+    # A section for all nodes counts for ship_attitude only, as in a replay (adapter_chain.nodes_of).
     node = anywhere(node_name)
     named = has_section(text, node, wildcards=kind is ShipAttitudeConfig)
     return load_config(kind, text, node) if named else None
 
 
 def alignment_values(message: Any) -> list[AlignmentValue]:
-    """The values of an AlignmentState or a TheodoliteCalibration."""
+    """Return the values of an AlignmentState or a TheodoliteCalibration."""
     count = len(message.names)
     sigmas = np.sqrt(np.diagonal(np.asarray(message.covariance).reshape(count, count)))
     values = []

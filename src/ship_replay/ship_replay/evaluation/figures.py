@@ -1,4 +1,4 @@
-"""Figures of a run: attitude errors inside their ±3σ, residuals inside theirs. Used by evaluate, demo and docs."""
+"""Figures of a run: attitude errors and residuals with their ±3σ. Used by evaluate, demo and docs."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.orientations import channel_name
 
 _STYLE = {
-    "text.parse_math": False,  # a name with $ is a name
+    "text.parse_math": False,  # "$" in a name is printed literally
     "font.size": 12,
     "axes.titlesize": 14,
     "axes.grid": True,
@@ -35,15 +35,15 @@ _STYLE = {
 }
 _BAND_COLOUR = "#bcd4ea"
 _LINE_COLOUR = "#0b3c6f"
-# Readable in print and for the colour-blind (Okabe and Ito).
+# Readable in print and with colour blindness (Okabe and Ito).
 _OTHER_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _ROOM = 1.3
-# What would make a figure's file depend on when and by which version it was written.
+# Metadata that would make the file depend on the date or the version.
 _DATED = {".png": "Software", ".pdf": "CreationDate", ".svg": "Date"}
 
 
 def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
-    """Errors where the truth is known, residuals otherwise."""
+    """Return a figure of the errors if the truth is known, else of the residuals."""
     if evaluation.errors:
         return attitude_error_figure(evaluation.errors, title)
     return innovation_figure(evaluation.innovations, title)
@@ -52,13 +52,13 @@ def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
 def attitude_error_figure(
     series: Sequence[AttitudeErrors], title: str, colours: Mapping[str, str] | None = None
 ) -> Figure:
-    """Errors over time, a row a channel.
+    """Return a figure of errors over time, one row per channel.
 
     Args:
-        series: of each orientation the first is drawn inside its ±3σ band on its own scale; where there are others, all
-            are drawn together in a further column, parts (``pointing.encoder``) aside.
+        series: errors by source. The first of each orientation is drawn with its ±3σ band on its own scale. If there
+            are others, all are drawn together in a further column, except parts (``pointing.encoder``).
         title: title of the figure.
-        colours: colour of each source; None takes them in order.
+        colours: colour of each source; None uses the default order.
     """
     panels = [(group, together) for group in _by_orientation(series) for together in (False, True)[: len(group)]]
     start_ns = min(int(errors.time_ns[0]) for errors in series)
@@ -85,11 +85,10 @@ def attitude_error_figure(
 def innovation_figure(
     innovations: Mapping[str, SourceInnovations], title: str, colours: Mapping[str, str] | None = None
 ) -> Figure:
-    """Residuals of the accepted measurements inside their predicted ±3σ, one row per source and component.
+    """Return a figure of the residuals of accepted measurements with their predicted ±3σ, a row per component.
 
-    Dots and band are of the same quantity: of single stars or lights a dot each, inside the σ of that one.
-
-    A source of which nothing was accepted has no row: the title names it.
+    Dots and band refer to the same quantity: for single stars or lights one dot each, with the σ of that residual. A
+    source without accepted measurements has no row; the title names it.
     """
     rows = [(source, part, component) for source, part in innovations.items() for component in part.components()]
     if not rows:
@@ -113,7 +112,7 @@ def innovation_figure(
             axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
             colour = (colours or {}).get(source, _LINE_COLOUR)
             axes.plot(time_s, residuals / ARCSEC, ".", color=colour, ms=3, label="residual")
-            # Level, since a source's name may be longer than its row is high.
+            # Horizontal: a source's name may be longer than its row is high.
             label = f"{short_name(source)}\n{short_name(component)} [arcsec]"
             axes.set_ylabel(label, rotation="horizontal", ha="right", va="center")
             later = settled(sigmas)
@@ -124,7 +123,7 @@ def innovation_figure(
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure (.png, .pdf or .svg by the name) and forget it; the same figure gives the same file.
+    """Write a figure (.png, .pdf or .svg by the name) and close it; the same figure gives the same file.
 
     Raises:
         BadInput: the format is unknown or the file cannot be written.
@@ -141,7 +140,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def _by_orientation(series: Sequence[AttitudeErrors]) -> list[list[AttitudeErrors]]:
-    """Series with the same channels, group by group; parts of a group's first series are left out."""
+    """Return groups of series with the same channels, without parts of a group's first series."""
     groups: dict[tuple[str, str, str], list[AttitudeErrors]] = {}
     for errors in series:
         group = groups.setdefault(errors.channels, [])
@@ -160,7 +159,7 @@ def _draw_band(axes: Axes, errors: AttitudeErrors, column: int, start_ns: int) -
 
 
 def _legend_below(axes: Axes, with_points: bool) -> None:
-    """The legend under an axis, where it hides nothing."""
+    """Place the legend below the axes."""
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=3, markerscale=5 if with_points else 1)
 
 
@@ -174,7 +173,7 @@ def _draw_together(
         time_s = (errors.time_ns - start_ns) / NS_PER_S
         by_order = _LINE_COLOUR if number == 0 else _OTHER_COLOURS[(number - 1) % len(_OTHER_COLOURS)]
         colour = colours.get(errors.label, by_order)
-        # Points, since sources pause; the first lies on top of the noisier ones.
+        # Points, because sources have gaps; the first source is drawn on top of the noisier ones.
         axes.plot(
             time_s, errors.error_arcsec[:, column], ".", color=colour, ms=2.5, label=errors.label, zorder=3 - number
         )
@@ -186,7 +185,7 @@ def _draw_together(
 
 
 def _limit(axes: Axes, values: FloatArray, percentile: float = 98.0) -> None:
-    """Set symmetric limits. By default the rare large values of a start, which would flatten the rest, lie outside."""
+    """Set symmetric limits. By default rare large values, as at the start, lie outside, so that the rest is visible."""
     values = np.abs(values[np.isfinite(values)])
     top = float(np.percentile(values, percentile)) * _ROOM if len(values) else 0.0
     if top > 0.0:

@@ -1,4 +1,4 @@
-"""What of a bag can be compared with the truth, topic by topic: attitudes of the deck, pointings of the theodolite."""
+"""Sources that can be compared with the truth, by topic: attitudes of the deck, pointings of the theodolite."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from theodolite_calib.config import AxesConfig, OpticalAxisConfig
 from theodolite_calib.ros.pointing_messages import SMOOTHED_POINTING_TOPIC
 
 JOINT_SOLUTION = f"star/{JOINT}/solution"
-"""Attitude of the deck by the stars of all sensors."""
+"""Topic of the deck's attitude from the stars of all sensors."""
 
 _TRUTH_GAP_NS = 1_000_000_000
 
@@ -40,7 +40,7 @@ class Truth:
         self._has_rates = True
 
     def add(self, message: Any) -> None:
-        """A message of the truth; one without an orientation is left out."""
+        """Add a message of the truth; one without an orientation is ignored."""
         sample = self.orientation.sample(message)
         if sample is None:
             return
@@ -52,16 +52,16 @@ class Truth:
         return len(self._rotations)
 
     def exactly_at(self, stamp_ns: int) -> FloatArray | None:
-        """Horizon from deck, shape (3, 3), at a stamp of the truth."""
+        """Return the rotation horizon from deck, shape (3, 3), at a stamp of the truth."""
         return self._rotations.get(stamp_ns)
 
     def known_at(self, stamp_ns: int) -> FloatArray | None:
-        """Horizon from deck, shape (3, 3): at a stamp of the truth, and between them where the truth has rates."""
+        """Return the rotation horizon from deck, shape (3, 3), at a stamp, or interpolated if the truth has rates."""
         exact = self.exactly_at(stamp_ns)
         return self.around(stamp_ns) if exact is None and self._has_rates else exact
 
     def around(self, stamp_ns: int) -> FloatArray | None:
-        """Horizon from deck, shape (3, 3), interpolated; None outside the truth."""
+        """Return the rotation horizon from deck, shape (3, 3), interpolated; None outside the truth."""
         found = self._track.at(stamp_ns)
         return None if found is None else found.rotation_nd
 
@@ -69,11 +69,11 @@ class Truth:
 class AttitudeSource(ABC):
     """Attitudes of one source at times where the truth is known.
 
-    A subclass says in :meth:`take` which rotation and covariance a message stands for.
+    A subclass defines in :meth:`add_message` how a message gives a rotation and its covariance.
 
     Attributes:
         label: name of the source.
-        is_configured: whether the configuration names it, so that its absence is worth a word.
+        is_configured: True if the configuration names it, so that missing data are reported.
     """
 
     def __init__(self, label: str, truth: Truth, is_configured: bool = False) -> None:
@@ -87,14 +87,14 @@ class AttitudeSource(ABC):
 
     @abstractmethod
     def take(self, message: Any) -> None:
-        """Keep a message's attitude where the truth is known.
+        """Add a message's attitude if the truth is known.
 
         Raises:
-            Refused: the message claims an infinite attitude or covariance.
+            Refused: the message contains an infinite attitude or covariance.
         """
 
     def errors(self) -> list[AttitudeErrors]:
-        """Errors in order of stamps; none where nothing could be compared."""
+        """Return the errors in order of stamps; empty if nothing could be compared."""
         if not self._time_ns:
             return []
         order = np.argsort(self._time_ns, kind="stable")
@@ -112,11 +112,11 @@ class AttitudeSource(ABC):
 
 
 class PublishedAttitude(AttitudeSource):
-    """The attitudes that the suite publishes, at the stamps of the truth; INVALID ones claim nothing and are counted.
+    """Attitudes published by the suite, at the stamps of the truth; INVALID ones are only counted.
 
     Attributes:
-        seen: whether there was any message.
-        invalid_count: messages that claimed no attitude.
+        has_messages: True if there was any message.
+        invalid_count: number of INVALID messages.
     """
 
     def __init__(self, truth: Truth, label: str = "") -> None:
@@ -125,7 +125,7 @@ class PublishedAttitude(AttitudeSource):
         self.seen = False
 
     def take(self, message: Any) -> None:
-        """A ShipAttitude or an OpticalAxisPointing."""
+        """Add a ShipAttitude or an OpticalAxisPointing."""
         self.seen = True
         if message.status == message.INVALID:
             self.invalid_count += 1
@@ -139,16 +139,16 @@ class PublishedAttitude(AttitudeSource):
                 ("rotation_covariance", message.rotation_covariance),
             ):
                 if np.any(np.isinf(numbers)):
-                    raise Refused(Reason.NON_FINITE, f"{what} holds infinity")
+                    raise Refused(Reason.NON_FINITE, f"{what} is infinite")
             covariance_n = _total_covariance_n(message, angles[0], angles[1])
             self._keep(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
 
 
 class InsAttitude(AttitudeSource):
-    """``ins/imu`` by itself, at the stamps of the truth, its time offset not corrected.
+    """``ins/imu`` alone, at the stamps of the truth, without correction of its time offset.
 
     Attributes:
-        track: all that it says of the deck.
+        track: all its attitudes of the deck.
     """
 
     def __init__(self, truth: Truth, config: InsInputConfig) -> None:
@@ -159,7 +159,7 @@ class InsAttitude(AttitudeSource):
         self.track = AttitudeTrack(round(config.max_gap_s * NS_PER_S))
 
     def take(self, message: Any) -> None:
-        """A sensor_msgs/Imu."""
+        """Add a sensor_msgs/Imu."""
         stamp_ns = ns_from_stamp(message.header.stamp)
         q = message.orientation
         quaternion = np.array([q.x, q.y, q.z, q.w])
@@ -176,12 +176,13 @@ class InsAttitude(AttitudeSource):
 
 
 class StarAttitude(AttitudeSource):
-    """One star sensor by itself, carried to the deck by its configured installation; or the deck by all sensors.
+    """Attitude of the deck from one star sensor by its configured installation, or from all sensors.
 
     Args:
-        sensor_id: names the source.
-        truth: what it is compared with.
-        mounting: where the sensor is bolted; None where the messages are of the deck, installation errors included.
+        sensor_id: name of the source.
+        truth: true attitude of the deck.
+        mounting: installation of the sensor; None if the messages are attitudes of the deck, installation errors
+            included.
     """
 
     def __init__(self, sensor_id: str, truth: Truth, mounting: MountingConfig | None) -> None:
@@ -193,7 +194,7 @@ class StarAttitude(AttitudeSource):
             self._installation_covariance_v = np.diag(np.square(mounting.installation_sigma_s))
 
     def take(self, message: Any) -> None:
-        """A StarHorizonAttitude; one without an attitude (NaN) is left out."""
+        """Add a StarHorizonAttitude; one without an attitude (NaN) is ignored."""
         stamp_ns = ns_from_stamp(message.header.stamp)
         truth_nd = self._truth.around(stamp_ns)
         angles = (message.azimuth, message.elevation, message.roll)
@@ -206,7 +207,7 @@ class StarAttitude(AttitudeSource):
 
 
 class PublishedPointing(PublishedAttitude):
-    """The pointings that the suite publishes, as a whole and mode by mode."""
+    """Pointings published by the suite, in total and by mode."""
 
     MODES = ("two_lights", "one_light", "encoder", "stars", "stars_and_lights")
 
@@ -215,12 +216,12 @@ class PublishedPointing(PublishedAttitude):
         self._modes: dict[int, int] = {}
 
     def take(self, message: Any) -> None:
-        """An OpticalAxisPointing."""
+        """Add an OpticalAxisPointing."""
         super().take(message)
         self._modes[ns_from_stamp(message.header.stamp)] = message.mode
 
     def errors(self) -> list[AttitudeErrors]:
-        """Errors of all, then of each mode that occurred."""
+        """Return the errors of all, then of each mode that occurred."""
         every = super().errors()
         for errors in every[:1]:
             modes = np.array([self._modes[stamp_ns] for stamp_ns in errors.time_ns.tolist()])
@@ -233,7 +234,7 @@ class PublishedPointing(PublishedAttitude):
 
 
 class EncoderAlone(AttitudeSource):
-    """``theodolite/encoder`` with the axis errors as configured, carried to the horizon by the INS alone."""
+    """``theodolite/encoder`` with the configured axis errors, transformed to the horizon by the INS alone."""
 
     def __init__(self, truth: Truth, ins: AttitudeTrack, config: AxesConfig) -> None:
         super().__init__("ins_encoder", truth)
@@ -242,11 +243,11 @@ class EncoderAlone(AttitudeSource):
         self._readings: dict[int, tuple[float, float]] = {}
 
     def take(self, message: Any) -> None:
-        """A TheodoliteEncoder."""
+        """Add a TheodoliteEncoder."""
         self._readings[ns_from_stamp(message.header.stamp)] = message.azimuth, message.elevation
 
     def errors(self) -> list[AttitudeErrors]:
-        """Errors in order of stamps; the whole of ``ins/imu`` must be there. It claims no covariance."""
+        """Return the errors in order of stamps, without covariance; all of ``ins/imu`` must have been added."""
         for stamp_ns, (azimuth, elevation) in self._readings.items():
             truth_nm, ship = self._truth.exactly_at(stamp_ns), self._ins.at(stamp_ns)
             if truth_nm is not None and ship is not None and np.isfinite(azimuth) and np.isfinite(elevation):
@@ -261,15 +262,15 @@ def sources(
     star: StarAttitudeConfig | None,
     theodolite: OpticalAxisConfig | None,
 ) -> dict[str, AttitudeSource]:
-    """Relative topic → the source that collects its attitudes.
+    """Return relative topic → the source that collects its attitudes.
 
-    A star sensor is one source: by its horizon attitudes where those feed ``ship_attitude``, else by its solutions.
+    A star sensor is one source: its horizon attitudes if those feed ``ship_attitude``, else its solutions.
 
     Args:
-        truths: by topic of the truth, those that are known.
-        ship: configuration of ``ship_attitude``; None where it is not known.
-        star: the same of ``star_attitude``.
-        theodolite: the same of ``optical_axis``.
+        truths: known truths by topic.
+        ship: configuration of ``ship_attitude``; None if not known.
+        star: configuration of ``star_attitude``; likewise.
+        theodolite: configuration of ``optical_axis``; likewise.
     """
     collectors: dict[str, AttitudeSource] = {}
     ins_config = ship.ins if ship else theodolite.ins if theodolite else InsInputConfig()
@@ -294,7 +295,7 @@ def sources(
 
 
 def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:
-    """Covariance of the rotation vector (North, Up, East), rad²; from that of the angles where no other is given."""
+    """Return the covariance of the rotation vector (North, Up, East), rad²; from that of the angles if not given."""
     rotation_covariance = message.rotation_covariance.reshape(3, 3)
     if rotation_covariance.any():
         return horizon_covariance(rotation_covariance)

@@ -1,7 +1,7 @@
-"""Errors against protection levels, epoch by epoch: where an output was safe, where it misled, where it said nothing.
+"""Errors against protection levels by epoch: nominal, misleading, hazardously misleading or unavailable.
 
-An epoch is one published attitude or pointing whose truth is known, with the protection level that held at its stamp.
-Each of its three angles falls into one of the regions of a Stanford diagram (:class:`Region`).
+An epoch is one published attitude or pointing whose truth is known, with the protection level valid at its stamp. Each
+of its three angles falls into one region of a Stanford diagram (:class:`Region`).
 """
 
 import bisect
@@ -28,20 +28,20 @@ Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 class Region(enum.IntEnum):
-    """Where an epoch lies, by error, protection level and alert limit."""
+    """Region of an epoch, by error, protection level and alert limit."""
 
     NOMINAL = 0
-    """The error is within the level, the level within the alert limit."""
+    """Error within the level, level within the alert limit."""
     MISLEADING = 1
-    """The error is above the level."""
+    """Error above the level."""
     HAZARDOUS = 2
-    """The error is above the level and the alert limit, the level within the limit."""
+    """Error above the level and the alert limit, level within the limit."""
     UNAVAILABLE = 3
-    """Nothing is promised: no level, a level above the alert limit, or an output that is DEGRADED or INVALID."""
+    """No level, a level above the alert limit, or an output that is DEGRADED or INVALID."""
 
     @property
     def words(self) -> str:
-        """The name that people read."""
+        """Name of the region for people."""
         return "hazardously misleading" if self is Region.HAZARDOUS else self.name.lower()
 
 
@@ -50,11 +50,11 @@ class Epochs:
     """Errors and levels of one orientation.
 
     Attributes:
-        orientation: what was published.
-        error_arcsec: size of the error of each angle, shape (n, 3); NaN where nothing was claimed.
-        level_arcsec: protection level of each, shape (n, 3); NaN where there was none.
-        limit_arcsec: alert limit of each, shape (n, 3); infinite where there was none.
-        offered: whether the output could be used, VALID or COASTING, shape (n,).
+        orientation: the orientation.
+        error_arcsec: size of the error of each angle, shape (n, 3); NaN for INVALID outputs.
+        level_arcsec: protection level of each, shape (n, 3); NaN if there was none.
+        limit_arcsec: alert limit of each, shape (n, 3); infinite if there was none.
+        is_usable: True if the output was VALID or COASTING, shape (n,).
     """
 
     orientation: Orientation
@@ -64,16 +64,16 @@ class Epochs:
     offered: NDArray[np.bool_]
 
     def regions(self) -> NDArray[np.intp]:
-        """The :class:`Region` of each angle of each epoch, shape (n, 3)."""
+        """Return the :class:`Region` of each angle of each epoch, shape (n, 3)."""
         error, level, limit = self.error_arcsec, self.level_arcsec, self.limit_arcsec
-        # Written so that NaN promises nothing, and an error that is NaN misleads.
+        # A level that is NaN is unavailable, and an error that is NaN is misleading.
         promised = self.offered[:, None] & (level <= limit)
         regions = np.where(error <= level, Region.NOMINAL, Region.MISLEADING)
         regions = np.where((regions == Region.MISLEADING) & ~(error <= limit), Region.HAZARDOUS, regions)
         return np.where(promised, regions, Region.UNAVAILABLE)
 
     def counts(self) -> dict[str, dict[Region, int]]:
-        """By channel, the number of epochs in each region."""
+        """Return the number of epochs in each region, by channel."""
         regions = self.regions()
         return {
             channel: {region: int(np.sum(regions[:, axis] == region)) for region in Region}
@@ -81,7 +81,7 @@ class Epochs:
         }
 
     def statistics(self) -> dict[str, float]:
-        """Quantity → value: epochs and, by channel, those of each region, availability and the largest error/level."""
+        """Return quantity → value: epochs and, by channel, counts by region, availability, largest error/level."""
         values = {"epochs": float(len(self.offered))}
         regions = self.regions()
         for axis, (channel, counts) in enumerate(self.counts().items()):
@@ -102,13 +102,13 @@ def epochs_of(
     limits_arcsec: Mapping[str, Sequence[float]] | None = None,
     watch: Watcher = lambda records, bag: records,
 ) -> list[Epochs]:
-    """The epochs of several bags together, one entry for each orientation that has truth and levels.
+    """Read the epochs of several bags; return one entry for each orientation that has truth and levels.
 
     Args:
-        bags: with outputs, levels and truth.
-        namespace: of the ship's topics in the bags.
+        bags: bags with outputs, levels and truth.
+        namespace: namespace of the ship's topics in the bags.
         limits_arcsec: label of an orientation → alert limits of its angles, in place of those in the bags.
-        watch: wraps the iteration over a bag, for a progress bar.
+        progress: wraps the iteration over a bag, for a progress bar.
 
     Raises:
         BadInput: a bag cannot be read, or none has an epoch.
@@ -134,12 +134,12 @@ def epochs_of(
 
 
 def _topics(orientation: Orientation) -> tuple[str, str, str]:
-    """Where outputs, their levels and their truth are."""
+    """Return the topics of outputs, levels and truth."""
     return orientation.topic, f"{orientation.topic.partition('/')[0]}/integrity", orientation.truth_topic
 
 
 def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, watch: Watcher) -> Epochs | None:
-    """The epochs of one orientation in a bag; None where the bag lacks one of the topics or no epoch has a truth."""
+    """Return the epochs of one orientation in a bag; None if a topic is missing or no epoch has a truth."""
     names = [relative_topics(bag.topics, namespace).get(topic) for topic in _topics(orientation)]
     output_name, level_name, truth_name = names
     if output_name is None or level_name is None or truth_name is None:
@@ -167,15 +167,15 @@ def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, watch: Wa
 
 
 def _error_arcsec(orientation: Orientation, angles: FloatArray, truth_nd: FloatArray) -> FloatArray:
-    """Size of the error of each angle, shape (3,); NaN where nothing is claimed."""
+    """Return the size of the error of each angle, shape (3,); NaN for an INVALID output."""
     return np.abs(orientation.errors_arcsec(angles, truth_nd))
 
 
 class _HeldLevels:
-    """Levels and limits as they are told, once a second and at changes: each holds until the next.
+    """Published levels and limits, once a second and at changes: each holds until the next.
 
     Args:
-        channels: the angles, in the order in which they are asked for.
+        channels: the angles, in the order of the results.
     """
 
     def __init__(self, channels: tuple[str, str, str]) -> None:
@@ -184,7 +184,7 @@ class _HeldLevels:
         self._times_ns: list[int] = []
 
     def add(self, message: Any) -> None:
-        """A message ship_msgs/Integrity."""
+        """Add a ship_msgs/Integrity."""
         available = message.state != message.UNAVAILABLE
         level = dict(zip(message.quantities, message.protection_level, strict=True)) if available else {}
         limit = dict(zip(message.quantities, message.alert_limit, strict=True))
@@ -194,7 +194,7 @@ class _HeldLevels:
         self._told[time_ns] = levels, np.where(np.isnan(limits), math.inf, limits)
 
     def at(self, time_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Levels and limits at a stamp, arcsec, shapes (3,), (3,); NaN and infinity before the first."""
+        """Return levels and limits at a stamp, arcsec, shapes (3,), (3,); NaN and infinity before the first."""
         if len(self._times_ns) != len(self._told):
             self._times_ns = sorted(self._told)
         index = bisect.bisect_right(self._times_ns, time_ns) - 1
@@ -202,7 +202,7 @@ class _HeldLevels:
 
 
 def _joined(parts: Sequence[Epochs]) -> Epochs:
-    """The epochs of several bags."""
+    """Concatenate the epochs of several bags."""
     return Epochs(
         parts[0].orientation,
         np.concatenate([part.error_arcsec for part in parts]),

@@ -1,4 +1,4 @@
-"""The Stanford diagram: how often which error met which protection level, with the regions named."""
+"""Stanford diagram: counts of epochs by error and protection level, with the regions named."""
 
 import math
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ _STYLE = {
 _BINS_PER_DECADE = 16
 _LEAST_ARCSEC = 1e-3
 _ERRORS_BELOW_LEVEL = 300.0
-"""Errors smaller than the least level by more than this stand at the left edge."""
+"""Ratio of the smallest level to the smallest error drawn; smaller errors are drawn at the left edge."""
 _ROOM = 2.0
 _IN_FIRST_CELL = 1.001
 _MISLED_COLOUR = "#d55e00"
@@ -40,7 +40,7 @@ _NAME_BOX = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.
 
 
 def stanford_figure(epochs: Sequence[Epochs], title: str) -> Figure:
-    """One row for each orientation, one panel for each of its angles."""
+    """Return a figure with one row for each orientation and one panel for each of its angles."""
     with plt.rc_context(_STYLE):
         figure, grid = plt.subplots(
             len(epochs), 3, figsize=(20, 7.6 * len(epochs) + 0.6), squeeze=False, layout="constrained"
@@ -58,7 +58,7 @@ def _draw(axes: Axes, epochs: Epochs, axis: int) -> None:
     error, level = epochs.error_arcsec[:, axis], epochs.level_arcsec[:, axis]
     limits = epochs.limit_arcsec[:, axis]
     limit = _common_limit(limits[np.isfinite(level)], name)
-    # What is DEGRADED for another reason than its level is no matter of the level.
+    # Outputs DEGRADED for another reason than the level are not drawn.
     drawn = np.isfinite(error) & np.isfinite(level) & (epochs.offered | (level > limits))
     axes.set(xscale="log", yscale="log", xlabel="size of the error [arcsec]", ylabel="protection level [arcsec]")
     axes.set_title(_title(name, epochs, channel))
@@ -78,15 +78,15 @@ def _draw(axes: Axes, epochs: Epochs, axis: int) -> None:
 
 
 def _common_limit(limits: FloatArray, name: str) -> float:
-    """The alert limit of all epochs, arcsec; infinite where there is none.
+    """Return the alert limit of all epochs, arcsec; infinite if there is none.
 
     Raises:
-        BadInput: it changes, so that there is no line to draw.
+        BadInput: the limit changes, so no line can be drawn.
     """
     different = np.unique(limits)
     if len(different) > 1:
         told = " and ".join(f"{limit:g}" for limit in different[:3])
-        raise BadInput(f"no figure: the alert limit of {name} is {told} arcsec: give one for all by --alert-limit")
+        raise BadInput(f"no figure: the alert limit of {name} is {told} arcsec: set a common one by --alert-limit")
     return float(different[0]) if len(different) else math.inf
 
 
@@ -98,7 +98,7 @@ def _title(name: str, epochs: Epochs, channel: str) -> str:
 
 
 def _bounds(error: FloatArray, level: FloatArray, limit: float) -> tuple[float, float, float, float]:
-    """Least and greatest error, least and greatest level of a panel, arcsec."""
+    """Return minimum and maximum error, minimum and maximum level of a panel, arcsec."""
     least = max(float(np.min(level)), _LEAST_ARCSEC)
     known_limit = limit if math.isfinite(limit) else 0.0
     top = _ROOM * max(float(np.max(level)), known_limit)
@@ -108,7 +108,7 @@ def _bounds(error: FloatArray, level: FloatArray, limit: float) -> tuple[float, 
 
 
 def _draw_regions(axes: Axes, bounds: tuple[float, float, float, float], limit: float) -> None:
-    """Lines and hatches, which a grey print keeps."""
+    """Draw lines and hatches, which remain visible in grey print."""
     left, right, bottom, top = bounds
     on_line = np.geomspace(max(left, bottom), right, 200)
     capped = np.minimum(on_line, min(limit, top))
@@ -128,7 +128,7 @@ def _draw_counts(
     misled: NDArray[np.bool_],
     bounds: tuple[float, float, float, float],
 ) -> None:
-    """Epochs by cell, dark where there are many; a mark of its own for each cell with an epoch that misled."""
+    """Draw the counts by cell, dark for many, and a mark on each cell with a misleading epoch."""
     left, right, bottom, top = bounds
     edges = [
         np.geomspace(least, most, max(round(_BINS_PER_DECADE * math.log10(most / least)), 2))
@@ -136,7 +136,7 @@ def _draw_counts(
     ]
     error = np.maximum(error, left * _IN_FIRST_CELL)
     counts, *_ = np.histogram2d(error[~misled], level[~misled], bins=edges)
-    # The order of the colours holds in grey; the lightest would be lost on white paper.
+    # The colour order is kept in grey; the lightest colours would vanish on white paper.
     colours = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.12, 1.0, 256)))
     norm = LogNorm(1, max(counts.max(), 10))
     mesh = axes.pcolormesh(*edges, np.ma.masked_equal(counts.T, 0), cmap=colours, norm=norm, zorder=2)
@@ -164,7 +164,7 @@ def _name_regions(
         name(Region.MISLEADING, right / 1.1, foot, xy=corner, ha="right", va="bottom")
         return
     name(Region.HAZARDOUS, right / 1.1, foot, xy=corner, ha="right", va="bottom")
-    # Its region is too narrow for its name: an arrow leads there.
+    # The region is too narrow for its name: an arrow points to it.
     middle = math.sqrt(bottom * limit)
     arrow = {"arrowstyle": "-|>", "color": "black", "lw": 1.5}
     where = middle, math.sqrt(bottom * middle)
@@ -172,5 +172,5 @@ def _name_regions(
 
 
 def _grouped(count: int) -> str:
-    """A number in groups of three digits."""
+    """Return a number in groups of three digits."""
     return f"{count:,}".replace(",", "\u202f")

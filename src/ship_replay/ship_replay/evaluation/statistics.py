@@ -1,7 +1,7 @@
-"""What a run says of its predicted covariance, source by source: errors against the truth, innovations in any case.
+"""Statistics of errors against the truth and of innovations, by source, with their predicted covariance.
 
-An error is estimate minus truth of the three channels of an orientation. For the normalised error squared it is the
-small rotation vector in the horizon frame, as its covariance is (ship_geometry's glossary).
+An error is estimate minus truth of the three channels of an orientation. The normalised error squared uses the small
+rotation vector in the horizon frame, like its covariance (ship_geometry's glossary).
 """
 
 from collections import Counter
@@ -20,13 +20,13 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_watch.orientations import Orientation
 
 WINDOW_S = 60
-"""Length of the windows in which the mean NIS is judged, s."""
+"""Length of the windows for the mean NIS, s."""
 
 _LEAST_WINDOW_SAMPLES = 10
 _BAND = 0.999
 
 _WINDOW_TIMES = 5.0
-"""The sum over an autocorrelation ends at so many times what it has come to."""
+"""Length of the sum over an autocorrelation, in autocorrelation times."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class AttitudeErrors:
         channels: names of the three errors.
         time_ns: stamps, shape (n,).
         error_arcsec: estimate - truth of the channels, shape (n, 3).
-        sigma_arcsec: predicted standard deviations, shape (n, 3); NaN where none was given.
+        sigma_arcsec: predicted standard deviations, shape (n, 3); NaN if not given.
         nees: normalised error squared of the rotation vector (3 degrees of freedom), shape (n,); NaN likewise.
     """
 
@@ -50,11 +50,11 @@ class AttitudeErrors:
     nees: FloatArray
 
     def since(self, start_ns: int) -> "AttitudeErrors":
-        """The errors stamped at or after a time."""
+        """Return the errors stamped at or after a time."""
         return self.where(self.time_ns >= start_ns, self.label)
 
     def where(self, kept: np.ndarray, label: str) -> "AttitudeErrors":
-        """Some of the errors, chosen by booleans of shape (n,), under a name of their own."""
+        """Return the errors selected by a mask of shape (n,), under a new label."""
         return replace(
             self,
             label=label,
@@ -65,7 +65,7 @@ class AttitudeErrors:
         )
 
     def statistics(self) -> dict[str, float]:
-        """Quantity → value: RMS, bias, predicted sigma and RMS/sigma per channel, mean NEES, number of samples."""
+        """Return quantity → value: RMS, bias, predicted sigma and RMS/sigma by channel, mean NEES, sample count."""
         values: dict[str, float] = {"samples": float(len(self.time_ns))}
         for axis, name in enumerate(self.channels):
             error, sigma = self.error_arcsec[:, axis], self.sigma_arcsec[:, axis]
@@ -77,26 +77,26 @@ class AttitudeErrors:
         return values
 
     def independent_count(self) -> float:
-        """So many independent errors say as much about sigma as these do: :func:`independent_count`."""
+        """Return the equivalent number of independent errors: :func:`independent_count`."""
         known = np.isfinite(self.nees)
         return independent_count((self.error_arcsec / self.sigma_arcsec)[known])
 
 
 def independent_count(normalised: FloatArray) -> float:
-    """How many independent samples tell the mean square as well as these, which hang together over time.
+    """Return the number of independent samples whose mean square is known as well as that of these correlated ones.
 
     The mean of n squares has the variance of n / τ independent ones, τ = 1 + 2 Σ r_k their integrated autocorrelation
-    time. The autocorrelation of a squared Gaussian is the square of its own (Isserlis 1918), which can be told far
-    better: the mean of the errors is known to be zero. That of the squares themselves would be taken about a mean of
-    few, comes out too short where errors last for minutes, and condemns one honest sigma in fifty. The sum ends at
-    the first lag that is five times the τ so far (automatic windowing, Sokal 1997, "Monte Carlo methods in statistical
-    mechanics", section 3).
+    time. The autocorrelation of a squared Gaussian is the square of its own (Isserlis 1918). The latter is estimated
+    far better, because the mean of the errors is known to be zero. The autocorrelation of the squares would be taken
+    about a mean of few. It comes out too short if errors last for minutes, and rejects one correct sigma in fifty. The
+    sum ends at the first lag that is five times the τ so far (automatic windowing, Sokal 1997, "Monte Carlo methods in
+    statistical mechanics", section 3).
 
     Args:
         normalised: errors over their sigmas, equally spaced in time, shape (n, k).
 
     Returns:
-        From 1 to n; 0 of none. Errors that are as good as constant count as one or two.
+        From 1 to n; 0 without samples. Nearly constant errors count as one or two.
     """
     count = len(normalised)
     if count < 2:
@@ -104,7 +104,7 @@ def independent_count(normalised: FloatArray) -> float:
     length = next_fast_len(2 * count, real=True)
     spectrum = np.abs(np.fft.rfft(normalised, length, axis=0)) ** 2
     covariance = np.fft.irfft(spectrum, length, axis=0)[:count]
-    with np.errstate(invalid="ignore"):  # errors of nothing but zeros
+    with np.errstate(invalid="ignore"):  # all errors may be zero
         correlation = np.mean((covariance[1:] / covariance[0]) ** 2, axis=1)
     times = 1.0 + 2.0 * np.cumsum(correlation)
     ended = np.flatnonzero(np.arange(1, count) >= _WINDOW_TIMES * times)
@@ -120,15 +120,16 @@ def attitude_errors(
     truth_nd: FloatArray,
     covariance_n: FloatArray,
 ) -> AttitudeErrors:
-    """Errors of attitudes at known truth.
+    """Return the errors of attitudes against the truth.
 
     Args:
         label: name of the source.
-        orientation: what it is an attitude of.
+        orientation: the orientation.
         time_ns: stamps, shape (n,).
         estimate_nd: horizon from deck, shape (n, 3, 3).
         truth_nd: horizon from deck, shape (n, 3, 3).
-        covariance_n: of the rotation vector (North, Up, East), rad², shape (n, 3, 3); NaN or zero where unknown.
+        covariance_n: covariance of the rotation vector (North, Up, East), rad², shape (n, 3, 3); NaN or zero if
+            unknown.
     """
     angles = angles_from_rotation(estimate_nd)
     vector_n = log_rotation(truth_nd @ np.swapaxes(estimate_nd, -1, -2))
@@ -145,7 +146,7 @@ def attitude_errors(
 
 
 def _is_covariance(matrices: FloatArray) -> np.ndarray:
-    """Which of the matrices, shape (n, 3, 3), are finite and positive definite; shape (n,)."""
+    """Return True for the matrices, shape (n, 3, 3), that are finite and positive definite; shape (n,)."""
     finite = np.all(np.isfinite(matrices), axis=(-2, -1))
     eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], matrices, 0.0))
     positive: np.ndarray = finite & (eigenvalues[:, 0] > 0.0)
@@ -158,12 +159,12 @@ def _root_mean_square(values: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Judged:
-    """A measurement that was used, with its residual.
+    """Innovation of an accepted measurement.
 
     Attributes:
-        components: of its residual; of single stars only the axis, whichever star it was.
-        residual: rad, one a component; NaN where not measured.
-        sigma: predicted, rad.
+        components: components of the residual; for single stars only the axis, whichever star it was.
+        residual: residual by component, rad; NaN if not measured.
+        sigma: predicted standard deviation, rad.
         nis: normalised innovation squared.
     """
 
@@ -175,27 +176,27 @@ class Judged:
 
 @dataclass
 class SourceInnovations:
-    """Innovations of one source. Of a measurement that was judged more than once the last judgement counts.
+    """Innovations of one source. If a measurement has several decisions, the last one counts.
 
     Attributes:
-        compared: stamp → those that were accepted.
-        refused: name of the reason → count.
+        accepted: stamp → innovation of the accepted measurement.
+        rejected: reason → number of rejected measurements.
     """
 
     compared: dict[int, Judged] = field(default_factory=dict)
     refused: Counter[str] = field(default_factory=Counter)
 
     def since(self, start_ns: int) -> "SourceInnovations":
-        """The innovations stamped at or after a time; the refusals remain those of the whole run."""
+        """Return the innovations stamped at or after a time; the rejections remain those of the whole run."""
         kept = {stamp_ns: value for stamp_ns, value in self.compared.items() if stamp_ns >= start_ns}
         return SourceInnovations(kept, self.refused)
 
     def components(self) -> list[str]:
-        """Names of all components that occur, in order of their first occurrence."""
+        """Return the names of all components, in order of their first occurrence."""
         return list(dict.fromkeys(name for judged in self.compared.values() for name in judged.components))
 
     def series(self, component: str) -> tuple[np.ndarray, FloatArray, FloatArray]:
-        """Stamps (ns), residuals and sigmas (rad) of a component, in order of stamps, without those not measured."""
+        """Return stamps (ns), residuals and sigmas (rad) of a component, in order of stamps, if measured."""
         rows = [
             (stamp_ns, residual, sigma)
             for stamp_ns, judged in sorted(self.compared.items())
@@ -206,7 +207,7 @@ class SourceInnovations:
         return stamps, np.array([row[1] for row in rows]), np.array([row[2] for row in rows])
 
     def statistics(self) -> dict[str, float]:
-        """Quantity → value: counts, mean and deviation of each residual, NIS."""
+        """Return quantity → value: counts, mean and standard deviation of each residual, NIS."""
         values = {"accepted": float(len(self.compared)), "refused": float(sum(self.refused.values()))}
         for name in self.components():
             _, residual, sigma = self.series(name)
@@ -227,13 +228,13 @@ class SourceInnovations:
 
 
 class InnovationBook:
-    """Collects Innovation messages by source."""
+    """Collector of Innovation messages by source."""
 
     def __init__(self) -> None:
         self.sources: dict[str, SourceInnovations] = {}
 
     def add(self, message: Any) -> None:
-        """One message ship_msgs/Innovation."""
+        """Add a ship_msgs/Innovation."""
         source = self.sources.setdefault(message.source, SourceInnovations())
         stamp_ns = ns_from_stamp(message.header.stamp)
         if message.accepted and len(message.residual):
@@ -244,18 +245,18 @@ class InnovationBook:
         if not message.accepted:
             source.refused[reason_name(message)] += 1
             if message.reason == message.GATE or message.reason == message.REVISED:
-                # A later judgement of a measurement that was accepted at first.
+                # A later decision on a measurement that was accepted at first.
                 source.compared.pop(stamp_ns, None)
 
 
 def reason_name(message: Any) -> str:
-    """Name of an Innovation's reason as ``input_health`` writes it, e.g. ``gate``."""
+    """Return the name of an Innovation's reason as in ``input_health``, e.g. ``gate``."""
     known = message.reason in Reason.__members__.values()
     return Reason(message.reason).word if known else f"reason {message.reason}"
 
 
 def windows_in_band(time_ns: np.ndarray, nis: FloatArray, degrees: np.ndarray) -> float | None:
-    """Share of one-minute windows whose mean NIS lies in its 99.9 % band; None where no window is full enough."""
+    """Return the share of one-minute windows whose mean NIS lies in its 99.9 % band; None if all are too short."""
     window = (time_ns - time_ns[0]) // (WINDOW_S * NS_PER_S)
     inside = []
     for number in np.unique(window):

@@ -1,4 +1,4 @@
-"""An evaluation as tables on a terminal."""
+"""Tables of an evaluation for the terminal."""
 
 import math
 
@@ -15,18 +15,18 @@ _WIDTH_WITHOUT_TERMINAL = 130
 
 
 def table_console() -> Console:
-    """Where tables go: as wide as the terminal, and wide enough for all columns where there is none."""
+    """Return the console for tables: as wide as the terminal, or wide enough for all columns without one."""
     console = Console()
     return console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL)
 
 
 def print_evaluation(evaluation: Evaluation, console: Console) -> None:
-    """Print each table that the evaluation has values for."""
+    """Print each table for which there are values."""
     if evaluation.errors:
         console.print(attitude_table(evaluation))
         for label, count in evaluation.invalid_counts.items():
             if count:
-                console.print(f"{label}: messages that claimed nothing (INVALID): {count}")
+                console.print(f"{label}: INVALID messages: {count}")
     if evaluation.targets:
         console.print(target_table(evaluation))
     if evaluation.innovations:
@@ -36,7 +36,7 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
 
 
 def attitude_table(evaluation: Evaluation) -> Table:
-    """Per source and channel: RMS, bias, predicted sigma and their ratio; NEES per source."""
+    """Return RMS, bias, predicted sigma and RMS/sigma by source and channel, and NEES by source."""
     table = Table(title="Error against the truth, arcseconds")
     for column in ("source", "angle"):
         table.add_column(column)
@@ -61,10 +61,10 @@ def attitude_table(evaluation: Evaluation) -> Table:
 
 
 def target_table(evaluation: Evaluation) -> Table:
-    """Per target: errors of directions, per axis across them, and of places in space, with their predicted sigmas."""
+    """Return errors of directions, per transverse axis, and of positions, with their predicted sigmas, by target."""
     table = Table(title="Targets against the truth")
     table.add_column("target")
-    for what, unit, degrees in (("direction", "arcsec", 2), ("place", "m", 3)):
+    for what, unit, degrees in (("direction", "arcsec", 2), ("position", "m", 3)):
         for column in (f"{what} RMS ({unit})", "predicted σ", f"NEES ({degrees})", "samples"):
             table.add_column(column, justify="right")
     for target_id, errors in evaluation.targets.items():
@@ -82,15 +82,16 @@ def target_table(evaluation: Evaluation) -> Table:
 
 
 def innovation_table(evaluation: Evaluation) -> Table:
-    """Per source and component of the residual: mean, deviation, predicted sigma; NIS and counts per source.
+    """Return mean, deviation and predicted sigma by source and component; NIS and counts by source.
 
-    The counts are of different things: an exposure is one measurement, but each star left out of it is one refused.
+    The counts refer to different things: an exposure is one measurement, but each excluded star counts as one
+    rejection.
     """
     table = Table(title="Measurement - prediction, arcseconds")
     for column in ("source", "component"):
         table.add_column(column)
     shown = "mean", "deviation", "predicted σ", "NIS (degrees)", "minutes in band"
-    for column in (*shown, "accepted (measurements)", "refused (messages, stars)"):
+    for column in (*shown, "accepted (measurements)", "rejected (messages, stars)"):
         table.add_column(column, justify="right")
     for source, innovations in evaluation.innovations.items():
         values = innovations.statistics()
@@ -117,7 +118,7 @@ def innovation_table(evaluation: Evaluation) -> Table:
 
 
 def estimate_table(kind: str, values: list[AlignmentValue]) -> Table:
-    """The last estimates of a filter with their sigma."""
+    """Return the last estimates of a filter with their sigma."""
     table = Table(title=f"{kind.capitalize()} at the end")
     table.add_column("quantity")
     for column in ("value", "σ"):

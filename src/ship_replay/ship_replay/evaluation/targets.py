@@ -1,7 +1,7 @@
-"""Directions and places of targets against the truth, target by target.
+"""Errors of directions and positions of targets against the truth, by target.
 
-The error of a direction is across it, two numbers, that of a place three; each is held against its own covariance. A
-target of the truth of which nothing is claimed is told too, with the number of times that it was not.
+The error of a direction has two components across it, that of a position three; each is compared with its own
+covariance. A target of the truth without any published direction is also listed, with the number of missing answers.
 """
 
 from dataclasses import dataclass, field
@@ -20,17 +20,17 @@ _UNKNOWN = np.full((3, 3), np.nan)
 
 @dataclass
 class TargetErrors:
-    """Errors of one target's directions and places, one for each stamp of the truth at which a direction was claimed.
+    """Errors of one target's directions and positions, one for each stamp of the truth with a valid direction.
 
     Attributes:
-        claimed_nothing_ns: stamps of the truth at which the answer was INVALID, or there was none.
-        time_ns: stamps at which a direction was claimed.
-        across_arcsec: estimate minus truth across the true direction, shape (2,) each.
-        sigma_arcsec: predicted, root mean square of the two.
+        unavailable_ns: stamps of the truth at which the answer was INVALID or missing.
+        time_ns: stamps of valid directions.
+        direction_error_arcsec: estimate minus truth across the true direction, shape (2,) each.
+        sigma_arcsec: predicted standard deviation, root mean square of the two components.
         nees: normalised error squared of the direction (2 degrees of freedom).
-        off_m: distance of the place from the true one; NaN where none was told.
-        off_sigma_m: predicted, root sum square of the three axes.
-        place_nees: normalised error squared of the place (3 degrees of freedom).
+        position_error_m: distance of the position from the true one; NaN if none was published.
+        position_sigma_m: predicted standard deviation, root sum square of the three axes.
+        position_nees: normalised error squared of the position (3 degrees of freedom).
     """
 
     claimed_nothing_ns: list[int] = field(default_factory=list)
@@ -43,14 +43,14 @@ class TargetErrors:
     place_nees: list[float] = field(default_factory=list)
 
     def since(self, start_ns: int) -> "TargetErrors":
-        """The errors stamped at or after a time."""
+        """Return the errors stamped at or after a time."""
         kept = [row for row, time_ns in enumerate(self.time_ns) if time_ns >= start_ns]
         of_nothing = [time_ns for time_ns in self.claimed_nothing_ns if time_ns >= start_ns]
         _, *columns = vars(self).values()
         return TargetErrors(of_nothing, *([values[row] for row in kept] for values in columns))
 
     def statistics(self) -> dict[str, float]:
-        """Quantity → value; of directions and of places only where some were told."""
+        """Return quantity → value; for directions and positions only if some were published."""
         values = {"samples": float(len(self.time_ns)), "not_claimed": float(len(self.claimed_nothing_ns))}
         if not self.time_ns:
             return values
@@ -71,7 +71,7 @@ class TargetErrors:
 
 
 class TargetDirections:
-    """Collects what was published of targets at the stamps of the truth; INVALID claims nothing."""
+    """Collector of target directions published at the stamps of the truth; INVALID ones count as missing."""
 
     def __init__(self) -> None:
         self._truths: dict[tuple[str, int], Any] = {}
@@ -79,7 +79,7 @@ class TargetDirections:
         self._claimed: set[tuple[str, int]] = set()
 
     def since(self, start_ns: int) -> dict[str, TargetErrors]:
-        """The errors stamped at or after a time, by target_id; of all targets that the truth tells of then."""
+        """Return the errors stamped at or after a time, by target_id, for all targets in the truth of that time."""
         errors = {target_id: TargetErrors() for target_id, _ in sorted(self._truths)} | self._errors
         for target_id, time_ns in sorted(self._truths):
             if (target_id, time_ns) not in self._claimed:
@@ -91,19 +91,19 @@ class TargetDirections:
         return len(self._truths)
 
     def add_truth(self, message: Any) -> None:
-        """A TargetDirection of the truth.
+        """Add a TargetDirection of the truth.
 
         Raises:
-            Refused: its direction is no number.
+            Refused: its direction is not finite.
         """
         finite_vector(message.direction, "direction of the truth")
         self._truths[message.target_id, ns_from_stamp(message.header.stamp)] = message
 
     def take(self, message: Any) -> None:
-        """A TargetDirection as published.
+        """Add a published TargetDirection.
 
         Raises:
-            Refused: what it claims is no number, or a covariance is none.
+            Refused: a value is not finite, or a covariance is not valid.
         """
         time_ns = ns_from_stamp(message.header.stamp)
         truth = self._truths.get((message.target_id, time_ns))
@@ -131,10 +131,10 @@ class TargetDirections:
 
 
 def _covariance(values: Any, what: str) -> FloatArray:
-    """A covariance, shape (3, 3); NaN where none is given.
+    """Return a covariance, shape (3, 3); NaN if not given.
 
     Raises:
-        Refused: it is none.
+        Refused: it is not a valid covariance.
     """
     covariance = covariance_3x3(values, what)
     return _UNKNOWN if covariance is None else covariance
@@ -145,7 +145,7 @@ def _vector(of: Any) -> FloatArray:
 
 
 def _square(error: FloatArray, covariance: FloatArray) -> float:
-    """Error squared over its covariance; NaN where either is not known."""
+    """Return the error squared over its covariance; NaN if either is unknown."""
     if not np.all(np.isfinite(covariance)) or not np.linalg.eigvalsh(covariance)[0] > 0.0:
         return float("nan")
     return float(error @ np.linalg.solve(covariance, error))

@@ -1,10 +1,10 @@
-"""The estimate of a correlation time by its whole likelihood, and how well it is known.
+"""Estimate of a correlation time from its whole likelihood, with its uncertainty.
 
-A record of few correlation times has a skew likelihood of the time: it falls off fast towards short times and slowly
-towards long ones. Its maximum is at too short a time, on average by half the variance of the logarithm. The curvature
-there is larger the shorter the time found, so that the stated sigma is too small where the error is large. Over 200
-records of six times the errors were 1.1 to 1.4 of the sigma by the curvature. So the likelihood is integrated, with
-Jeffreys' prior (1946), the square root of the Fisher information.
+The likelihood of the time is skewed for a record of few correlation times: it falls off fast towards short times and
+slowly towards long ones. Its maximum is at too short a time, on average by half the variance of the logarithm. The
+curvature there is larger for shorter times, so the stated sigma is too small when the error is large. Over 200 records
+of six times the errors were 1.1 to 1.4 of the sigma from the curvature. So the likelihood is integrated, with Jeffreys'
+prior (1946), the square root of the Fisher information.
 """
 
 import numpy as np
@@ -14,20 +14,23 @@ from ship_geometry.rotations import FloatArray
 
 _GRID = 2001
 _POWER = 0.25
-"""Power of the rate 1/τ whose mean is taken: its RMS error over its sigma is nearest to 1 over simulated records of one
-time to 200. The logarithm itself has a long tail towards long times, and its sigma is too large by a fifth."""
+"""Power of the rate 1/τ whose mean is taken.
+
+Its RMS error over its sigma is nearest to 1 over simulated records of one time to 200. The logarithm itself has a long
+tail towards long times, and its sigma is too large by a fifth.
+"""
 
 
 def mean_log_time(logs: FloatArray, log_likelihoods: FloatArray, duration_s: float) -> tuple[float, float]:
     """Return the estimate of the logarithm of a correlation time, and its variance.
 
-    Of a Gauss-Markov process with the density of its noise known, which every record tells, the Fisher information of
-    the logarithm of the time is (1 + duration / time) / 2.
+    The noise density of the Gauss-Markov process is assumed known, since every record determines it. The Fisher
+    information of the logarithm of the time is then (1 + duration / time) / 2.
 
     Args:
-        logs: increasing logarithms of times (s) with their likelihood, shape (N,).
-        log_likelihoods: at these, shape (N,).
-        duration_s: of the record.
+        logs: increasing logarithms of times (s), shape (N,).
+        log_likelihoods: log likelihoods at these, shape (N,).
+        duration_s: length of the record.
 
     Example:
         A long record, whose likelihood is that of a normal distribution of the logarithm:

@@ -1,10 +1,10 @@
-"""The parameters of a model by maximum likelihood, with their covariance by the observed information.
+"""Parameters of a model by maximum likelihood, with their covariance from the observed information.
 
-The search walks over logarithms: first by few epochs, which is fast and near enough, then by all. Gradients and the
-matrix of second derivatives are differences of likelihoods that run side by side.
+The search uses logarithms: first with few epochs, which is fast and sufficiently close, then with all. Gradients and
+second derivatives are differences of likelihoods computed together.
 
-Correlation times are the exception (:mod:`ship_replay.ins_noise.correlation_time`): a maximum and its curvature
-describe their likelihood only in records of many times.
+Correlation times are an exception (:mod:`ship_replay.ins_noise.correlation_time`): a maximum and its curvature describe
+their likelihood only in records of many times.
 """
 
 from dataclasses import dataclass
@@ -22,33 +22,34 @@ from ship_replay.ins_noise.star_record import StarRecord
 _FIRST_EPOCHS = 300
 _GRADIENT_STEP, _CURVATURE_STEP = 1e-4, 0.02
 _LEAST_GAIN = 0.01
-"""Of a step's log likelihood: a search ends where steps gain less. A sigma away a half is lost."""
+"""Gain in log likelihood per step at which a search ends. One sigma off the maximum costs 0.5."""
 
 _MOST_TOGETHER = 12
-"""Sets of parameters that run side by side: more would need more memory and gain little."""
+"""Maximum number of parameter sets computed together: more need more memory and gain little."""
 
 _NOTHING_KNOWN = 10.0
-"""Sigma of a logarithm that a record tells nothing of."""
+"""Sigma of the logarithm of a parameter that a record does not determine."""
 
 _QUICKER = 0.03
-"""A second search begins with this share of the configured correlation times: one alone may stop beside a saddle."""
+"""Factor on the configured correlation times at the start of a second search: a single one may stop near a saddle."""
 
 _STEPS = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
-"""Where the likelihood of a correlation time is computed on each side of its maximum, in sigmas by the curvature."""
+"""Points of the likelihood of a correlation time on each side of its maximum, in sigmas from the curvature."""
 
 _WIDEST_STEP = 1.0
-"""Largest such sigma of the logarithm: a larger curvature-based one describes no likelihood."""
+"""Maximum sigma of the logarithm for these steps: a larger one from the curvature does not describe the likelihood."""
 
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model with the parameters that a record speaks for.
+    """A model with its most likely parameters.
 
     Attributes:
-        model: of the INS's error.
-        values: of its parameters, shape (p,).
-        covariance: of their logarithms, shape (p, p); _NOTHING_KNOWN squared for one at a bound, unless it is a time.
-        log_likelihood: of the record at its maximum.
+        model: model of the INS's error.
+        values: parameter values, shape (p,).
+        covariance: covariance of their logarithms, shape (p, p); `_UNKNOWN_LOG_SIGMA` squared for one at a bound,
+            unless it is a time.
+        log_likelihood: log likelihood of the record at its maximum.
     """
 
     model: InsErrorModel
@@ -58,23 +59,23 @@ class FittedModel:
 
     @property
     def aic(self) -> float:
-        """Akaike's criterion: twice the number of parameters minus twice the log likelihood; the less the better."""
+        """Akaike's criterion: twice the number of parameters minus twice the log likelihood; smaller is better."""
         return 2.0 * len(self.values) - 2.0 * self.log_likelihood
 
     @property
     def log_sigmas(self) -> FloatArray:
-        """Of each parameter: its relative sigma, where that is small, shape (p,)."""
+        """Sigma of the logarithm of each parameter, the relative sigma if it is small, shape (p,)."""
         sigmas: FloatArray = np.sqrt(np.diagonal(self.covariance))
         return sigmas
 
     def told(self, what: ToldParameter) -> tuple[float, float]:
-        """Value of a parameter of the suite, and the sigma of its logarithm."""
+        """Return the value of a suite parameter, and the sigma of its logarithm."""
         value = float(np.exp(what.constant + what.weights @ np.log(self.values)))
         return value, float(np.sqrt(what.weights @ self.covariance @ what.weights))
 
 
 def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
-    """Return the model's parameters that a record speaks for."""
+    """Return the model's most likely parameters for a record."""
     few = _Search(record.thinned(-(-len(record.times_s) // _FIRST_EPOCHS)), model)
     starts = np.log([parameter.start for parameter in model.parameters])
     quicker = starts + np.log(_QUICKER) * _is_time(model)
@@ -86,9 +87,9 @@ def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
 
 
 def _with_mean_times(search: "_Search", best: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the logarithms of the parameters and their covariance with each correlation time's mean and variance.
+    """Return parameter logarithms and covariance with the mean and variance of each correlation time.
 
-    The other parameters follow a time as they are correlated with it.
+    The other parameters are shifted by their correlation with the time.
     """
     point = best.copy()
     for row in np.flatnonzero(_is_time(search.model)):
@@ -113,11 +114,11 @@ class _Search:
         self.bounds = np.log([(parameter.least, parameter.most) for parameter in model.parameters])
 
     def cost(self, point: FloatArray) -> float:
-        """Minus the log likelihood at logarithms of parameters, shape (p,)."""
+        """Return minus the log likelihood at logarithms of parameters, shape (p,)."""
         return float(self.costs(point[None])[0])
 
     def climbed(self, start: FloatArray) -> FloatArray:
-        """The most likely point that a search from a start reaches, shape (p,)."""
+        """Return the most likely point found by a search from a start, shape (p,)."""
 
         def cost_and_slope(point: FloatArray) -> tuple[float, FloatArray]:
             at, *beside = self.costs(np.vstack([point, point + _GRADIENT_STEP * np.eye(len(point))]))
@@ -132,7 +133,7 @@ class _Search:
         return point
 
     def covariance(self, point: FloatArray) -> FloatArray:
-        """Of the logarithms at the most likely point, shape (p, p): the inverse of the matrix of second derivatives."""
+        """Return the covariance of the logarithms at the most likely point, shape (p, p): the inverse Hessian."""
         count, step = len(point), _CURVATURE_STEP
         free = np.flatnonzero(np.all(np.abs(self.bounds - point[:, None]) > step, axis=1))
         unit = step * np.eye(count)[free]
@@ -146,7 +147,7 @@ class _Search:
             curvature[i, j] = curvature[j, i] = (cost - up[i] - up[j] + at) / step**2
         curvature[np.diag_indices(len(free))] = (up - 2.0 * at + down) / step**2
         values, vectors = np.linalg.eigh(curvature)
-        # A direction in which the likelihood is flat, or bent the other way by the noise of differences, is not told.
+        # A direction with a flat likelihood, or negative curvature from numerical noise, is not determined.
         inverse = (vectors / np.maximum(values, _NOTHING_KNOWN**-2)) @ vectors.T
         covariance = _NOTHING_KNOWN**2 * np.eye(count)
         covariance[np.ix_(free, free)] = inverse
@@ -158,7 +159,7 @@ class _Search:
         return self._record.duration_s
 
     def costs(self, points: FloatArray) -> FloatArray:
-        """Minus the log likelihood at N sets of logarithms of parameters, shape (N,)."""
+        """Return minus the log likelihood at N sets of logarithms of parameters, shape (N,)."""
         found = []
         for begin in range(0, len(points), _MOST_TOGETHER):
             values = np.exp(points[begin : begin + _MOST_TOGETHER])

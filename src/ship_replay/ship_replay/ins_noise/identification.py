@@ -1,4 +1,4 @@
-"""Which model of the INS's error a record speaks for, with what parameters, and what must be warned of."""
+"""Selection of the INS's error model for a record, with its parameters and warnings."""
 
 import math
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from ship_replay.ins_noise.session import NoiseSession, place_of
 from ship_replay.ins_noise.star_record import StarRecord, star_record
 
 TIMES_NEEDED = 200.0
-"""Correlation times in a record that tells sigma within 10 % and the time within 30 %."""
+"""Length of a record, in correlation times, needed for sigma within 10 % and the time within 30 %."""
 
 _LEAST_EPOCHS = 50
 _CLEAR = 10.0
-"""Difference of AIC that leaves no doubt (Burnham and Anderson 2002, §2.6)."""
+"""Difference of AIC for a clear selection (Burnham and Anderson 2002, §2.6)."""
 
 _EXPECTED_REFUSED = 0.01
 _VAGUE = 0.3
@@ -25,13 +25,13 @@ _HOUR_S = 3600.0
 
 @dataclass(frozen=True)
 class Identification:
-    """What a record says of the INS.
+    """Result of an identification.
 
     Attributes:
-        session: that it comes from.
-        record: of it.
-        fitted: models, the one that fits best first.
-        outages: by model, what its predictions are worth.
+        session: the session.
+        record: its record.
+        fitted: fitted models, the best first.
+        outages: model → checks of its predictions.
     """
 
     session: NoiseSession
@@ -41,18 +41,18 @@ class Identification:
 
     @property
     def best(self) -> FittedModel:
-        """The model that fits best, by Akaike's criterion."""
+        """The best model by Akaike's criterion."""
         return self.fitted[0]
 
     @property
     def verdict(self) -> str:
-        """Which model fits, by what."""
+        """Selected model and its criteria, as text."""
         first, *others = self.fitted
         if not others:
-            return f"{first.model.name} alone was tried"
+            return f"only {first.model.name} was tried"
         (other,) = others
         ahead = other.aic - first.aic
-        how = "fits" if ahead >= _CLEAR else f"fits better, but hardly ({_CLEAR:g} in AIC would leave no doubt)"
+        how = "fits" if ahead >= _CLEAR else f"fits slightly better ({_CLEAR:g} in AIC would be clear)"
         return (
             f"{first.model.name} {how}: log likelihood {first.log_likelihood:.1f} with {len(first.values)} parameters "
             f"against {other.log_likelihood:.1f} with {len(other.values)} of {other.model.name}; AIC (2 p - 2 log L) "
@@ -61,7 +61,7 @@ class Identification:
 
     @property
     def warnings(self) -> list[str]:
-        """What must not be relied on, one line each."""
+        """Limitations of the result, one line each."""
         return [
             *(line for fitted in self.fitted for line in self._dishonest(fitted.model.name)),
             *self._too_short(),
@@ -70,7 +70,7 @@ class Identification:
         ]
 
     def _dishonest(self, model: str) -> list[str]:
-        """Where the predictions of a model missed by more than they claimed; of tilt and heading the worst."""
+        """Return warnings for predictions of a model with too large errors; the worst of tilt and of heading."""
         if model not in (GAUSS_MARKOV, self.best.model.name):
             return []
         lines = []
@@ -81,15 +81,16 @@ class Identification:
                 missed = worst.parts[part]
                 had, sigma = missed.rms_arcsec, missed.sigma_arcsec
                 text = (
-                    f"the most likely parameters of {model} are not honest in an outage: {part} predicted over "
-                    f"{worst.horizon_s:.0f} s, {worst.intervals} times: {had:.1f}″ had, {had / sigma:.1f} × its σ of "
+                    f"the most likely parameters of {model} are inconsistent in an outage: {part} "
+                    f"predicted over {worst.horizon_s:.0f} s, {worst.intervals} times: RMS error {had:.1f}″, "
+                    f"{had / sigma:.1f} × its σ of "
                     f"{sigma:.1f}″ (mean NEES {missed.nees:.1f}, at most {missed.most:.1f} with 99.9 %)"
                 )
                 lines.append(text)
         return lines
 
     def _too_short(self) -> list[str]:
-        """Gauss-Markov's sigma and time by themselves need a record of many times."""
+        """Return warnings for a record too short to separate sigma and time of a Gauss-Markov process."""
         fitted = next(found for found in self.fitted if found.model.name == GAUSS_MARKOV)
         told = {what.name: fitted.told(what) for what in fitted.model.told}
         lines = []
@@ -98,21 +99,21 @@ class Identification:
             times = self.record.duration_s / time_s
             if times < TIMES_NEEDED:
                 lines.append(
-                    f"gauss_markov, {axis}: {self.record.duration_s / _HOUR_S:.2g} h are {times:.2g} correlation times "
-                    f"and cannot tell σ and τ apart (σ {spread(log_sigma)}, τ {spread(log_time)}); 10 % and 30 % need "
-                    f"{TIMES_NEEDED:g} times, {TIMES_NEEDED * time_s / _HOUR_S:.0f} h; what it tells is 2σ²/τ"
+                    f"gauss_markov, {axis}: {self.record.duration_s / _HOUR_S:.2g} h are {times:.2g} correlation times,"
+                    f" too short to separate σ and τ (σ {spread(log_sigma)}, τ {spread(log_time)}); 10 % and 30 % need "
+                    f"{TIMES_NEEDED:g} times, {TIMES_NEEDED * time_s / _HOUR_S:.0f} h; only 2σ²/τ is determined"
                 )
         return lines
 
     def _of_input(self) -> list[str]:
         session, record, lines = self.session, self.record, []
         if len(self.fitted) == 1:
-            lines.append("schuler was not tried: no position fix tells the latitude")
+            lines.append("schuler was not tried: the latitude is unknown without position fixes")
         white, log_sigma = self.best.told(self.best.model.told[0])
         if not log_sigma <= _VAGUE:
             lines.append(
-                f"the record does not tell white_sigma_arcsec ({white:.2g}″, {spread(log_sigma)}): the star sensors' "
-                "own noise hides it, or their messages state more than they have"
+                f"the record does not determine white_sigma_arcsec ({white:.2g}″, {spread(log_sigma)}): the star "
+                "sensors' own noise hides it, or their messages state too much noise"
             )
         used = len(session.pairs)
         if session.refused > _EXPECTED_REFUSED * (used + session.refused):
@@ -122,23 +123,23 @@ class Identification:
         if not session.config.gravity.is_modelled:
             lines.append("gravity.deflection is none: the deflection of the vertical is part of the error found")
         if record.every > 1:
-            lines.append(f"one of every {record.every} epochs was used: as many as are needed")
+            lines.append(f"one of every {record.every} epochs was used: these are enough")
         return lines
 
 
 def spread(log_sigma: float) -> str:
-    """How well a positive number is known, by the sigma of its logarithm."""
+    """Return the uncertainty of a positive number as text, from the sigma of its logarithm."""
     if log_sigma <= _VAGUE:
         return f"± {100.0 * log_sigma:.0f} %"
     factor = math.exp(log_sigma)
-    return f"within a factor of {factor:.1f}" if factor < 100.0 else "not told"
+    return f"within a factor of {factor:.1f}" if factor < 100.0 else "not determined"
 
 
 def identify(session: NoiseSession) -> Identification:
-    """What a session says of the INS.
+    """Identify the INS's error model from a session.
 
     Raises:
-        BadInput: it is too short to say anything.
+        BadInput: the session is too short.
     """
     record = star_record(session)
     if len(record.times_s) < _LEAST_EPOCHS:

@@ -1,13 +1,13 @@
-"""The likelihood of a record for a process of the INS's error: a Kalman filter over its epochs.
+"""Likelihood of a record for a process of the INS's error: a Kalman filter over its epochs.
 
-The filter works on what an epoch says as information (matrix L, vector h), which any number of measurements of any kind
-has the same way; the likelihood is the density of the innovations (Schweppe 1965), and exact:
+The filter uses the information (matrix L, vector h) of each epoch, which has the same form for any number and kind of
+measurements. The likelihood is the density of the innovations (Schweppe 1965), and exact:
 
     log p = -1/2 log det(I + L P) + h·m - 1/2 m·L m + 1/2 r·(P' r)        r = h - L m,  P' = P - P (I + L P)^-1 L P
 
-Constants (installations, clocks) are no states: the mean is carried as a linear function of them, and they are
-integrated out at the end (de Jong 1991). Several sets of parameters go through side by side: a gradient by differences
-costs little more than one likelihood.
+Constants (installations, clocks) are no states: the mean is propagated as a linear function of them, and they are
+integrated out at the end (de Jong 1991). Several parameter sets are computed together: a gradient by differences costs
+little more than one likelihood.
 """
 
 from typing import NamedTuple
@@ -19,12 +19,12 @@ from ship_replay.ins_noise.star_record import StarRecord, white_taken_out
 
 
 class ProcessSteps(NamedTuple):
-    """An INS's error along E epochs, for k sets of parameters; n states of which the first three are u, in arcseconds.
+    """An INS's error along E epochs, for k parameter sets; n states of which the first three are u, in arcseconds.
 
     Attributes:
         start: covariance at the first epoch, shape (k, n, n).
-        transition: to each further epoch, shape (k, E - 1, n, n), or (1, E - 1, n, n) where all have the same.
-        noise: what comes new on the way, shape (k, E - 1, n, n).
+        transition: transition to each further epoch, shape (k, E - 1, n, n), or (1, E - 1, n, n) if all are equal.
+        noise: covariance of the process noise of each step, shape (k, E - 1, n, n).
         white: variance of a sample's white noise about each axis, arcsec², shape (k, 3).
     """
 
@@ -35,7 +35,7 @@ class ProcessSteps(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What is known after an epoch, or of a later one: states and constants together.
+    """Estimate of states and constants together.
 
     Attributes:
         mean: shape (n + c,).
@@ -47,16 +47,16 @@ class Known(NamedTuple):
 
 
 class EpochFilter:
-    """The Kalman filter over a record for k sets of parameters of a process.
+    """Kalman filter over a record for k parameter sets of a process.
 
-    The states are u, what moves beside it, then the rest of the process.
+    The states are u, the other time-varying states, then the rest of the process.
 
     Args:
-        record: what was measured.
+        record: the record.
         steps: the process along it.
 
     Attributes:
-        times_s: of the epochs, shape (E,).
+        times_s: times of the epochs, shape (E,).
     """
 
     def __init__(self, record: StarRecord, steps: ProcessSteps) -> None:
@@ -70,10 +70,10 @@ class EpochFilter:
         self._run()
 
     def _run(self) -> None:
-        """Carry means and covariances through all epochs; all that the likelihood needs besides follows from them."""
+        """Propagate and update means and covariances through all epochs."""
         seen, information, count = self._seen, self._information, len(self._record.times_s)
         matrices = information[:, :, :seen, :seen]
-        # What an epoch says of the states, and its derivatives by the constants.
+        # Information vector of an epoch on the states, and its derivatives with respect to the constants.
         vectors = np.concatenate([information[:, :, :seen, -1:], -information[:, :, :seen, seen:-1]], axis=-1)
         transitions, back = self._transition, np.swapaxes(self._transition, -1, -2)
         size, columns = self._start.shape[-1], vectors.shape[-1]
@@ -95,7 +95,7 @@ class EpochFilter:
             self._before[:, epoch], self._spreads[:, epoch] = before, spread
             mean = mean + beside @ solved[:, :, seen:]
             covariance = covariance - beside @ solved[:, :, :seen] @ np.swapaxes(beside, -1, -2)
-            # Without this what rounding makes unequal grows from step to step.
+            # Without this, asymmetry by rounding grows from step to step.
             covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
             self._means[:, epoch], self._covariances[:, epoch] = mean, covariance
         after = self._means[:, :, :seen]
@@ -108,7 +108,7 @@ class EpochFilter:
         )
 
     def log_likelihoods(self) -> FloatArray:
-        """The log likelihood of each set of parameters, shape (k,)."""
+        """Return the log likelihood of each parameter set, shape (k,)."""
         squares, prior = self._squares.sum(axis=1), self._record.constants
         by_constants, information = squares[:, 1:, :1], squares[:, 1:, 1:]
         with_prior = np.eye(len(prior)) + information @ prior
@@ -119,7 +119,7 @@ class EpochFilter:
         return found
 
     def known(self, epoch: int) -> Known:
-        """What the first set of parameters knows after an epoch, by all epochs up to it."""
+        """Return the estimate after an epoch, from all epochs up to it, for the first parameter set."""
         squares, prior = self._squares[0, : epoch + 1].sum(axis=0), self._record.constants
         covariance = np.linalg.solve(np.eye(len(prior)) + prior @ squares[1:, 1:], prior)
         constants = -covariance @ squares[1:, 0]
@@ -132,7 +132,7 @@ class EpochFilter:
         )
 
     def ahead(self, known: Known, epoch: int, later: int) -> Known:
-        """What is known of a later epoch by nothing that came since an epoch."""
+        """Propagate an estimate from an epoch to a later one."""
         size = self._start.shape[-1]
         mean, covariance = known.mean.copy(), known.covariance.copy()
         for step in range(epoch, later):
@@ -144,7 +144,7 @@ class EpochFilter:
         return Known(mean, covariance)
 
     def with_epoch(self, known: Known, epoch: int) -> Known:
-        """What is known of an epoch with what it says itself."""
+        """Update an estimate with the information of its epoch."""
         information = self._information[0, epoch]
         size = self._start.shape[-1]
         rows = np.r_[0 : self._seen, size : len(known.mean)]
@@ -156,12 +156,12 @@ class EpochFilter:
 
 
 def log_likelihoods(record: StarRecord, steps: ProcessSteps) -> FloatArray:
-    """The log likelihood of each set of parameters, shape (k,)."""
+    """Return the log likelihood of each parameter set, shape (k,)."""
     return EpochFilter(record, steps).log_likelihoods()
 
 
 def _with_moving(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Start, transitions and noise of the process and of what moves beside it, in the order of the filter's states."""
+    """Return start, transitions and noise of the process and the other time-varying states, in the filter's order."""
     moving = record.moving
     decay, fresh = moving.over(np.diff(record.times_s))
     size = steps.start.shape[-1]
@@ -180,7 +180,7 @@ def _with_moving(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, F
 
 
 def _as_function_of_constants(information: FloatArray) -> FloatArray:
-    """Information of (constants, z) as the square of (z - constants' part) by (1, constants), (..., 1 + c, 1 + c)."""
+    """Return the information of (constants, z) as a quadratic form of (1, constants), shape (..., 1 + c, 1 + c)."""
     turned: FloatArray = np.roll(information, 1, axis=(-1, -2))
     turned[..., 0, 1:] *= -1.0
     turned[..., 1:, 0] *= -1.0

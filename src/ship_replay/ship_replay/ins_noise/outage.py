@@ -1,9 +1,9 @@
-"""What a fitted model is worth without stars: predictions over parts of the record itself, against what stars then say.
+"""Consistency of a fitted model without stars: predictions over parts of the record, compared with later stars.
 
-The record is cut into equal intervals. At the beginning of each but the first the filter has all stars up to there; it
-predicts the INS's error to the end of the interval without any, and the last stars of the interval say how wrong that
-was. Under the model the errors of successive intervals are independent: the next prediction rests on all that the last
-one missed. So the sum of their normalised squares is chi², and its mean has a band.
+The record is cut into equal intervals. At the beginning of each but the first the filter has used all stars so far. It
+predicts the INS's error to the end of the interval without stars, and the last stars of the interval determine the
+prediction error. Under the model the errors of successive intervals are independent, because each prediction uses
+all stars before it. So the sum of their normalised squares follows chi², and its mean has a band.
 """
 
 from typing import NamedTuple
@@ -17,28 +17,28 @@ from ship_replay.ins_noise.likelihood import EpochFilter
 from ship_replay.ins_noise.star_record import StarRecord
 
 SHARES = (2, 4, 8, 16)
-"""Intervals in a record: longer horizons are met too rarely to judge by, and much shorter ones are no outage."""
+"""Numbers of intervals in a record: longer horizons are too rare to test, and much shorter ones are no outage."""
 
 _LATE = 1.25
-"""Of a horizon: where stars come back later than this, the interval is left out."""
+"""Maximum length of an interval, in horizons: if stars return later, it is excluded."""
 
 _LAST = 0.125
-"""Share of an interval at its end whose stars say how wrong the prediction is."""
+"""Share of an interval at its end whose stars determine the prediction error."""
 
 _MOST_LAST = 50
-"""Epochs of it at most: more do not make the stars any surer beside what is predicted."""
+"""Maximum number of epochs of it: more do not improve the comparison."""
 
 _PARTS = {"tilt": [0, 2], "heading": [1]}
 
 
 class Missed(NamedTuple):
-    """By how much predictions of tilt or heading were wrong.
+    """Error of predictions of tilt or heading.
 
     Attributes:
-        rms_arcsec: of each axis.
-        sigma_arcsec: as claimed for it, but for what the stars at the end do not see.
+        rms_arcsec: RMS of each axis.
+        sigma_arcsec: predicted sigma of each axis, without the part that the stars at the end do not observe.
         nees: mean normalised error squared; two degrees of freedom for tilt, one for heading.
-        most: the upper end of its band of 99.9 %.
+        nees_limit: upper limit of its 99.9 % band.
     """
 
     rms_arcsec: float
@@ -48,16 +48,16 @@ class Missed(NamedTuple):
 
     @property
     def is_honest(self) -> bool:
-        """Whether the errors are no larger than claimed; NaN is not."""
+        """True if the errors are no larger than predicted; False for NaN."""
         return self.nees <= self.most
 
 
 class OutageCheck(NamedTuple):
-    """Predictions over one horizon against the stars at its end.
+    """Predictions over one horizon compared with the stars at its end.
 
     Attributes:
         horizon_s: length of the intervals without stars.
-        intervals: number of them.
+        intervals: number of intervals.
         parts: tilt and heading.
     """
 
@@ -67,7 +67,7 @@ class OutageCheck(NamedTuple):
 
 
 def outage_checks(record: StarRecord, fitted: FittedModel) -> list[OutageCheck]:
-    """The predictions of a fitted model over each of SHARES of a record that offers some."""
+    """Return the checks of a fitted model for each of SHARES that the record allows."""
     epochs = EpochFilter(record, fitted.model.steps(fitted.values[None], record.times_s))
     times_s, checks = record.times_s, []
     for share in SHARES:
@@ -75,7 +75,7 @@ def outage_checks(record: StarRecord, fitted: FittedModel) -> list[OutageCheck]:
         found = []
         for begin_s in horizon_s * np.arange(1, share):
             begin = int(np.searchsorted(times_s, begin_s, side="right")) - 1
-            # The last interval may end a rounding error after the record.
+            # By rounding, the last interval may end slightly after the record.
             end = int(np.searchsorted(times_s, begin_s + horizon_s - 1e-6))
             is_there = end < len(times_s) and times_s[end] - begin_s <= _LATE * horizon_s
             if is_there and end > begin:
@@ -86,9 +86,10 @@ def outage_checks(record: StarRecord, fitted: FittedModel) -> list[OutageCheck]:
 
 
 def _missed(epochs: EpochFilter, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
-    """By how much the last stars of an interval move the prediction, arcsec, shape (3,), and its covariance, (3, 3).
+    """Return the correction of a prediction by the last stars, arcsec, shape (3,), and its covariance, (3, 3).
 
-    What stars do not see, as a turn about the only boresight, they do not move: there nothing is judged.
+    Directions that the stars do not observe, such as a rotation about the only boresight, are not corrected and not
+    tested.
     """
     known = epochs.known(begin)
     predicted = epochs.ahead(known, begin, end)
@@ -97,7 +98,7 @@ def _missed(epochs: EpochFilter, begin: int, end: int) -> tuple[FloatArray, Floa
     seen, at = known, begin
     for epoch in range(last, end + 1):
         seen, at = epochs.with_epoch(epochs.ahead(seen, at, epoch), epoch), epoch
-    # The estimate moves by as much as its covariance shrinks.
+    # The covariance of the correction is the reduction of the covariance.
     return seen.mean[:3] - predicted.mean[:3], predicted.covariance[:3, :3] - seen.covariance[:3, :3]
 
 

@@ -1,9 +1,9 @@
-"""The two models of an INS's error as processes with parameters: what a fit may change, and what a suite is told.
+"""The two models of an INS's error as processes with parameters, and the corresponding suite parameters.
 
-A fit works on logarithms of what a record tells best. Of a Gauss-Markov process that is 2 sigma² / time, by how much
-the error changes in a second, which a record much shorter than the time tells too; sigma and time by themselves it
-tells only over many times. Of Schuler's it is the noise of the sensors and how far off each was at the start; how long
-drift and bias last, the error of the latitude at the start, and the damping are taken as configured.
+A fit uses logarithms of the quantities that a record determines best. For a Gauss-Markov process that is 2 sigma² /
+time, the change per second, which even a record much shorter than the time determines; sigma and time separately need
+many times. For Schuler's it is the noise of the sensors and the errors at the start; time constants of drift and bias,
+the latitude error at the start, and the damping are taken as configured.
 """
 
 import math
@@ -24,17 +24,17 @@ from ship_replay.ins_noise.likelihood import ProcessSteps
 
 _NARROWEST, _LONGEST_S = 1e-4, 1e7
 _STEP_S = 1e-3
-"""Times between epochs are told apart to this."""
+"""Resolution of the times between epochs, s."""
 
 
 class Parameter(NamedTuple):
-    """What a fit may change.
+    """A parameter of a fit.
 
     Attributes:
-        name: for people.
-        start: where the search begins; positive.
-        least: bound.
-        most: bound.
+        name: name for people.
+        start: start value of the search; positive.
+        least: lower bound.
+        most: upper bound.
     """
 
     name: str
@@ -44,13 +44,13 @@ class Parameter(NamedTuple):
 
 
 class ToldParameter(NamedTuple):
-    """A parameter of ``ship_attitude`` by the parameters of the fit: log value = constant + weights · log parameters.
+    """A parameter of ``ship_attitude`` from those of the fit: log value = constant + weights · log parameters.
 
     Attributes:
-        name: in the parameter file, after ``ins.``.
-        unit: of it.
-        constant: the rest of its logarithm.
-        weights: shape (p,).
+        name: name in the parameter file, after ``ins.``.
+        unit: its unit.
+        constant: constant part of its logarithm.
+        weights: weights, shape (p,).
     """
 
     name: str
@@ -63,9 +63,9 @@ class InsErrorModel(Protocol):
     """A model of the INS's error.
 
     Attributes:
-        parameters: what a fit changes.
-        told: what a suite is told of it.
-        fixed: what is told as configured, by name.
+        parameters: parameters of the fit.
+        suite_parameters: suite parameters determined by the fit.
+        configured_values: suite parameters taken as configured, by name.
     """
 
     parameters: tuple[Parameter, ...]
@@ -78,15 +78,15 @@ class InsErrorModel(Protocol):
         ...
 
     def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
-        """The process for k sets of parameters, shape (k, p), at the times of E epochs, shape (E,)."""
+        """Return the process for k parameter sets, shape (k, p), at the times of E epochs, shape (E,)."""
         ...
 
 
 class GaussMarkovModel:
-    """The error dies out, each axis by itself: sigma² exp(-t / time); tilt about North and East alike, and heading.
+    """Gauss-Markov error of each axis: sigma² exp(-t / time); tilt about North and East has the same parameters.
 
     Args:
-        ins: where the search begins.
+        ins: start values of the search.
     """
 
     name = GAUSS_MARKOV
@@ -126,10 +126,10 @@ class GaussMarkovModel:
 
 
 class SchulerModel:
-    """The error oscillates, as that of free gyroscopes and accelerometers does: the filter's own process.
+    """Error of an INS with free gyroscopes and accelerometers, which oscillates: the filter's own process.
 
     Args:
-        ins: where the search begins, and what stays as configured.
+        ins: start values of the search, and configured values.
         here: mean latitude and velocity of the ship.
     """
 
@@ -182,7 +182,7 @@ class SchulerModel:
             )
             for row in range(count)
         ]
-        # Densities of what is new to attitude, velocity, drift and bias, in the units of the states.
+        # Noise densities of attitude, velocity, drift and bias, in the units of the states.
         density = np.array([_densities(config) for config in configs]) / self._scale[[0, 3, 6, 9]] ** 2
         sigma = np.zeros((count, 11))
         sigma[:, :3] = np.column_stack([tilt, heading, tilt])
@@ -199,11 +199,11 @@ class SchulerModel:
 
     @cached_property
     def _scale(self) -> FloatArray:
-        """Units of the states beside one another: what an arcsecond of tilt makes of each in about a swing."""
+        """Units of the states: the effect of an arcsecond of tilt on each over about one oscillation."""
         return np.array([ARCSEC] * 3 + [0.04] * 2 + [ARCSEC] + [1e-3 * ARCSEC] * 3 + [10.0 * ARCSEC] * 2)
 
     def _ways(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the ways between epochs make of the states, and of a unit density in attitude, velocity, drift, bias.
+        """Return the discretised process between epochs, for unit densities of attitude, velocity, drift and bias.
 
         Returns:
             Transitions, shape (E - 1, 11, 11), and covariances, shape (4, E - 1, 11, 11).
@@ -221,7 +221,7 @@ class SchulerModel:
 
 
 def _way(rates: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """Transition over a time, (n, n), and what unit densities bring, (4, n, n) (Van Loan 1978)."""
+    """Return the transition over a time, (n, n), and the covariances of unit densities, (4, n, n) (Van Loan 1978)."""
     size = len(rates)
     fresh = []
     for rows in (range(3), range(3, 5), range(6, 9), range(9, 11)):
@@ -234,7 +234,7 @@ def _way(rates: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _densities(config: SchulerConfig) -> list[float]:
-    """Variance of what comes new in a second to each axis of attitude, velocity, drift and bias."""
+    """Return the noise variance per second of each axis of attitude, velocity, drift and bias."""
     return [
         config.angle_walk**2,
         config.velocity_walk**2,
@@ -262,6 +262,6 @@ def _unit(name: str) -> str:
 
 
 def models_of(ins: InsConfig, here: VerticalHere | None) -> Sequence[InsErrorModel]:
-    """The models that a record can be asked about; Schuler's only where the latitude is known."""
+    """Return the models to be fitted; Schuler's only if the latitude is known."""
     gauss_markov = GaussMarkovModel(ins)
     return (gauss_markov,) if here is None else (gauss_markov, SchulerModel(ins, here))

@@ -1,8 +1,8 @@
-"""The comparisons of star measurements with the INS in a bag, as the filter of ``ship_attitude`` makes them.
+"""Comparisons of star measurements with the INS in a bag, as computed by the filter of ``ship_attitude``.
 
-The bag goes through the suite's own node, so that axes, clocks, skies and refusals are those of a voyage. The node
-judges what is improbable by wider sigmas than configured, for it is those sigmas that are in question; of what it uses
-the comparison itself is kept, linearised at its estimate and told relative to no error at all.
+The suite's own node processes the bag, so axes, clocks, sky and rejections are those of a voyage. The node's gate uses
+larger sigmas than configured, because these sigmas are to be identified. The comparison of each used measurement is
+stored, linearised at its estimate and relative to zero errors.
 """
 
 import functools
@@ -35,19 +35,19 @@ from ship_replay.offline.replay import Watcher, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 _WIDER = 3.0
-"""A sigma that is wrong by this factor must not lead to refusals: what is refused cannot say so."""
+"""Factor on the configured sigmas, so that sigmas too small by this factor cause no rejections."""
 
 
 class StarPair(NamedTuple):
-    """A star measurement against the INS: value = jacobian @ (errors of the filter's model) + noise.
+    """A star measurement compared with the INS: value = jacobian @ (errors of the filter's model) + noise.
 
     Attributes:
         time_ns: stamp of the measurement.
         source: ``star.<id>``.
-        value: measured minus what no error would give, rad, shape (m,).
-        jacobian: per state of the model, shape (m, n).
-        noise: covariance of the noise that the measurement states, rad², shape (m, m).
-        here: latitude and velocity of the ship, and the vertical where it is given.
+        value: measured minus expected without errors, rad, shape (m,).
+        jacobian: derivatives with respect to the states of the model, shape (m, n).
+        noise: covariance of the stated measurement noise, rad², shape (m, m).
+        here: latitude and velocity of the ship, and the vertical if given.
     """
 
     time_ns: int
@@ -60,18 +60,18 @@ class StarPair(NamedTuple):
 
 @dataclass
 class PairsHeard:
-    """The pairs of a session.
+    """Comparisons of a session.
 
     Attributes:
-        found: by source and stamp.
-        refused: measurements that the node did not use.
+        accepted: comparisons by source and stamp.
+        rejected: measurements that the node did not use.
     """
 
     found: dict[tuple[str, int], StarPair] = field(default_factory=dict)
     refused: set[tuple[str, int]] = field(default_factory=set)
 
     def take(self, core: ShipAttitudeCore, decisions: Iterable[AttitudeDecision]) -> None:
-        """Keep what was used; a decision that was revised takes the place of the earlier one."""
+        """Add the decisions of a node; a revised decision replaces the earlier one."""
         for decision in decisions:
             self._take(core, decision)
 
@@ -88,7 +88,7 @@ class PairsHeard:
         linear, here = linearised.compared.linear, core.vertical.at(measurement.time_ns)
         value = linear.residual + linear.jacobian @ core.state.mean
         if here.given is not None:
-            # The INS levels itself on gravity: what is known of that is no error of it.
+            # The INS is levelled by gravity: the given deflection is no error of the INS.
             attitude = core.filter.model.slices["ins.attitude"]
             value = value - linear.jacobian[:, attitude] @ (here.turn @ here.given)
         self.found[key] = StarPair(measurement.time_ns, measurement.source, value, linear.jacobian, linear.noise, here)
@@ -96,15 +96,15 @@ class PairsHeard:
 
 @dataclass(frozen=True)
 class NoiseSession:
-    """What a bag has to say of its INS.
+    """Comparisons of a bag, with the model they refer to.
 
     Attributes:
-        name: of the bag.
-        config: of the node, as configured.
-        model: states of the pairs.
-        pairs: in the order of their stamps.
-        common_n: by source, the steady covariance of what its messages share, rad², shape (3, 3).
-        refused: star measurements that were not used.
+        name: name of the bag.
+        config: configuration of the node.
+        model: states of the comparisons.
+        comparisons: comparisons in order of stamps.
+        common_n: source → steady covariance of the errors that its messages share, rad², shape (3, 3).
+        rejected_count: number of star measurements that were not used.
         problems: what is wrong with the bag, one line each.
     """
 
@@ -120,7 +120,7 @@ class NoiseSession:
 def session_of(
     name: str, config: ShipAttitudeConfig, core: ShipAttitudeCore, heard: PairsHeard, problems: list[str]
 ) -> NoiseSession:
-    """What a core that was given a whole bag has heard."""
+    """Return the session of a core that has processed a whole bag."""
     pairs = sorted(heard.found.values(), key=lambda pair: (pair.time_ns, pair.source))
     return NoiseSession(name, config, core.filter.model, pairs, dict(core.state.common_n), len(heard.refused), problems)
 
@@ -131,16 +131,16 @@ def run_session(
     namespace: str = "",
     watch: Watcher = lambda records, bag: records,
 ) -> NoiseSession:
-    """Run a bag through the suite.
+    """Process a bag with the suite's nodes.
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        progress: wraps the iteration over the bag, for a progress bar.
 
     Raises:
-        BadInput: the bag or the configuration does not serve, or no star measurement was used.
+        BadInput: the bag or the configuration cannot be used, or no star measurement was used.
     """
     heard, listening = PairsHeard(), []
 
@@ -153,7 +153,7 @@ def run_session(
         def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
             for feed in super().table(config, core):
                 if feed.source == INS:
-                    # No attitude is asked for, which would take as long as all the rest.
+                    # Attitudes are not requested: they would double the time.
                     feed = replace(feed, take=functools.partial(core.add_ins, estimate=False), block=None)
                 yield feed
 
@@ -164,8 +164,8 @@ def run_session(
     with read_bag(bag_path) as bag:
         chain, left_out = suite_chain(bag, (Listening, StarAttitudeAdapter), RosbagsFactory(), config_path, namespace)
         if not listening or not listening[0].config.star_sensors:
-            text = f"the configuration has no star_sensors of {ShipAttitudeAdapter.node_name}: nothing tells what the"
-            raise BadInput(f"{text} INS does", file=bag.path)
+            text = f"the configuration has no star_sensors of {ShipAttitudeAdapter.node_name}: the error of"
+            raise BadInput(f"{text} the INS is not observable", file=bag.path)
         adapter = listening[0]
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
         summary = ReplaySummary()
@@ -175,16 +175,16 @@ def run_session(
         unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
         problems = [*left_out, *bag.problems, *unread]
         if not heard.found:
-            counts = f"{len(heard.refused)} came and were refused" if heard.refused else "none came"
-            raise BadInput(f"no star measurement was used ({counts}): nothing tells what the INS does", file=bag.path)
+            counts = f"{len(heard.refused)} received, all rejected" if heard.refused else "none received"
+            raise BadInput(f"no star measurement was used ({counts}): the INS error is not observable", file=bag.path)
         return session_of(bag_path.name, adapter.configured, adapter.core, heard, problems)
 
 
 def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
-    """The configuration of a session: what it is not about is left out, and the INS may do what it likes.
+    """Return the configuration of a session: only star sensors and the INS, with larger INS sigmas.
 
-    A saved alignment may rest on this very bag. The vertical is asked for where the ship is, whether its deflection
-    matters or not.
+    A saved alignment is not loaded, because it may result from this very bag. The deflection of the vertical is always
+    modelled, whether it is relevant or not.
     """
     gravity = config.gravity if config.gravity.is_modelled else GravityConfig(deflection=UNKNOWN)
     return replace(config, ins=_wider(config.ins), gravity=gravity, references={}, alignment_file="", sources_off=())
@@ -201,17 +201,17 @@ def _wider(ins: InsConfig) -> InsConfig:
 
 
 class _Nowhere:
-    """Takes what the other nodes publish and keeps nothing."""
+    """Sink that discards the outputs of the other nodes."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Pass over a message."""
+        """Discard a message."""
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Pass over the truth: an identification must not see it."""
+        """Ignore the truth: an identification must not use it."""
 
 
 def place_of(pairs: Iterable[StarPair]) -> VerticalHere | None:
-    """Mean latitude and velocity of the ship over the pairs; None where no position fix told them."""
+    """Return mean latitude and velocity of the ship over the comparisons; None without any position fix."""
     places = [pair.here for pair in pairs if not np.isnan(pair.here.latitude)]
     if not places:
         return None

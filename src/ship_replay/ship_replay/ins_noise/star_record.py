@@ -1,11 +1,11 @@
-"""A record of star measurements against the INS, condensed to what a likelihood needs.
+"""A record of star measurements compared with the INS, condensed for the likelihood.
 
-With u the error of the INS's attitude, c all that lasts beside it (installations, clocks, what messages share) and w
-the INS's white noise, a measurement is z = J_u (u + g w) + J_c c + noise, the filter's own linearisation. Of all
-measurements of one stamp, an epoch, the information matrix of (u, c, z) is kept: in it w, the same for all of them,
-integrates out in closed form for any sigma, so that nothing is lost of what a scatter tells about white noise.
+Let u be the error of the INS's attitude, c all other correlated errors (installations, clocks, errors shared by
+messages) and w the INS's white noise. A measurement is z = J_u (u + g w) + J_c c + noise, the filter's own
+linearisation. For all measurements of one stamp, an epoch, the information matrix of (u, c, z) is stored. In this form
+w, common to all of them, can be integrated out for any sigma, without loss of information about white noise.
 
-A record of more epochs than a likelihood can take one by one is thinned, which loses precision and not truth.
+A record with too many epochs is thinned, which loses precision but causes no bias.
 """
 
 from dataclasses import dataclass, replace
@@ -20,20 +20,20 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_replay.ins_noise.session import NoiseSession, StarPair
 
 MOST_EPOCHS = 6000
-"""Of a record, more than three hours at 0.5 Hz; of more of them every so many are taken."""
+"""Maximum number of epochs of a record, more than three hours at 0.5 Hz; longer records are thinned."""
 
 _OF_INS = ("ins.attitude", "ins.noise", "gravity.deflection")
-"""States that are to be found, or part of that."""
+"""States to be identified, or part of them."""
 
 
 @dataclass(frozen=True)
 class Moving:
-    """What changes beside the INS's error, in units of its own sigmas at the start.
+    """Time-varying states other than the INS's error, in units of their own sigmas at the start.
 
     Attributes:
-        covariance: at the start, and the steady one of those that die out, shape (c, c).
-        time_s: in which each dies out; infinite for what walks, shape (c,).
-        walk: per square root of a second of what walks, shape (c,).
+        covariance: at the start, also the steady covariance of Gauss-Markov states, shape (c, c).
+        time_s: correlation times; infinite for random walks, shape (c,).
+        walk: random walk per square root of a second, shape (c,).
     """
 
     covariance: FloatArray
@@ -46,7 +46,7 @@ class Moving:
         return len(self.time_s)
 
     def over(self, dt_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What is left of each state after times, shape (e, c), and the covariance that comes new, shape (e, c, c)."""
+        """Return the decay factors of the states over times, shape (e, c), and the process noise, shape (e, c, c)."""
         decay = np.exp(-dt_s[:, None] / self.time_s)
         fresh = self.covariance * (1.0 - decay[:, :, None] * decay[:, None, :])
         rows = np.arange(self.count)
@@ -59,14 +59,14 @@ class StarRecord:
     """A record of E epochs.
 
     Attributes:
-        times_s: of the epochs since the first, shape (E,).
-        information: of (u in arcseconds, what moves, constants, z), shape (E, s, s).
+        times_s: times of the epochs since the first, shape (E,).
+        information: information of (u in arcseconds, time-varying states, constants, z), shape (E, s, s).
         white_gain: variance of the INS's white noise in an epoch over that of a sample, shape (E,).
-        log_constant: part of the log likelihood that no parameter changes.
-        moving: what the columns after u are.
-        constants: covariance beforehand of those after, in units of their sigmas, shape (c, c).
-        names: of the blocks that all these columns belong to.
-        every: of how many epochs one was taken.
+        log_constant: part of the log likelihood that does not depend on parameters.
+        time_varying: time-varying states, in the columns after u.
+        constants: prior covariance of the constants, in units of their sigmas, shape (c, c).
+        names: names of the blocks of all these columns.
+        epoch_step: thinning factor of the epochs.
     """
 
     times_s: FloatArray
@@ -80,11 +80,11 @@ class StarRecord:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last epoch."""
+        """Time from the first to the last epoch."""
         return float(self.times_s[-1])
 
     def thinned(self, every: int) -> "StarRecord":
-        """Every so many epochs of the record; its likelihood lacks a constant."""
+        """Return the record with every nth epoch; its likelihood lacks a constant."""
         kept = slice(None, None, every)
         return replace(
             self,
@@ -96,7 +96,7 @@ class StarRecord:
 
 
 def star_record(session: NoiseSession, most_epochs: int = MOST_EPOCHS) -> StarRecord:
-    """The record of a session's pairs."""
+    """Return the record of a session's comparisons."""
     model, pairs, beside = session.model, session.pairs, _beside(session)
     stamps = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
     kept, of_epoch = np.unique(stamps, return_inverse=True)
@@ -117,19 +117,19 @@ def star_record(session: NoiseSession, most_epochs: int = MOST_EPOCHS) -> StarRe
 
 
 def _columns(pair: StarPair, model: StateModel, beside: "_Beside") -> FloatArray:
-    """Jacobian by u and what is beside it, in their units, and the value, shape (m, s)."""
+    """Return the Jacobian by u and the other states, in their units, and the value, shape (m, s)."""
     by_attitude = ARCSEC * pair.jacobian[:, model.slices["ins.attitude"]]
     return np.column_stack([by_attitude, pair.jacobian[:, beside.rows] * beside.scale, pair.value])
 
 
 def _white_gain(pair: StarPair, model: StateModel) -> float:
-    """An attitude between samples has less of their noise: the white error stands beside the slow one, but for that."""
+    """Return the variance of the white noise in a comparison over that of a sample; interpolation reduces it."""
     by_white, by_slow = (pair.jacobian[:, model.slices[name]] for name in ("ins.noise", "ins.attitude"))
     return float((np.sum(by_white * by_slow) / np.sum(by_slow**2)) ** 2)
 
 
 class _Beside(NamedTuple):
-    """States beside the INS's error, those that move first: which they are, their sigmas, and what they do."""
+    """States other than the INS's error, time-varying ones first: indices, sigmas and models."""
 
     rows: NDArray[np.intp]
     scale: FloatArray
@@ -139,7 +139,7 @@ class _Beside(NamedTuple):
 
 
 def _beside(session: NoiseSession) -> _Beside:
-    """The states that are not known to be nothing and that some pair depends on."""
+    """Return the states with a non-zero sigma that some comparison depends on."""
     model = session.model
     covariance, time_s, walk = np.zeros((model.size, model.size)), np.zeros(model.size), np.zeros(model.size)
     names = np.empty(model.size, dtype=object)
@@ -168,14 +168,14 @@ def _beside(session: NoiseSession) -> _Beside:
 
 
 def white_taken_out(record: StarRecord, white: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What the epochs say with the INS's white noise integrated out.
+    """Return the information of the epochs with the INS's white noise integrated out.
 
     Args:
-        record: of E epochs.
+        record: record of E epochs.
         white: variance of a sample's noise about (North, Up, East), arcsec², shape (3,).
 
     Returns:
-        Information of the same columns, shape (E, s, s), and what is left of the log likelihood, shape (E,).
+        Information of the same columns, shape (E, s, s), and the remaining part of the log likelihood, shape (E,).
     """
     root = np.sqrt(record.white_gain[:, None] * white)
     by_u = root[:, :, None] * record.information[:, :3]

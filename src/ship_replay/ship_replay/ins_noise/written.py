@@ -1,4 +1,4 @@
-"""An identification as a parameter file that the suite loads, and as text for people."""
+"""An identification as a parameter file of the suite, and as text for people."""
 
 import math
 from collections.abc import Iterator
@@ -10,11 +10,11 @@ from ship_replay.ins_noise.identification import Identification, spread
 from ship_replay.ins_noise.outage import OutageCheck
 
 _SIGMAS = 3.290526731491891
-"""Of 99.9 %, two-sided."""
+"""Number of sigmas of a two-sided 99.9 % interval."""
 
 
 def parameter_file_text(identification: Identification) -> str:
-    """The model that fits best as a ROS 2 parameter file, the sigma of each value as comment."""
+    """Return the best model as a ROS 2 parameter file, with the sigma of each value as comment."""
     best, session = identification.best, identification.session
     values: dict[str, tuple[str, str]] = {"model": (f'"{best.model.name}"', "")}
     for what in best.model.told:
@@ -28,7 +28,7 @@ def parameter_file_text(identification: Identification) -> str:
 
 
 def _nested(values: dict[str, tuple[str, str]]) -> Iterator[str]:
-    """Lines of the section ``ins``, with names of one dot as a section of their own at the end."""
+    """Yield the lines of the section ``ins``, with dotted names as sections at the end."""
     plain = {name: told for name, told in values.items() if "." not in name}
     yield from (_line(6, name, *told) for name, told in plain.items())
     dotted = {name: told for name, told in values.items() if "." in name}
@@ -43,18 +43,18 @@ def _line(indent: int, name: str, value: str, comment: str) -> str:
 
 
 def _number(value: float) -> str:
-    """Four digits, always a floating-point number to ROS."""
+    """Return a value with four digits, always a floating-point number for ROS."""
     return repr(float(f"{value:.4g}"))
 
 
 def _known(value: float, log_sigma: float) -> str:
-    """A value's sigma, or that it is hardly known."""
+    """Return the sigma of a value as text, or that it is hardly known."""
     known = spread(log_sigma)
     return f"± {value * log_sigma:.2g}, 1 sigma" if known.startswith("±") else f"{known}, 1 sigma"
 
 
 def said(identification: Identification) -> list[str]:
-    """What is found, line by line, without the warnings."""
+    """Return the result line by line, without the warnings."""
     session, record = identification.session, identification.record
     hours, epochs = record.duration_s / 3600.0, len(record.times_s)
     lines = [f"{session.name}: {len(session.pairs)} star measurements, {epochs} epochs used over {hours:.2f} h"]

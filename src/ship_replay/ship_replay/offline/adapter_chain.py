@@ -1,6 +1,6 @@
-"""The nodes of a suite replayed together: what one gives is, at the same moment, an input of those after it.
+"""The nodes of a suite replayed together: outputs of one node are inputs of later ones at the same time.
 
-The suite configuration, a file's or else the one attached to the bag, says which nodes take part.
+The suite configuration, from a file or attached to the bag, determines which nodes take part.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,16 +21,12 @@ from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.parameters.parameter_file import has_section, load_config, misfit
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
-"""How topics of devices begin, beside those that come at times. A node whose devices are all missing in a bag has
-nothing to do."""
+"""Prefixes of device topics. A node whose devices are all missing in a bag is not replayed, unless it is the main one.
+"""
 
 
 def suite_text(bag: Bag, config_path: Path | None) -> str:
-    """Text of the suite configuration: the file's, else the one attached to the bag.
-
-    Raises:
-        BadInput: there is none, or the file cannot be read.
-    """
+    """Return the text of the suite configuration: of the file, else of the one attached to the bag."""
     if config_path is not None:
         try:
             check_regular(config_path)
@@ -44,16 +40,16 @@ def suite_text(bag: Bag, config_path: Path | None) -> str:
 
 
 def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, node: str) -> Any:
-    """The node's configuration: of the file, else of the one attached to the bag.
+    """Return the node's configuration: of the file, else of the one attached to the bag.
 
     Args:
         bag: the bag.
-        adapter_class: of the node.
+        adapter_class: adapter of the node.
         config_path: configuration; None takes the one attached to the bag.
-        node: its full name, by which sections fit (:mod:`ship_node.parameters.parameter_file`).
+        node: full name, which selects sections (:mod:`ship_node.parameters.parameter_file`).
 
     Raises:
-        BadInput: there is none, or it is not one of this node; names the parameter.
+        BadInput: there is none, or it does not fit this node; names the parameter.
     """
     if config_path is not None:
         return load_config(adapter_class.config_type, config_path, node)
@@ -67,16 +63,16 @@ def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | Non
 def suite_nodes(
     bag: Bag, adapter_classes: Sequence[type[Adapter]], config_path: Path | None, namespace: str = ""
 ) -> tuple[type[Adapter], ...]:
-    """The nodes that the configuration is about; see :func:`nodes_of`.
+    """Return the nodes that the configuration has sections for; see :func:`nodes_of`.
 
     Args:
         bag: the bag.
-        adapter_classes: nodes that are known, the main one first.
+        adapter_classes: known nodes, the main one first.
         config_path: configuration; None takes the one attached to the bag.
-        namespace: of the nodes.
+        namespace: namespace of the nodes.
 
     Raises:
-        BadInput: there is none, it is no parameter file, or one of its sections fits no node but was meant for one.
+        BadInput: there is none, it is no parameter file, or a section nearly fits a node but not exactly.
     """
     if config_path is not None:
         return _judged_nodes(config_path, adapter_classes, namespace)
@@ -89,10 +85,10 @@ def suite_nodes(
 def nodes_of(
     source: Path | str, adapter_classes: Sequence[type[Adapter]], namespace: str = ""
 ) -> tuple[type[Adapter], ...]:
-    """The nodes in a namespace that a configuration (a path, or the text itself) is about.
+    """Return the nodes of a namespace that a configuration (a path, or the text itself) has sections for.
 
-    The first of those known is the main one: a section for all nodes (``/**``) is its too, and it is meant where no
-    node is named at all. The others must be named.
+    The first of the known nodes is the main one: a section for all nodes (``/**``) counts for it, and it is selected if
+    no node is named. The others must be named.
 
     Raises:
         BadInput: it is no parameter file.
@@ -109,31 +105,31 @@ def _judged_nodes(
     source: Path | str, adapter_classes: Sequence[type[Adapter]], namespace: str
 ) -> tuple[type[Adapter], ...]:
     for kind in adapter_classes:
-        # That a file says nothing of some nodes is no fault of it.
+        # A file need not have a section for every node.
         misfit(source, full_name(kind.node_name, namespace))
     return nodes_of(source, adapter_classes, namespace)
 
 
 def attached(bag: Bag, problem: BadInput) -> BadInput:
-    """What is wrong with the suite configuration attached to a bag, as bad input that names the bag."""
+    """Return an error about the suite configuration attached to a bag, as bad input that names the bag."""
     text = f"attachment {SUITE_ATTACHMENT}: {problem}"
     return BadInput(text, file=bag.path, parameters=problem.parameters, value=problem.value)
 
 
 class AdapterChain:
-    """Several adapters that take messages and ticks like one.
+    """Several adapters with the interface of one.
 
     Args:
-        adapters: in any order: data flows from those that give a topic to those that take it.
-        linked: whether what one gives goes to those after it; otherwise all inputs come from outside.
-        configs: node name → its configuration; none where nobody asks for it.
+        adapters: in any order; they are sorted so that data flows from publishers to subscribers.
+        linked: if true, outputs of an adapter are inputs of later ones; otherwise all inputs come from outside.
+        configs: node name → its configuration; may be omitted.
 
     Attributes:
         configs: the same.
-        taken: topics that each adapter takes, from outside or from those before it.
-        linked: whether what one gives goes to those after it.
-        inputs: topics taken from outside.
-        outputs: topics given.
+        input_topics: input topics of each adapter, from outside or from earlier adapters.
+        linked: True if outputs of an adapter are inputs of later ones.
+        inputs: input topics from outside.
+        outputs: output topics.
     """
 
     def __init__(
@@ -146,7 +142,7 @@ class AdapterChain:
         self.outputs: tuple[OutputTopic, ...] = _by_topic(t for adapter in self.adapters for t in adapter.outputs)
         inside = _names(self.outputs) if linked else set()
         wanted = [t for adapter in self.adapters for t in adapter.inputs if t.topic not in inside]
-        # The first of equals wins: a topic is required if any adapter requires it.
+        # Required ones come first: a topic is required if any adapter requires it.
         self.inputs: tuple[InputTopic, ...] = _by_topic(sorted(wanted, key=lambda topic: not topic.required))
 
     @property
@@ -155,11 +151,11 @@ class AdapterChain:
         return " and ".join(adapter.node_name for adapter in self.adapters)
 
     def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
-        """Take one message of an input topic."""
+        """Process one message of an input topic."""
         return self._handle(0, topic, message, receive_ns)
 
     def topics_in_blocks(self) -> set[str]:
-        """Topics from outside of which an adapter can take many messages at once."""
+        """Return the topics from outside that an adapter can process in blocks."""
         return {
             topic
             for adapter, taken in zip(self.adapters, self.taken, strict=True)
@@ -168,7 +164,7 @@ class AdapterChain:
         }
 
     def tick(self, now_ns: int) -> list[Published]:
-        """Tick all adapters; each has then been given what those before it gave at this tick."""
+        """Tick all adapters in order; each has already received the outputs of earlier adapters at this tick."""
         published: list[Published] = []
         for index, adapter in enumerate(self.adapters):
             published += self._passed_on(index, adapter.tick(now_ns), now_ns)
@@ -183,7 +179,7 @@ class AdapterChain:
         return published
 
     def _passed_on(self, index: int, given: list[Published], now_ns: int) -> list[Published]:
-        """What an adapter gave, and what the adapters after it made of that."""
+        """Return an adapter's outputs and the outputs of later adapters caused by them."""
         published = list(given)
         if self.linked:
             for topic, message in given:
@@ -199,21 +195,21 @@ def suite_chain(
     namespace: str = "",
     linked: bool = True,
 ) -> tuple[AdapterChain, list[str]]:
-    """The nodes that a suite configuration is about, without those that have nothing to do with the bag.
+    """Return the chain of nodes of a suite configuration, without nodes whose devices are all missing in the bag.
 
     Args:
         bag: the bag.
-        adapter_classes: nodes that are known; see :func:`suite_nodes`.
+        adapter_classes: known nodes; see :func:`suite_nodes`.
         factory: makes their messages.
         config_path: suite configuration; None takes the one attached to the bag.
-        namespace: namespace of the ship in the bag, and so of its nodes.
+        namespace: namespace of the ship in the bag and of its nodes.
         linked: see :class:`AdapterChain`.
 
     Returns:
-        The chain, and one line for each node that was left out.
+        The chain, and one line for each node that is not replayed.
 
     Raises:
-        BadInput: the configuration does not serve.
+        BadInput: the configuration cannot be used.
     """
     meant = suite_nodes(bag, adapter_classes, config_path, namespace)
     found, adapters, configs, left_out = relative_topics(bag.topics, namespace), [], {}, []
@@ -223,7 +219,7 @@ def suite_chain(
         devices = [t.topic for t in adapter.inputs if t.at_times or t.topic.startswith(_DEVICE_PREFIXES)]
         if kind is not meant[0] and not found.keys() & devices:
             wanted = ", ".join(devices) or "the devices that it needs"
-            left_out.append(f"{kind.node_name} is left out: the bag has nothing of {wanted}")
+            left_out.append(f"{kind.node_name} is not replayed: the bag has no {wanted}")
         else:
             adapters.append(adapter)
             configs[kind.node_name] = config
@@ -231,7 +227,7 @@ def suite_chain(
 
 
 def _in_order_of_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
-    """The adapters in an order in which each stands after those that give it something."""
+    """Sort the adapters so that each comes after those that publish its inputs."""
     ordered, rest = [], list(adapters)
     while rest:
         free = [
@@ -249,7 +245,7 @@ def _names(topics: Iterable[InputTopic | OutputTopic]) -> set[str]:
 
 
 def _by_topic(topics: Any) -> tuple[Any, ...]:
-    """The first of each topic."""
+    """Return the first entry of each topic."""
     first: dict[str, Any] = {}
     for topic in topics:
         first.setdefault(topic.topic, topic)

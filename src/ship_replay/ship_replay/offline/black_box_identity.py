@@ -1,4 +1,4 @@
-"""Whether a black box can be replayed here: its format, node, versions, parameters and message definitions."""
+"""Check that a black box can be replayed here: format, node, versions, parameters and message definitions."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -21,22 +21,22 @@ from ship_replay.offline.adapter_chain import suite_config, suite_text
 from ship_replay.offline.verification import ASIDE
 
 _OFF = {"alignment_autosave_s": 0.0, "accept_unset_covariance": True}
-"""Parameters that came after the first boxes, by the last part of their names, each with the value by which a node does
-as those did that did not know it."""
+"""Parameters introduced after the first black boxes, by the last part of their names, with the value for the old
+behaviour."""
 _SINCE_RATE_COVARIANCE = "ins.accept_unset_covariance"
-"""Parameter that came with the covariance of the rates in ``ship/imu``."""
+"""Parameter introduced together with the covariance of the rates in ``ship/imu``."""
 
 
 def is_black_box(bag: Bag) -> bool:
-    """Whether a bag was written by a node's black box."""
+    """True if a bag was written by a node's black box."""
     return METADATA in bag.metadata or EVENTS_TOPIC in bag.topics
 
 
 def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
-    """The adapter of the node that wrote a box.
+    """Return the adapter of the node that wrote a black box.
 
     Raises:
-        BadInput: the box is of another format or of a node that is not known here.
+        BadInput: the black box has another format, or its node is not known here.
     """
     if METADATA not in bag.metadata:
         raise BadInput(f"metadata record '{METADATA}' is missing: the head of the black box is damaged", file=bag.path)
@@ -49,7 +49,7 @@ def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
         )
     part = entries.get("part", "1")
     if part != "1":
-        text = f"part {part} of a black box: give its first file, {entries.get('first')}, with all parts beside it"
+        text = f"part {part} of a black box: give its first file, {entries.get('first')}, with all parts in its folder"
         raise BadInput(text, file=bag.path)
     known = {adapter.node_name: adapter for adapter in adapters}
     if entries.get("node") not in known:
@@ -61,34 +61,34 @@ def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
 
 
 def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> Any:
-    """The configuration to replay a box with: its own, or that of a file; the latter is noted in ``notes``.
+    """Return the configuration to replay a black box with: its own, or that of a file, which is noted in ``notes``.
 
     Raises:
-        BadInput: the box is of another version of the suite or lacks an attachment, and no file was given; or the
-            parameters are not those of this node.
+        BadInput: the black box is of another version of the suite or lacks an attachment, and no file was given; or the
+            parameters do not fit this node.
     """
     _check_versions(bag, adapter_class, config_path, notes)
     name = adapter_class.node_name
-    # Its own parameters are this node's, wherever it ran; a file must fit it as it would have then.
+    # Its own parameters fit in any namespace; a file must fit the node's full name.
     node = anywhere(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
     config = _as_the_node_knew_it(suite_config(bag, adapter_class, config_path, node), bag, node, config_path)
     if config_path is not None:
         changes = _changes(bag, config, adapter_class)
-        notes.append(f"replayed with {config_path} instead of the box's own parameters{changes}")
+        notes.append(f"replayed with {config_path} instead of the black box's own parameters{changes}")
     return config
 
 
 def older_messages(bag: Bag) -> dict[str, Callable[[Any], Any]]:
-    """Output topic → function that returns a message as the release that wrote the box made it; empty for this one."""
+    """Return output topic → function that converts a message to the recording release; empty for this release."""
     own = _own_parameters(bag)
     return {"ship/imu": _without_rate_covariance} if own and _SINCE_RATE_COVARIANCE not in own else {}
 
 
 def check_definitions(bag: Bag) -> None:
-    """Check that all messages that are compared are defined as here.
+    """Check that the definitions of all compared messages are the same here.
 
     Raises:
-        BadInput: names the fields that are not.
+        BadInput: names the fields that differ.
     """
     for topic, type_name in sorted(bag.topics.items()):
         if type_name not in ASIDE and type_name in bag.differences:
@@ -99,10 +99,10 @@ def check_definitions(bag: Bag) -> None:
 
 
 def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: bool) -> None:
-    """Check that all topics of the box are topics of the adapter, with the same types.
+    """Check that all topics of the black box are topics of the adapter, with the same types.
 
     Raises:
-        BadInput: names the topic; with another configuration this is said in ``notes`` instead.
+        BadInput: names the topic; with another configuration it is added to ``notes`` instead.
     """
     expected = {topic.topic: topic.type_name for topic in adapter.inputs}
     expected |= {topic.topic: topic.type_name for topic in adapter.outputs}
@@ -111,8 +111,8 @@ def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: boo
             continue
         text = f"topic '{topic}' ({type_name}) is no topic of {adapter.node_name} with these parameters"
         if not other_config:
-            raise BadInput(f"{text}: was the box written with others? give them by --config", file=bag.path)
-        notes.append(f"{text}: left out")
+            raise BadInput(f"{text}: if it was written with other parameters, give them by --config", file=bag.path)
+        notes.append(f"{text}: ignored")
 
 
 def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> None:
@@ -132,9 +132,10 @@ def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | 
 
 
 def _as_the_node_knew_it(config: Any, bag: Bag, node: str, config_path: Path | None) -> Any:
-    """The configuration without what the node that wrote the box could not do; a file may ask for it nevertheless.
+    """Return the configuration without functions unknown to the release that wrote the black box.
 
-    A box holds all parameters of its node, also those at their defaults: the node did not know one that is missing.
+    A black box holds all parameters of its node, defaults included, so a missing one was unknown to it. A file may
+    still set such a parameter.
     """
     known = _own_parameters(bag) | (set() if config_path is None else set(read(config_path, node).lines))
     values = flatten(config)
@@ -143,14 +144,14 @@ def _as_the_node_knew_it(config: Any, bag: Bag, node: str, config_path: Path | N
 
 
 def _own_parameters(bag: Bag) -> set[str]:
-    """Dotted names of the parameters that the box holds, and of their groups; empty where its attachment is missing."""
+    """Return dotted names of the parameters in the black box and of their groups; empty without its attachment."""
     if SUITE_ATTACHMENT not in bag.attachments:
         return set()
     return set(read_whatever_fits(suite_text(bag, None), anywhere(bag.metadata[METADATA]["node"])).lines)
 
 
 def _without_rate_covariance(message: Any) -> Any:
-    """Return a sensor_msgs/Imu with zeros in place of the covariance of its rates, where it has rates."""
+    """Return a sensor_msgs/Imu with zeros as covariance of its rates, if it has rates."""
     imu: Any = message_store().deserialize_cdr(serialize(message), message.__msgtype__)
     if imu.angular_velocity_covariance[0] > 0.0:
         imu.angular_velocity_covariance = np.zeros(9)
@@ -171,7 +172,7 @@ def _differing(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def _changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
-    """The parameters whose values are not those of the box, as text; empty where the box does not hold its own."""
+    """Return the parameters that differ from those of the black box, as text; empty if it does not contain its own."""
     try:
         own, now = flatten(suite_config(bag, adapter_class, None, anywhere(adapter_class.node_name))), flatten(config)
     except BadInput:

@@ -1,6 +1,6 @@
-"""Replays a node's black box: the same uses in the same order, the outputs compared with those recorded.
+"""Replay of a node's black box: the same inputs in the same order, the outputs compared with the recorded ones.
 
-The files that the node read and wrote are given back from the box instead of the disk.
+File reads are answered from the black box instead of the disk, and file writes are compared with it.
 """
 
 import os
@@ -48,7 +48,7 @@ Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 class AnotherFileUse(Exception):
-    """The replay used a file in another way than the node did."""
+    """The replay used a file differently from the node."""
 
     def __init__(self, difference: Difference) -> None:
         super().__init__(difference.line)
@@ -56,9 +56,9 @@ class AnotherFileUse(Exception):
 
 
 class RecordedFiles:
-    """The files of a node as its box holds them.
+    """Files of a node as recorded in its black box.
 
-    A read gives what the node read. A write is compared with what the node wrote; nothing reaches the disk.
+    A read returns the recorded content. A write is compared with the recorded one; nothing is written to the disk.
     """
 
     def __init__(self) -> None:
@@ -66,23 +66,23 @@ class RecordedFiles:
         self.time_ns = 0
 
     def expect(self, use: FileUse) -> None:
-        """Note the next use by the node."""
+        """Add the next recorded use of a file."""
         self._uses.append(use)
 
     def read(self, path: Path) -> bytes:
-        """What the node read at this moment.
+        """Return the content that the node read at this time.
 
         Raises:
-            OSError: as it failed for the node.
+            OSError: as recorded for the node.
             AnotherFileUse: the node read nothing, or another file.
         """
         return self._next(path, written=False).content or b""
 
     def write(self, path: Path, content: bytes) -> None:
-        """Compare with what the node wrote at this moment.
+        """Compare with the content that the node wrote at this time.
 
         Raises:
-            OSError: as it failed for the node.
+            OSError: as recorded for the node.
             AnotherFileUse: the node wrote nothing, another file or other bytes.
         """
         recorded = self._next(path, written=True).content or b""
@@ -90,10 +90,10 @@ class RecordedFiles:
             raise AnotherFileUse(_content_difference(path, self.time_ns, recorded, content))
 
     def set_aside(self, path: Path) -> Path:
-        """Return the path to which the node renamed a file at this moment.
+        """Return the path to which the node renamed a file at this time.
 
         Raises:
-            OSError: as it failed for the node.
+            OSError: as recorded for the node.
             AnotherFileUse: the node set nothing aside, or another file.
         """
         return Path((self._next(path, written=True).content or b"").decode())
@@ -116,17 +116,17 @@ def replay_black_box(
     out_path: Path | None = None,
     watch: Watcher = lambda records, bag: records,
 ) -> Verification:
-    """Replay a black box up to its end or to where something is missing.
+    """Replay a black box up to its end or to the first missing entry.
 
     Args:
-        bag: the box.
-        adapters: of the nodes that are known here.
-        config_path: configuration to use instead of the box's own.
-        out_path: bag that takes the outputs; without it the replay ends at the first difference.
-        watch: wraps the iteration over the box, for a progress bar.
+        bag: the black box.
+        adapters: adapters of the nodes known here.
+        config_path: configuration to use instead of the black box's own.
+        out_path: bag for the outputs; without it the replay ends at the first difference.
+        progress: wraps the iteration over the black box, for a progress bar.
 
     Raises:
-        BadInput: the box does not serve; the text says why.
+        BadInput: the black box cannot be replayed; the text states why.
     """
     adapter_class = box_adapter(bag, adapters)
     check_definitions(bag)
@@ -150,7 +150,7 @@ def replay_black_box(
 
 
 class _BoxReplay:
-    """Gives an adapter what the node's own was given, entry by entry, and compares what comes out."""
+    """Replay of a black box, entry by entry, with comparison of the outputs."""
 
     def __init__(
         self,
@@ -173,7 +173,7 @@ class _BoxReplay:
         self._closed = False
 
     def run(self, watch: Watcher) -> None:
-        """Go through the box."""
+        """Process all entries of the black box."""
         for number, record in enumerate(watch(self._bag.records_in_file_order(), self._bag), 1):
             if record.sequence != number:
                 self._result.unverified = f"entries are missing before {utc_text(record.log_time_ns)}"
@@ -186,10 +186,10 @@ class _BoxReplay:
                 return
         if not self._closed:
             self._result.cut = True
-            self._result.unverified = f"the box ends suddenly, at {utc_text(self._files.time_ns)}"
+            self._result.unverified = f"the black box ends suddenly, at {utc_text(self._files.time_ns)}"
 
     def _take(self, record: BagRecord) -> None:
-        """One entry of the box."""
+        """Process one entry of the black box."""
         time_ns = self._files.time_ns = record.log_time_ns
         if record.topic == EVENTS_TOPIC:
             self._take_event(event_from_text(record.decode().data), time_ns, record.publish_time_ns)
@@ -203,7 +203,7 @@ class _BoxReplay:
 
     def _take_event(self, event: Event, time_ns: int, waiting_ns: int) -> None:
         if isinstance(event, FileUsed):
-            # Those of its construction come before there is an adapter.
+            # Files used by the constructor are recorded before the adapter exists.
             self._files.expect(FileUse(event.path, event.written, self._attached(event), event.error))
             return
         adapter = self._ready_adapter()
@@ -235,7 +235,7 @@ class _BoxReplay:
             self._closed = True
 
     def _use(self, what: str, time_ns: int, call: Callable[[], list[Published]]) -> None:
-        """Use the adapter; its outputs wait for their records in the box."""
+        """Call the adapter; its outputs wait for their records in the black box."""
         published = self._call(what, time_ns, call) or []
         for topic, message in published:
             if topic in self._older_messages:
@@ -246,7 +246,7 @@ class _BoxReplay:
                 self._awaited.append((topic, message))
 
     def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
-        """The result of a call; None where it raised an error, which did not end the node either."""
+        """Return the result of a call; None if it raised an error, which did not end the node either."""
         self._expect_nothing_left(time_ns)
         self._result.used[what] += 1
         try:
@@ -258,11 +258,11 @@ class _BoxReplay:
             return None
 
     def _ready_adapter(self) -> Adapter:
-        """The adapter. It is made at its first use: then the files that the node read at its start are known."""
+        """Return the adapter, created at its first use: by then the files read at start are known."""
         if self._adapter is None:
             self._adapter = self._make_adapter()
             self._inputs = {topic.topic for topic in self._adapter.inputs}
-            # A box names all topics of its node: what is not in it came after the release that wrote it.
+            # A black box contains all topics of its node: others were introduced after the release that wrote it.
             self._outputs = {
                 topic.topic
                 for topic in self._adapter.outputs
@@ -296,7 +296,7 @@ class _BoxReplay:
             self._result.add_difference(difference)
 
     def _expect_nothing_left(self, time_ns: int) -> None:
-        """Check that the box holds all outputs of the last use."""
+        """Check that the black box contains all outputs of the last call."""
         if self._awaited:
             topic, message = self._awaited.popleft()
             self._result.add_difference(Difference(topic, stamp_of(message, time_ns), "", "nothing", "a message"))
@@ -304,7 +304,7 @@ class _BoxReplay:
 
 
 def _refusal(adapter: Adapter, event: ParametersChanged) -> str | None:
-    """Why the adapter refuses live parameters; None where it takes them."""
+    """Return the adapter's error about live parameters; None if it accepts them."""
     try:
         adapter.set_parameters(event.changes)
     except ParameterError as error:
@@ -317,7 +317,7 @@ def _use_text(use: FileUse | None) -> str:
 
 
 def _content_difference(path: Path, time_ns: int, recorded: bytes, replayed: bytes) -> Difference:
-    """The first line that differs."""
+    """Return the first line that differs."""
     one, other = (content.decode(errors="replace").splitlines() for content in (recorded, replayed))
     for number, (a, b) in enumerate(zip(one, other, strict=False), 1):
         if a != b:

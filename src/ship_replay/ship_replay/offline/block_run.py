@@ -1,8 +1,7 @@
-"""A replay in blocks: the messages of some time go through one node after another, those of an INS judged together.
+"""Replay in blocks: batches of messages pass one node after another, and INS samples are checked together.
 
-What is published, and in which order, is what :class:`ship_replay.offline.replay_run.ReplayRun` makes of the same
-messages one by one. Data flow from node to node one way, so that a node may see all of a time before the next one sees
-any of it.
+Outputs and their order are those of :class:`ship_replay.offline.replay_run.ReplayRun` for the same messages one by one.
+Data flow between nodes in one direction only, so a node may process a whole batch before the next one.
 """
 
 from collections import defaultdict
@@ -29,17 +28,17 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import StatusCourse
 
 _MOST = 1000
-"""Messages that are looked at together, at most."""
+"""Maximum number of messages per batch."""
 _LEAST = 3
-"""Fewer of one topic are taken one by one."""
+"""Minimum number of messages of one topic for a block; fewer are processed one by one."""
 
 _NODE_BITS = 32
-"""The order of what is published at one moment: the number of the node stands above these bits."""
+"""Number of bits of the order below the node number in the order of one event's outputs."""
 _BEHIND_ALL = 1 << 62
 
 
 class BlockRun(ReplayRun):
-    """A chain of adapters fed with blocks; arguments as of :class:`ReplayRun`, the sink takes many messages at once."""
+    """Replay of a chain of adapters in blocks; arguments as of :class:`ReplayRun`, with a sink that accepts batches."""
 
     def __init__(
         self, chain: AdapterChain, writer: ManySink, summary: ReplaySummary, truth_topics: Container[str]
@@ -50,20 +49,20 @@ class BlockRun(ReplayRun):
         self._templates: dict[tuple[str, int], CdrTemplate | None] = {}
 
     def take(self, topic: str, record: BagRecord) -> None:
-        """One message of the bag, in order of log time."""
+        """Buffer one message of the bag, in order of log time; process the batch when it is full."""
         self._waiting.append((topic, record))
         if len(self._waiting) == _MOST:
             self._take_waiting()
 
     def finish(self) -> None:
-        """Take what waits, and write all that is not written."""
+        """Process the buffered messages and write all pending outputs."""
         self._take_waiting()
         self._output.place = _BEHIND_ALL, 0
         super().finish()
         self._output.flush()
 
     def _take_waiting(self) -> None:
-        """Let what waits go through one node after another, then hand on what these published."""
+        """Process the buffered messages by one node after another, then write the outputs."""
         records, self._waiting = self._waiting, []
         moments, of_moment = self._moments(records)
         rows = self._rows(moments, of_moment)
@@ -79,7 +78,7 @@ class BlockRun(ReplayRun):
     # -- what goes in ---------------------------------------------------------------------------------------
 
     def _moments(self, records: list[tuple[str, BagRecord]]) -> tuple[list[Moment], list[BagRecord | None]]:
-        """The ticks and messages of some time, and the record of each message."""
+        """Return the ticks and messages of a batch, and the record of each message."""
         moments: list[Moment] = []
         of_moment: list[BagRecord | None] = []
         for topic, record in records:
@@ -90,7 +89,7 @@ class BlockRun(ReplayRun):
         return moments, of_moment
 
     def _rows(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[str, TopicBlock]:
-        """The messages of topics that may be taken in blocks; all others are decoded."""
+        """Return the messages of topics that may be processed in blocks; all others are decoded."""
         blocks = self._chain.topics_in_blocks()
         places: dict[str, list[int]] = defaultdict(list)
         for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
@@ -111,7 +110,7 @@ class BlockRun(ReplayRun):
         return rows
 
     def _truth(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[int, AttitudeSample | None]:
-        """Number of a moment → what the message of the truth there says, where that is read many at once."""
+        """Return event index → sample of the truth, where truth messages are read as a block."""
         found: dict[int, AttitudeSample | None] = {}
         for errors in self._errors:
             truth_topic = errors.orientation.truth_topic
@@ -128,7 +127,7 @@ class BlockRun(ReplayRun):
             self._summary.undecodable[moment.topic] += 1
 
     def _laid_out(self, records: list[BagRecord]) -> CdrRows | None:
-        """Messages as rows; None where they are few, laid out in different ways, or in one unknown."""
+        """Return messages as rows; None if they are too few, differ in layout, or have an unknown layout."""
         if len(records) < _LEAST:
             return None
         first, length = records[0], len(records[0].data)
@@ -144,7 +143,7 @@ class BlockRun(ReplayRun):
         return CdrRows(template, rows) if template.fitting(rows).all() else None
 
     def _note(self, moments: list[Moment], of_moment: list[BagRecord | None], rows: dict[str, TopicBlock]) -> None:
-        """Note which messages come, and when."""
+        """Add the messages to the statistics of the inputs."""
         for topic, (messages, times_ns, _) in rows.items():
             stamps_ns = stamps_of_rows(messages.numbers)
             self._summary.inputs[topic] += len(times_ns)
@@ -159,9 +158,9 @@ class BlockRun(ReplayRun):
     def _given(
         self, adapter: Adapter, passed: list[Passed], taken: Container[str], moments: list[Moment]
     ) -> dict[int, list[Published]]:
-        """Number of a moment → what the nodes before published there, of some topics, in their order.
+        """Return event index → messages of earlier nodes on some topics, in order.
 
-        What the adapter can read many at once is read already.
+        Messages that the adapter can read as a block are already read.
         """
         found: list[tuple[int, int, int, Published]] = []
         for node, one in enumerate(passed):
@@ -182,7 +181,7 @@ class BlockRun(ReplayRun):
         return given
 
     def _add_rows(self, node: int, passed: Passed, moments: list[Moment]) -> None:
-        """Let the messages that a node's estimates became go out."""
+        """Queue the messages made from a node's estimates."""
         for rows, places, orders in passed.rows:
             self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, _times_ns(moments, places))
             for errors in self._errors:
@@ -197,7 +196,7 @@ class BlockRun(ReplayRun):
         passed: list[Passed],
         truth: Mapping[int, AttitudeSample | None],
     ) -> None:
-        """Hand on what was published, moment by moment, with the truth and the errors against it."""
+        """Write the outputs event by event, with the truth and the errors against it."""
         single: dict[int, list[tuple[int, list[Published]]]] = defaultdict(list)
         runs: dict[int, list[tuple[str, Any]]] = defaultdict(list)
         for node, one in enumerate(passed):
@@ -225,12 +224,12 @@ class BlockRun(ReplayRun):
 
 
 def _times_ns(moments: list[Moment], places: StampArray) -> StampArray:
-    """When some moments are."""
+    """Return the times of some events, ns."""
     return np.array([moments[place].now_ns for place in places.tolist()], dtype=np.int64)
 
 
 def _template(record: BagRecord) -> CdrTemplate | None:
-    """How a message is laid out; None where that cannot be told."""
+    """Return the layout of a message; None if it cannot be determined."""
     try:
         return CdrTemplate.of_message(record.type_name, lambda name: definition_in(record.store, name), record.data)
     except (ValueError, TypeError):

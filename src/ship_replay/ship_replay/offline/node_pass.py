@@ -1,7 +1,8 @@
-"""One node's way through the messages and ticks of some time, its inputs in blocks where they go the usual way.
+"""One node's processing of a batch of messages and ticks, its inputs in blocks where possible.
 
-A node is given, moment by moment, what it is given one by one: what the nodes before it published, then the message of
-the bag or the tick. Only what does not depend on the others is done for the messages of a block together.
+For each event the node receives the same as in message-by-message replay: outputs of the nodes before it, then the
+message of the bag or the tick. Only work that does not depend on other inputs is done for the messages of a block
+together.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -19,7 +20,7 @@ from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import Published
 
 _PATIENCE = 8
-"""Where a message does not go the usual way, so many after it are taken one by one."""
+"""Number of messages processed one by one after a block could not be started."""
 
 
 @dataclass(slots=True)
@@ -27,9 +28,9 @@ class Moment:
     """A tick, or a message of the bag.
 
     Attributes:
-        now_ns: the time.
-        topic: of the message, relative; empty for a tick.
-        message: decoded; None for a tick, and where it cannot be decoded.
+        now_ns: time of the event.
+        topic: relative topic of the message; empty for a tick.
+        message: decoded message; None for a tick, and if it cannot be decoded.
     """
 
     now_ns: int
@@ -38,12 +39,12 @@ class Moment:
 
 
 class TopicBlock(NamedTuple):
-    """The messages of one topic among the moments, all laid out alike.
+    """Messages of one topic among the events, all with the same layout.
 
     Attributes:
         messages: the messages.
-        times_ns: when each came, shape (N,).
-        places: numbers of their moments, shape (N,).
+        times_ns: arrival times, shape (N,).
+        event_indices: indices of their events, shape (N,).
     """
 
     messages: CdrRows
@@ -54,14 +55,14 @@ class TopicBlock(NamedTuple):
 def read_ahead(
     adapter: Adapter, topic: str, messages: CdrRows, times_ns: StampArray
 ) -> Sequence[ReadMessage[Any] | None]:
-    """What a node reads of messages before their turn; None for each that it reads then."""
+    """Return a node's readings of messages before they are processed; None for each that must be read later."""
     if isinstance(adapter, BlockAdapter) and adapter.reads_rows(topic):
         return adapter.read_rows(topic, messages, times_ns)
     return [None] * len(times_ns)
 
 
 class EstimatesOfMoments(NamedTuple):
-    """Estimates, one at each of several moments; ``orders`` are their places among what else was published there."""
+    """Estimates of several events; ``orders`` are their positions among the other outputs of the event."""
 
     topic: str
     places: StampArray
@@ -70,7 +71,7 @@ class EstimatesOfMoments(NamedTuple):
 
 
 class RowsOfMoments(NamedTuple):
-    """The messages of estimates on one topic, and the number of the moment and the order of each."""
+    """Messages of estimates on one topic, with the event index and the order of each."""
 
     rows: PublishedRows
     places: StampArray
@@ -79,12 +80,12 @@ class RowsOfMoments(NamedTuple):
 
 @dataclass
 class Passed:
-    """What a node published.
+    """Outputs of a node.
 
     Attributes:
-        single: number of the moment, order within it, and messages.
-        runs: estimates.
-        rows: the messages that these become.
+        messages: event index, order within the event, and messages.
+        estimates: estimates.
+        message_batches: messages made from the estimates.
     """
 
     single: list[tuple[int, int, list[Published]]] = field(default_factory=list)
@@ -93,15 +94,15 @@ class Passed:
 
 
 class NodePass:
-    """The way of one node.
+    """Processing of a batch by one node.
 
     Args:
         adapter: the node.
-        taken: topics that it takes.
-        moments: in order.
-        rows: topic → its messages, of topics that some node may take in blocks; the others are decoded.
-        given: number of a moment → what the nodes before it published there, of topics that it takes: messages, and
-            what :func:`read_ahead` gave of such.
+        input_topics: input topics of the node.
+        events: events in order.
+        rows: topic → its messages, for topics that some node may process in blocks; the others are decoded.
+        forwarded: event index → messages that the nodes before it published, of its input topics, some already read by
+            :func:`read_ahead`.
     """
 
     def __init__(
@@ -119,12 +120,12 @@ class NodePass:
             for topic, block in rows.items()
             if topic in taken
         }
-        # The same node, as one that takes blocks; None where it does not.
+        # The same node if it processes blocks; else None.
         self._ahead = adapter if isinstance(adapter, BlockAdapter) else None
         self._turn: BlockTurn | None = None
         self._turn_places: StampArray = np.empty(0, dtype=np.int64)
         self._arrived = self._patience = self._order = 0
-        # The same node, as one whose outputs are put out together, and the moment and the order of each of these.
+        # The same node if it publishes outputs later, and the event index and order of each pending output.
         self._deferring = adapter if isinstance(adapter, DeferringAdapter) else None
         self._promised: list[tuple[int, int]] = []
         if self._deferring is not None:
@@ -132,7 +133,7 @@ class NodePass:
         self.passed = Passed()
 
     def run(self) -> Passed:
-        """Go through all moments, then make the messages of the estimates."""
+        """Process all events, then make the messages of the estimates."""
         for place, moment in enumerate(self._moments):
             for topic, message in self._given.get(place, ()):
                 self._handle(place, topic, message)
@@ -156,14 +157,14 @@ class NodePass:
             self.passed.rows.append(RowsOfMoments(rows, places[rows.places], orders[rows.places]))
 
     def _tick(self, place: int, now_ns: int) -> None:
-        # In the time of a block a tick does nothing for the node itself, or the block would end before it.
+        # Within a block a tick has no effect on the node, or the block would end before it.
         if self._turn is not None and self._ahead is not None and self._ahead.quiet_ticks:
             return
         self._take_arrived()
         self._publish(place, self._adapter.tick(now_ns))
 
     def _take_arrived(self) -> None:
-        """Let the messages of a block that came have their turn, before another input has."""
+        """Commit the messages of the block that arrived so far, before another input is processed."""
         if self._turn is not None:
             assert self._ahead is not None
             self._publish_parts(self._ahead.take_ahead(self._turn, self._arrived))
@@ -178,7 +179,7 @@ class NodePass:
             self._publish(place, self._adapter.handle(topic, message, now_ns))
 
     def _arrive(self, place: int, moment: Moment) -> None:
-        """A message that stands among rows."""
+        """Process a message of a topic block."""
         number = self._next[moment.topic]
         self._next[moment.topic] += 1
         if self._turn is None and self._ahead is not None and self._ahead.takes_blocks(moment.topic):
@@ -195,12 +196,12 @@ class NodePass:
             self._publish_parts(self._ahead.end_ahead(turn))
 
     def _begin(self, adapter: BlockAdapter, topic: str, number: int) -> BlockTurn | None:
-        """Begin a block with a message, where it goes the usual way."""
+        """Start a block with a message, if possible."""
         if self._patience:
             self._patience -= 1
             return None
         rows, turn = self._rows[topic], None
-        # The first tick that is not quiet comes before the message logged with it.
+        # The first tick with an effect comes before the message logged at the same time.
         tick_ns = -(-adapter.quiet_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
         some = slice(number, int(np.searchsorted(rows.times_ns, tick_ns)))
         if some.stop > some.start:
@@ -220,7 +221,7 @@ class NodePass:
                 self._order += 2  # for what is published before it, and itself
 
     def _publish_promised(self, adapter: DeferringAdapter) -> None:
-        """What the moments of this pass have led to and was put out together."""
+        """Collect the outputs that were deferred during this pass."""
         places, orders = np.array(self._promised, dtype=np.int64).T
         for part in adapter.take_parts():
             if part.published:

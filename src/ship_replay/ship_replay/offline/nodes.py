@@ -1,4 +1,4 @@
-"""The nodes of the suite that can be replayed."""
+"""Nodes of the suite that can be replayed."""
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
@@ -6,4 +6,4 @@ from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
 
 ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter, TriangulationAdapter)
-"""Their adapters, the main one first: it runs by a configuration that names no node, too."""
+"""Adapters of these nodes. The first is the main one: it also runs with a configuration that names no node."""

@@ -1,4 +1,4 @@
-"""What a replay publishes of some time, kept until all of it is there, and written in the order of one by one."""
+"""Buffer of a replay's outputs, written in the order of message-by-message replay."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from ship_node.edge.blocks import PublishedRows, StampArray
 
 
 class ManySink(Protocol):
-    """Takes many messages at once: a bag that is written."""
+    """Receiver of many messages at once: a bag writer."""
 
     def write_many(
         self, topics: Sequence[tuple[str, str]], of_topic: StampArray, data: Sequence[bytes], log_times_ns: StampArray
@@ -21,13 +21,13 @@ class ManySink(Protocol):
 
 
 class _Messages(NamedTuple):
-    """Messages that wait; each attribute has one element for each message.
+    """Buffered messages; each attribute has one element per message.
 
     Attributes:
-        places: with the two, in which order they are written.
-        orders: the same within one place.
-        topics: number of each one's topic.
-        log_times_ns: when it is logged.
+        indices: first sort key, the index of the event.
+        orders: second sort key, the order within the event.
+        topics: number of the topic.
+        log_times_ns: log time.
     """
 
     places: StampArray
@@ -37,14 +37,14 @@ class _Messages(NamedTuple):
 
 
 class OrderedOutput:
-    """Keeps messages, and writes them in the order of their places.
+    """Buffer that sorts messages by event and order before writing.
 
     Args:
-        sink: takes them.
-        counts: topic → messages written, is filled for those that come as rows.
+        sink: receives the messages.
+        counts: topic → messages written; filled for messages added as rows.
 
     Attributes:
-        place: of the messages that come one by one, and order within it.
+        position: event index and order of messages written one by one.
     """
 
     def __init__(self, sink: ManySink, counts: Counter[str]) -> None:
@@ -57,25 +57,25 @@ class OrderedOutput:
         self._row_data: list[bytes] = []
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take a message."""
+        """Add a message."""
         self.write_raw(topic, message.__msgtype__, serialize(message), log_time_ns)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Take a message given by its bytes."""
+        """Add a serialised message."""
         self._single.append((*self.place, self._topic(topic, type_name), log_time_ns))
         self._data.append(data)
 
     def add_rows(
         self, rows: PublishedRows, places: StampArray, orders: StampArray, log_times_ns: StampArray
     ) -> None:
-        """Take messages of one topic, with place, order and log time of each."""
+        """Add messages of one topic, with event index, order and log time of each."""
         topic = np.full(len(places), self._topic(rows.topic, rows.messages.type_name))
         self._rows.append(_Messages(places, orders, topic, log_times_ns))
         self._row_data += rows.messages.each()
         self._counts[rows.topic] += len(places)
 
     def flush(self) -> None:
-        """Write all that waits."""
+        """Write all buffered messages."""
         single = np.array(self._single, dtype=np.int64).reshape(-1, 4).T
         places, orders, topics, log_times_ns = (
             np.concatenate(columns) for columns in zip(single, *self._rows, strict=True)
@@ -83,7 +83,7 @@ class OrderedOutput:
         data = self._data + self._row_data
         self._single, self._rows, self._data, self._row_data = [], [], [], []
         if data:
-            # What has one place and order keeps the order in which it came.
+            # The sort is stable: messages with equal keys keep their order.
             order = np.lexsort((orders, places))
             ordered = [data[number] for number in order.tolist()]
             self._sink.write_many(list(self._topics), topics[order], ordered, log_times_ns[order])

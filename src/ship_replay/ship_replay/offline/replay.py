@@ -1,8 +1,8 @@
-"""Replays a bag through the adapters of the suite's nodes, in process and as fast as it goes.
+"""Replay of a bag through the adapters of the suite's nodes, in process and as fast as possible.
 
-Messages are handed over in order of log time, with the log time as time of arrival, or of their stamps; between them
-the adapters are ticked on a fixed grid. The same bag and configuration give the same output, byte for byte, whether the
-messages are handed over one by one or in blocks.
+Messages are processed in order of log time, which is their arrival time, or in order of stamps; between them the
+adapters are ticked on a fixed grid. The same bag and configuration give the same output, byte for byte, whether
+messages are processed one by one or in blocks.
 """
 
 import time
@@ -44,16 +44,16 @@ def replay(
     Args:
         bag_path: .mcap file or rosbag2 folder.
         out_path: .mcap file to write; it appears only when the replay is complete.
-        adapter_classes: of the nodes that may take part, the main one first.
+        adapter_classes: adapters of the nodes that may take part, the main one first.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
-        by_stamps: messages arrive at their stamps, whenever they were logged.
-        one_by_one: each message is handed over by itself, as a live node hears it; otherwise those of a topic that
-            can be taken together are handed over in blocks, which gives the same in a fraction of the time.
+        progress: wraps the iteration over the bag, for a progress bar.
+        by_stamps: if true, messages arrive at their stamps instead of their log times.
+        one_by_one: if true, each message is processed by itself, as in a live node; otherwise messages of a topic are
+            processed in blocks where possible, with the same result in a fraction of the time.
 
     Raises:
-        BadInput: the bag, its topics or the configuration do not serve; nothing is written.
+        BadInput: the bag, its topics or the configuration cannot be used; nothing is written.
     """
     started_s = time.monotonic()
     with read_bag(bag_path) as bag:
@@ -80,7 +80,7 @@ def replay(
                 looked_for = sorted(relative_names) or sorted({topic.topic for topic in chain.inputs})
                 text = f"no message of {', '.join(looked_for)} could be read{told}"
                 if not relative_names:
-                    text += "; where the bag has them in a namespace, name it (--namespace)"
+                    text += "; if the topics are in a namespace, give it by --namespace"
                 raise BadInput(text, file=bag_path)
             run.finish()
         last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
@@ -96,7 +96,7 @@ def replay(
 def _tell_of_node(
     summary: ReplaySummary, adapter: Adapter, config: Any, health: Sequence[Any], is_alone: bool
 ) -> None:
-    """Note why a node's outputs were no better, and what it did not use of its inputs."""
+    """Add a node's reasons for poor statuses and its rejected and noted messages to the summary."""
     for output in adapter.outputs:
         if output.topic in summary.statuses:
             course = summary.statuses[output.topic]
@@ -109,7 +109,7 @@ def _tell_of_node(
 
 
 def usual_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
-    """Log time minus stamp of most of the messages."""
+    """Return the median of log time minus stamp over all messages, ns."""
     times = LogTimes()
     with read_bag(bag_path) as bag:
         for record in bag.records(relative_names):
@@ -118,10 +118,10 @@ def usual_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
 
 
 def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> dict[str, str]:
-    """Relative name → name in the bag, of the adapter's input topics that the bag holds.
+    """Return relative name → name in the bag, for the adapter's input topics that the bag contains.
 
     Raises:
-        BadInput: a required topic is missing, a topic has another type, or a message definition lacks something.
+        BadInput: a required topic is missing, a topic has another type, or a message definition lacks a field.
     """
     found = relative_topics(bag.topics, namespace)
     required = [topic.topic for topic in adapter.inputs if topic.required]
@@ -150,13 +150,17 @@ def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> d
 
 
 def truth_names(bag: Bag, namespace: str) -> dict[str, str]:
-    """Relative name → name in the bag, of the truth topics, which are copied."""
+    """Return relative name → name in the bag, for the truth topics.
+
+    Raises:
+        BadInput: the message definition of a truth topic differs, so it cannot be copied.
+    """
     found = relative_topics(bag.topics, namespace)
     names = {relative: name for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
     for name in names.values():
         if bag.topics[name] in bag.differences:
             lines = "; ".join(bag.differences[bag.topics[name]])
-            raise BadInput(f"topic '{name}' cannot be copied, its definition is another: {lines}", file=bag.path)
+            raise BadInput(f"topic '{name}' cannot be copied, its message definition differs: {lines}", file=bag.path)
     return names
 
 
@@ -166,7 +170,7 @@ def announce(writer: BagWriter, bag: Bag, outputs: Sequence[OutputTopic], config
     if SCENARIO_ATTACHMENT in bag.attachments:
         writer.add_attachment(SCENARIO_ATTACHMENT, bag.attachments[SCENARIO_ATTACHMENT])
     for name, entries in bag.metadata.items():
-        # rosbag2 keeps its own file information in a record of that name; it would be wrong in another file.
+        # rosbag2 stores its own file information in this record; it would be wrong in another file.
         if name not in ("rosbag2", COMMIT_RECORD):
             writer.add_metadata(name, entries)
     if commit := commit_record():

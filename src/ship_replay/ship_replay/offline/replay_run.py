@@ -1,4 +1,4 @@
-"""One replay: the messages of a bag are handed to adapters, and what these publish goes to a file or to a judge."""
+"""One replay: messages of a bag are passed to adapters, and the published messages to a sink."""
 
 from collections import Counter
 from collections.abc import Container
@@ -21,29 +21,32 @@ from ship_replay.offline.truth_errors import TruthErrors
 from ship_watch.orientations import ORIENTATIONS
 
 _LONGEST_SILENCE_NS = 600 * NS_PER_S
-"""Ticks stop this long after the last message. By then the nodes have said all that they say of a silence. A log time
-decades ahead, of a damaged file or of a clock set wrongly, must not lead to hours of ticks."""
+"""Maximum time after a message for which ticks are generated, ns.
+
+By then every timeout of the nodes has expired. The limit avoids hours of ticks after a wrong log time, from a damaged
+file or a wrong clock.
+"""
 
 
 @dataclass
 class ReplaySummary:
-    """What a replay did.
+    """Result of a replay.
 
     Attributes:
-        inputs: relative topic → messages handed over.
-        outputs: topic → messages written, truth included.
-        refused: relative topic → reason → messages not used.
-        noted: relative topic → reason → messages used with a note, or parts of them that were not.
-        undecodable: relative topic → messages whose bytes are not of their type.
-        statuses: topic of a status → its course over time.
-        exclusions: topic of Integrity messages → the exclusions that they report.
-        times: relative topic → when its messages were stamped and arrived.
-        log_times: how regularly they were logged.
+        inputs: relative topic → number of messages processed.
+        outputs: topic → number of messages written, truth included.
+        rejected: relative topic → reason → number of messages not used.
+        accepted_with_note: relative topic → reason → number of messages used with a note, or of their parts not used.
+        undecodable: relative topic → number of messages that do not match their type.
+        status_histories: topic with a status → its status history.
+        exclusions: topic of Integrity messages → the reported exclusions.
+        times: relative topic → stamps and arrival times of its messages.
+        log_delays: statistics of log time minus stamp.
         reasons: why outputs were INVALID or DEGRADED, one line each.
         absent: optional input topics that are not in the bag.
         problems: what is wrong with the bag, one line each.
         duration_s: length of the bag.
-        elapsed_s: time that the replay took.
+        elapsed_s: processing time.
     """
 
     inputs: Counter[str] = field(default_factory=Counter)
@@ -63,7 +66,7 @@ class ReplaySummary:
 
 
     def course_lines(self) -> list[str]:
-        """Return each output's statuses over time, with the sources excluded and reinstated below them."""
+        """Return each output's status history, with the exclusions and reinstatements of sources below it."""
         lines = []
         for topic, course in sorted(self.statuses.items()):
             lines += course.lines(topic)
@@ -74,28 +77,28 @@ class ReplaySummary:
 
 
 class MessageSink(Protocol):
-    """Takes what a replay gives: a bag, or a comparison."""
+    """Receiver of a replay's messages: a bag writer, or a comparison."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take a message."""
+        """Receive a message."""
         ...
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Take a message given by its bytes: the truth, which is copied."""
+        """Receive a serialised message of the truth, which is copied."""
         ...
 
 
 class ReplayRun:
-    """A chain of adapters fed message by message, its outputs given to a sink.
+    """Replay of a bag through a chain of adapters, message by message.
 
     Args:
-        chain: of adapters.
-        writer: takes the outputs.
-        summary: is filled.
-        truth_topics: topics of the bag; where the truth of an orientation is among them, its errors are filled in.
+        chain: the adapters.
+        writer: receives the outputs.
+        summary: filled during the replay.
+        truth_topics: truth topics of the bag; the errors of an orientation are filled in if its truth is among them.
 
     Attributes:
-        last_time_ns: arrival of the last message; None before the first.
+        last_time_ns: arrival time of the last message; None before the first.
     """
 
     def __init__(
@@ -115,7 +118,7 @@ class ReplayRun:
         self.last_time_ns: int | None = None
 
     def take(self, topic: str, record: BagRecord) -> None:
-        """One message of the bag."""
+        """Process one message of the bag."""
         self._tick_until(record.log_time_ns)
         if topic.startswith(TRUTH_PREFIX):
             self._copy_truth(topic, record)
@@ -124,7 +127,7 @@ class ReplayRun:
         self._write_errors(record.log_time_ns)
 
     def _copy_truth(self, topic: str, record: BagRecord, read: AttitudeSample | None = None) -> None:
-        """Copy a message of the truth, of which what was read may be known already."""
+        """Copy a message of the truth; `sample` is its decoded content if already known."""
         self._writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
         self._summary.outputs[topic] += 1
         for errors in self._errors:
@@ -146,7 +149,7 @@ class ReplayRun:
         self._summary.log_times.add(topic, record)
 
     def finish(self) -> None:
-        """Write the messages that still wait for the truth."""
+        """Write the error messages that still wait for the truth."""
         self._write_errors(None)
 
     def _tick_until(self, time_ns: int) -> None:
@@ -154,7 +157,7 @@ class ReplayRun:
             self._publish(self._chain.tick(now_ns), now_ns)
 
     def _ticks_until(self, time_ns: int) -> range:
-        """The ticks before a message at a time: each multiple of the period since the last message, ns."""
+        """Return the tick times before a message, ns: the multiples of the period since the last message."""
         last_ns, self.last_time_ns = self.last_time_ns, time_ns
         if last_ns is None:
             return range(0)
@@ -167,7 +170,7 @@ class ReplayRun:
                 self._write(topic, message, time_ns)
 
     def _held_back(self, topic: str, message: Any, time_ns: int) -> bool:
-        """Whether a message waits for the truth."""
+        """Defer an error message until the truth is known; True if the message was deferred."""
         for errors in self._errors:
             if topic == errors.orientation.error_topic:
                 errors.add_error(message, time_ns)
@@ -178,7 +181,7 @@ class ReplayRun:
 
     @property
     def _errors_wait(self) -> bool:
-        """Whether a message waits for the truth."""
+        """True if an error message waits for the truth."""
         return any(errors.waits for errors in self._errors)
 
     def _write_errors(self, now_ns: int | None) -> None:
@@ -197,7 +200,7 @@ class ReplayRun:
             self._note_sayings(message)
 
     def _note_sayings(self, diagnostics: Any) -> None:
-        """What the nodes say of their statuses: the diagnostics "ship_attitude: attitude" are about ship/attitude."""
+        """Record the diagnostics about statuses: "ship_attitude: attitude" is about ship/attitude."""
         for said in diagnostics.status:
             course = self._summary.statuses.get(self._status_topics.get(said.name, ""))
             if course is not None:

@@ -1,9 +1,8 @@
-"""A bag's attitudes of the ship and pointings of the theodolite with hindsight: each by all measurements of the bag.
+"""Smoothed attitudes of the ship and pointings of the theodolite, each from all measurements of a bag.
 
-The nodes of the suite take the bag as in a replay, message by message; ``ship_attitude`` keeps how its filter went on.
-At the end the smoother goes back over the whole run. Then ``optical_axis`` takes the bag a second time, with the
-smoothed attitudes in the place of ``ship/attitude``, and is smoothed itself. The same bag and configuration give the
-same bytes.
+The nodes process the bag as in a replay, message by message; ``ship_attitude`` stores the history of its filter. At the
+end the smoother runs backwards over it. Then ``optical_axis`` processes the bag again with the smoothed attitudes in
+place of ``ship/attitude``, and is smoothed itself. The same bag and configuration give the same bytes.
 """
 
 import heapq
@@ -57,14 +56,14 @@ Three = tuple[float, float, float]
 
 @dataclass
 class Smoothed:
-    """What was smoothed of one output.
+    """Smoothed messages of one output.
 
     Attributes:
-        topic: to which it is written.
-        type_name: of its messages.
-        angles: names of its three angles.
-        count: messages written.
-        variances: of the angles, rad², as told at once and smoothed, where they are not DEGRADED.
+        topic: topic they are written to.
+        type_name: type of the messages.
+        angles: names of the three angles.
+        count: number of messages written.
+        variances: variances of the angles, rad², in real time and smoothed, where they are not DEGRADED.
     """
 
     topic: str
@@ -75,16 +74,16 @@ class Smoothed:
 
     @property
     def median_sigmas_arcsec(self) -> FloatArray | None:
-        """Of the angles as told at once and smoothed, shape (2, 3); None where all are DEGRADED."""
+        """Median sigmas of the angles in real time and smoothed, shape (2, 3); None if all are DEGRADED."""
         return np.sqrt(np.nanmedian(self.variances, axis=0)) / ARCSEC if self.variances else None
 
     def record(self, at_once: "_AtOnce", message: Any, covariance: FloatArray) -> BagRecord:
-        """A message, logged when it was told at once; it is counted.
+        """Return a smoothed message with the log time of the real-time one, and count it.
 
         Args:
-            at_once: what was told.
-            message: the same with hindsight.
-            covariance: of its angles, rad², shape (3, 3).
+            real_time: the real-time output.
+            message: the smoothed message.
+            covariance: covariance of its angles, rad², shape (3, 3).
         """
         self.count += 1
         if at_once.status < Status.DEGRADED:
@@ -96,11 +95,11 @@ class Smoothed:
 
 @dataclass
 class SmoothSummary:
-    """What was smoothed.
+    """Result of smoothing.
 
     Attributes:
-        problems: what is wrong with the bag, and the nodes left out, one line each.
-        outputs: of each node that takes part.
+        problems: problems of the bag and nodes that are not replayed, one line each.
+        outputs: smoothed outputs of each node that takes part.
     """
 
     problems: list[str]
@@ -108,10 +107,10 @@ class SmoothSummary:
 
 
 class _WholeVoyage(ShipAttitudeAdapter):
-    """The node whose core tells all attitudes again at the end.
+    """Node whose core returns all attitudes, smoothed, at the end.
 
     Attributes:
-        ended: the attitudes of estimators that a second one has replaced, with hindsight.
+        finished_estimates: smoothed attitudes of estimators that were replaced.
     """
 
     def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
@@ -129,7 +128,7 @@ class _WholeVoyage(ShipAttitudeAdapter):
 
 
 class _WholeSession(OpticalAxisAdapter):
-    """The node whose core tells all pointings again at the end."""
+    """Node whose core returns all pointings, smoothed, at the end."""
 
     def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> OpticalAxisCore:
         """See :meth:`OpticalAxisAdapter.make_core`."""
@@ -137,7 +136,7 @@ class _WholeSession(OpticalAxisAdapter):
 
 
 class _AtOnce(NamedTuple):
-    """An output as it was told at once: when, what it was worth, and the variances of its angles, rad²."""
+    """A real-time output: log time, status and variances of its angles, rad²."""
 
     log_time_ns: int
     status: Status
@@ -145,14 +144,14 @@ class _AtOnce(NamedTuple):
 
 
 class _ToldAtOnce:
-    """Takes what the replay gives, and keeps what there is to keep of attitudes and pointings, by their stamps."""
+    """Sink that stores the real-time attitudes and pointings by their stamps."""
 
     def __init__(self) -> None:
         self.attitudes: dict[int, _AtOnce] = {}
         self.pointings: dict[int, _AtOnce] = {}
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take a message."""
+        """Store an attitude or pointing."""
         if topic in (ATTITUDE_TOPIC, POINTING_TOPIC):
             first, second, third = message.covariance[::4].tolist()
             if topic == POINTING_TOPIC:
@@ -162,7 +161,7 @@ class _ToldAtOnce:
             kept[ns_from_stamp(message.header.stamp)] = at_once
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Take a message of the truth, of which none is asked for."""
+        """Ignore a message of the truth."""
 
 
 def smooth(
@@ -173,18 +172,18 @@ def smooth(
     watch: Watcher = lambda records, bag: records,
     by_stamps: bool = False,
 ) -> SmoothSummary:
-    """Write ``ship/attitude_smoothed``, ``theodolite/pointing_smoothed``, and the truth as it is.
+    """Write ``ship/attitude_smoothed``, ``theodolite/pointing_smoothed`` and the unchanged truth.
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
-        out_path: .mcap file to write; it appears only when all is done.
+        out_path: .mcap file to write; it appears only when complete.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps each iteration over the bag, for a progress bar.
-        by_stamps: messages arrive at their stamps, whenever they were logged.
+        progress: wraps each iteration over the bag, for a progress bar.
+        by_stamps: if true, messages arrive at their stamps instead of their log times.
 
     Raises:
-        BadInput: the bag, its topics or the configuration do not serve; nothing is written.
+        BadInput: the bag, its topics or the configuration cannot be used; nothing is written.
     """
     with read_bag(bag_path) as bag:
         if out_path.resolve() == bag_path.resolve():
@@ -212,7 +211,7 @@ def smooth(
             estimates = itertools.chain(ship.ended, ship.core.smoothed_to_the_end())
             attitudes = _attitudes(estimates, told.attitudes, factory, ship.config.frames, summary.outputs[-1])
         if axis is not None:
-            # They are an input, and written afterwards.
+            # The attitudes are both an input and an output.
             attitudes = list(attitudes)
             again = _WholeSession(chain.configs[axis.node_name], factory, UNTOUCHED)
             session = AdapterChain([again])
@@ -227,14 +226,14 @@ def smooth(
             for record in heapq.merge(_truth(bag, namespace), attitudes, pointings, key=attrgetter("log_time_ns")):
                 writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
             if not any(one.count for one in summary.outputs):
-                raise BadInput("no attitude and no pointing was put out: there is nothing to smooth", file=bag_path)
+                raise BadInput("no attitude and no pointing was published: there is nothing to smooth", file=bag_path)
         return summary
 
 
 def _hand_over(
     chain: AdapterChain, records: Iterable[BagRecord], relative_names: Mapping[str, str], told: _ToldAtOnce
 ) -> None:
-    """Give a chain its inputs one by one, under the names that it knows."""
+    """Process the inputs one by one, under their relative names."""
     run = ReplayRun(chain, told, ReplaySummary(), truth_topics=())
     for record in records:
         run.take(relative_names[record.topic], record)
@@ -253,7 +252,7 @@ def _attitudes(
     frames: FrameNames,
     smoothed: Smoothed,
 ) -> Iterator[BagRecord]:
-    """The attitudes of the ship with hindsight; the summary of them is filled."""
+    """Yield the smoothed attitudes of the ship and fill their summary."""
     for estimate in estimates:
         _, message = smoothed_message(factory, estimate, frames)
         heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
@@ -264,9 +263,9 @@ def _attitudes(
 def _pointings(
     core: SmoothingAxisCore, told: Mapping[int, _AtOnce], factory: RosbagsFactory, smoothed: Smoothed
 ) -> Iterator[BagRecord]:
-    """The pointings with hindsight of the moments at which one was told; the summary of them is filled.
+    """Yield the smoothed pointings at the stamps of real-time ones and fill their summary.
 
-    What is in doubt with hindsight is told as that, whatever was told at once.
+    The status is the worse of the real-time and the smoothed one.
     """
     for estimate in core.smoothed_to_the_end():
         at_once = told.get(estimate.time_ns)

@@ -1,4 +1,4 @@
-"""What a run claimed over time: shares of each status, the spans of one status, and why it was no better."""
+"""Status history of a run: share of each status, spans of one status, and reasons for poor statuses."""
 
 import re
 from collections import Counter
@@ -18,13 +18,13 @@ from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC
 
 STATUS_WORDS = ("VALID", "COASTING", "DEGRADED", "INVALID")
-"""By the values of ship_msgs/ShipAttitude and OpticalAxisPointing."""
+"""Status names, by the values of ship_msgs/ShipAttitude and OpticalAxisPointing."""
 
 STATUS_TOPICS = frozenset((*(orientation.topic for orientation in ORIENTATIONS), POSITION_TOPIC))
 
 _POOR = "DEGRADED", "INVALID"
 _NOTED = Reason.COVARIANCE_UNKNOWN.word
-"""A reason that leaves a message in use."""
+"""Reason that does not prevent a message from being used."""
 
 _WORTH_A_REASON = 0.01
 _MOST_SPANS = 12
@@ -34,13 +34,13 @@ _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 @dataclass(frozen=True)
 class Span:
-    """Outputs of one status that follow one another.
+    """Consecutive outputs with one status.
 
     Attributes:
-        status: in words.
-        start_ns: stamp of the first.
-        end_ns: stamp of the next one of another status; of the last output of all at the end.
-        count: outputs.
+        status: name of the status.
+        start_ns: stamp of the first output.
+        end_ns: stamp of the next output with another status; at the end, of the last output.
+        count: number of outputs.
     """
 
     status: str
@@ -50,7 +50,7 @@ class Span:
 
 
 class _Run(NamedTuple):
-    """Outputs of one status that were put out one after another; sorted by their first stamps."""
+    """Outputs of one status that were published consecutively; sorted by first stamp."""
 
     first_ns: int
     last_ns: int
@@ -59,10 +59,10 @@ class _Run(NamedTuple):
 
 
 class StatusCourse:
-    """The statuses of one output topic.
+    """Status history of one output topic.
 
     Attributes:
-        counts: status → outputs.
+        counts: status → number of outputs.
     """
 
     def __init__(self) -> None:
@@ -72,11 +72,11 @@ class StatusCourse:
         self._last_saying: dict[str, str] = {}
 
     def add(self, message: Any) -> None:
-        """An output, in the order in which they were put out."""
+        """Add an output, in the order of publication."""
         self._add(int(message.status), ns_from_stamp(message.header.stamp), ns_from_stamp(message.header.stamp), 1)
 
     def add_run(self, statuses: Sequence[int], stamps_ns: np.ndarray) -> None:
-        """Outputs in the order in which they were put out, their stamps in ascending order."""
+        """Add outputs in the order of publication, with ascending stamps."""
         start = 0
         for status, group in groupby(statuses):
             end = start + len(list(group))
@@ -84,7 +84,7 @@ class StatusCourse:
             start = end
 
     def _add(self, status: int, first_ns: int, last_ns: int, count: int) -> None:
-        """Outputs of one status that were put out one after another."""
+        """Add consecutive outputs of one status."""
         word = STATUS_WORDS[status] if status < len(STATUS_WORDS) else f"status {status}"
         self.counts[word] += count
         if self._runs and self._runs[-1].word == word:
@@ -94,24 +94,24 @@ class StatusCourse:
             self._runs.append(_Run(first_ns, last_ns, word, count))
 
     def note(self, saying: str) -> None:
-        """What the node says of its status in its diagnostics, once a second; kept where the last output was poor."""
+        """Add a diagnostic text about the status; kept only if the last output was DEGRADED or INVALID."""
         if self._runs and self._runs[-1].word in _POOR:
-            # The same reason has other numbers each time.
+            # Numbers in the text change each time.
             reason = _NUMBER.sub("", saying)
             self._sayings[reason] += 1
             self._last_saying[reason] = saying
 
     @property
     def sayings(self) -> list[str]:
-        """What the node itself said of poor outputs, one line each, the most frequent first, with the last numbers."""
+        """Diagnostic texts about poor outputs, one line each, most frequent first, with the last numbers."""
         total = self._sayings.total()
         most = self._sayings.most_common(_MOST_SAYINGS)
-        return [f"it said {count} of {total} times: {self._last_saying[reason]}" for reason, count in most]
+        return [f"diagnostics, {count} of {total}: {self._last_saying[reason]}" for reason, count in most]
 
     @property
     def spans(self) -> list[Span]:
-        """The spans in order of time. Each lasts until the next begins; INVALID begins with the tick that said so."""
-        # Stamps of INVALID are not in the order of the others: what stands together is found by the stamps.
+        """Spans in order of time. Each lasts until the next begins; INVALID begins at the tick that reported it."""
+        # INVALID outputs are not stamped in order with the others: sort by stamps before grouping.
         groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run.word)]
         starts_ns = [group[0].first_ns for group in groups]
         ends_ns = [*starts_ns[1:], max((run.last_ns for run in self._runs), default=0)]
@@ -121,10 +121,10 @@ class StatusCourse:
         ]
 
     def lines(self, topic: str) -> list[str]:
-        """The table for people: shares by time and by count, then the spans."""
+        """Return the table of statuses: shares by time and by count, then the spans."""
         spans, counts = self.spans, self.counts
         if not spans:
-            return [f"status of {topic}: nothing was put out"]
+            return [f"status of {topic}: no output"]
         start_ns, total_ns = spans[0].start_ns, spans[-1].end_ns - spans[0].start_ns
         lines = [f"status of {topic} from {utc_text(start_ns)}, {total_ns / NS_PER_S:.1f} s:"]
         for word in sorted(counts, key=_rank):
@@ -143,15 +143,16 @@ class StatusCourse:
 def reasons_for(
     course: StatusCourse, adapter: Adapter, config: Any, times: Mapping[str, MessageTimes], health: Sequence[Any]
 ) -> list[str]:
-    """Why a node's outputs were INVALID or DEGRADED, one line each below a heading; empty where hardly any was.
+    """Return why a node's outputs were INVALID or DEGRADED, one line each below a heading.
 
-    First what the node itself said of them, which is the reason; then what its configuration and its inputs lack.
+    The list is empty if hardly any output was. The node's own diagnostics come first, then what its configuration and
+    its inputs lack.
 
     Args:
-        course: of its output.
+        history: status history of its output.
         adapter: the node.
         config: its configuration.
-        times: of the messages that it was given, by topic.
+        times: stamps and arrival times of its inputs, by topic.
         health: its InputHealth messages after the last message.
     """
     counts = course.counts
@@ -163,21 +164,21 @@ def reasons_for(
     reasons += [excess.text for excess in exceeded(config, dict(times), "the bag")]
     reasons += [line for message in health if (line := hardly_used(message))]
     poor = " and ".join(f"{counts[word]} {word}" for word in reversed(_POOR) if counts[word])
-    why = reasons or ["no input was missing or refused for long: ship/innovation or theodolite/innovation tell more"]
+    why = reasons or ["no input was missing or rejected for long: see ship/innovation or theodolite/innovation"]
     return [f"why {poor} of {counts.total()} outputs of {adapter.node_name}:", *(f"  {reason}" for reason in why)]
 
 
 def _no_stars(config: Any) -> list[str]:
-    """That there are references but no stars: other attitude systems make an attitude better, but never VALID."""
+    """Return the reason if references but no stars are configured: references alone never give VALID."""
     if isinstance(config, ShipAttitudeConfig) and config.references and not config.star_sensors:
         return ["no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY"]
     return []
 
 
 def hardly_used(health: Any) -> str:
-    """What became of an input of which at most half was used, as one line; empty where more was used."""
+    """Return a line about an input of which at most half was used; empty otherwise."""
     if not health.received:
-        return f"nothing came on '{health.topic}'"
+        return f"no messages on '{health.topic}'"
     if 2 * health.accepted > health.received:
         return ""
     reason, count = most_frequent_refusal(health)
@@ -186,7 +187,7 @@ def hardly_used(health: Any) -> str:
 
 
 def most_frequent_refusal(health: Any) -> tuple[str, int]:
-    """The reason for which an input was refused most often, and how often; empty and 0 for none."""
+    """Return the most frequent rejection reason of an input and its count; empty and 0 for none."""
     counts = dict(zip(health.reasons, map(int, health.reason_counts), strict=True))
     counts.pop(_NOTED, None)
     reason = max(counts, key=lambda name: counts[name], default="")

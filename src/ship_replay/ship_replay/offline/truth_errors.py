@@ -1,6 +1,6 @@
-"""The errors of what the suite publishes, where a simulated bag knows the truth.
+"""Errors of published outputs against the truth of a simulated bag.
 
-A replay fills them into ``ship/error_arcsec`` and its like; an estimator never sees the truth.
+A replay fills them into ``ship/error_arcsec`` and similar topics; an estimator never receives the truth.
 """
 
 from collections import deque
@@ -14,13 +14,13 @@ from ship_watch.orientations import Orientation
 
 _TRUTH_GAP_NS = 1_000_000_000
 _PATIENCE_NS = 2_000_000_000
-"""Truth that comes later than this after an attitude is not waited for."""
+"""Maximum delay of the truth after an output; an error message is written without errors after it, ns."""
 
 
 class TruthErrors:
-    """Holds each error message back until the truth at its stamp is known, then fills it in.
+    """Buffer of error messages until the truth at their stamps is known.
 
-    Messages come in order of log time; what :meth:`filled` gives back keeps its own log time.
+    Messages arrive in order of log time; completed messages keep their own log time.
     """
 
     def __init__(self, orientation: Orientation) -> None:
@@ -30,16 +30,16 @@ class TruthErrors:
         self._waiting: deque[tuple[int, Any]] = deque()
 
     def add_truth(self, sample: AttitudeSample | None) -> None:
-        """What a message of the truth says; one without an orientation says nothing."""
+        """Add a sample of the truth; None, from a message without an orientation, is ignored."""
         if sample is not None:
             self._truth.insert(sample)
 
     def add_attitude(self, message: Any) -> None:
-        """A message of the orientation as published."""
+        """Add a published message of the orientation."""
         self._attitudes[ns_from_stamp(message.header.stamp)] = self.orientation.angles_of(message)
 
     def add_rows(self, rows: PublishedRows) -> None:
-        """Messages as published; only those of the orientation count."""
+        """Add published messages; those of other topics are ignored."""
         if rows.topic == self.orientation.topic:
             numbers = rows.messages.numbers
             stamps_ns, angles = stamps_of_rows(numbers), self.orientation.angles_of_rows(numbers)
@@ -47,11 +47,11 @@ class TruthErrors:
 
     @property
     def waits(self) -> bool:
-        """Whether an error message waits for the truth."""
+        """True if an error message waits for the truth."""
         return bool(self._waiting)
 
     def is_ready(self, now_ns: int | None) -> bool:
-        """Whether an error message waits that :meth:`filled` would give back."""
+        """True if an error message is ready at `now_ns`."""
         if not self.waits:
             return False
         log_time_ns, message = self._waiting[0]
@@ -59,11 +59,11 @@ class TruthErrors:
         return not patient or self._truth.at(ns_from_stamp(message.header.stamp)) is not None
 
     def add_error(self, message: Any, log_time_ns: int) -> None:
-        """A message of errors as published, without errors."""
+        """Add a published error message, without errors."""
         self._waiting.append((log_time_ns, message))
 
     def filled(self, now_ns: int | None) -> list[tuple[int, Any]]:
-        """(log time, message) of those that are ready at ``now_ns``; None: nothing more will come."""
+        """Return (log time, message) of the error messages ready at ``now_ns``; None: no more truth will come."""
         ready: list[tuple[int, Any]] = []
         while self.is_ready(now_ns):
             log_time_ns, message = self._waiting.popleft()

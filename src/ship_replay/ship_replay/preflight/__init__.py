@@ -1,4 +1,4 @@
-"""What is wrong with a suite configuration, by itself and against a bag: said before the voyage.
+"""Checks of a suite configuration before the voyage, by itself and against a bag.
 
-Of this package the room imports ``offline/`` alone.
+Of this package the room imports only ``offline/``.
 """

@@ -1,4 +1,4 @@
-"""Prediction of a camera's attitude in a bag: by the ship's attitude, and on the theodolite by the encoders too."""
+"""Prediction of a camera's attitude in a bag, from the ship's attitude and, on the theodolite, the encoders."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,11 +21,11 @@ _FULL_TURN = 2.0 * np.pi
 
 @dataclass
 class AttitudeTracks:
-    """The samples of a bag by which the attitude of a camera is predicted.
+    """Samples of a bag that predict the attitude of a camera.
 
     Attributes:
-        config: of the node.
-        ship_topic: where the attitudes of the ship come from.
+        config: configuration of the node.
+        ship_topic: topic of the ship's attitude.
         ship: attitudes of the ship.
         encoder: readings of the theodolite's encoders.
     """
@@ -46,7 +46,7 @@ class AttitudeTracks:
         return (self.ship_topic, ENCODER_TOPIC) if isinstance(self.config, OpticalAxisConfig) else (self.ship_topic,)
 
     def prior(self, device: Any, time_ns: int) -> StarPrior | None:
-        """Attitude of a camera (horizon from sensor) with its errors as configured; None where it is not known."""
+        """Return the attitude of a camera (horizon from sensor) with its configured errors; None if unknown."""
         ship, ins = self.ship.at(time_ns + offset_ns(device)), self.config.ins
         if ship is None:
             return None
@@ -64,11 +64,11 @@ class AttitudeTracks:
         rotation_sm = rotation_from_angles(*device.parallelism)
         deformation = self.config.deformation.sigma_arcsec * ARCSEC
         own = np.array([*self.config.axes.sigma, *device.parallelism_sigma, deformation])
-        # An upper bound: each of these errors turns the camera by as much at most.
+        # An upper bound: each of these errors rotates the camera by at most its own size.
         covariance_n += own @ own * np.eye(3)
         return StarPrior(ship.rotation_nd @ rotation_dm @ rotation_sm.T, covariance_n)
 
 
 def offset_ns(device: Any) -> int:
-    """Return by how much a device's data are valid later than their stamps, ns."""
+    """Return the time by which a device's data are valid later than their stamps, ns."""
     return round(getattr(device, "time_offset_s", 0.0) * NS_PER_S)

@@ -1,7 +1,7 @@
-"""The exposures of a camera in a bag: stars identified, and the focal length that makes their angles those of the sky.
+"""Exposures of a camera in a bag: identified stars, and the focal length that fits the angles between them.
 
-Stars with names need nothing else. Stars without names are identified by the attitude that is predicted for the camera,
-without their magnitudes, which may be wrong themselves.
+Stars with catalogue numbers need nothing else. Others are identified by the predicted attitude of the camera, without
+their magnitudes, which may be wrong themselves.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,14 +25,15 @@ _FIRST_FACTORS = 1.0, 0.1, 10.0
 _SEARCH_STEPS, _SETTLED = 8, 1e-4
 
 _PRIOR_SIGMA = 60.0 * ARCSEC
-"""Added to the predicted attitude, each axis: a focal length off by 0.5 % displaces a star at 3° from the middle so."""
+"""Added to the predicted attitude about each axis, rad: a focal length off by 0.5 % displaces a star at 3° that much.
+"""
 
 
 class ImageAxes(NamedTuple):
-    """Directions in which u and v of a camera count.
+    """Directions of a camera's u and v.
 
     Attributes:
-        text: the difference to what is expected, for people; empty for none.
+        text: difference to the expected directions, for people; empty if there is none.
         expected_s: expected from measured direction (forward, up, right), shape (3, 3).
     """
 
@@ -47,18 +48,18 @@ MIRRORED = (
     ImageAxes("v counts upwards", np.diag([1.0, -1.0, 1.0])),
     ImageAxes("u and v are exchanged", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])),
 )
-"""Images that no turn of the camera explains."""
+"""Mirrored images, which no rotation of the camera explains."""
 
 
 @dataclass(frozen=True)
 class CameraRecord:
-    """The messages of one camera in a bag.
+    """Messages of one camera in a bag.
 
     Attributes:
-        topic: of its stars.
-        camera: as configured.
-        messages: some of them, each with its arrival, ns.
-        prior_at: attitude of the camera (horizon from sensor) at a time; None where it is not known.
+        topic: topic of its stars.
+        camera: configured camera.
+        messages: some of the messages, each with its arrival time, ns.
+        predicted_attitude_at: returns the predicted attitude (horizon from sensor) at a time; None if unknown.
     """
 
     topic: str
@@ -70,10 +71,10 @@ class CameraRecord:
 def fitted_camera(
     record: CameraRecord, axes: ImageAxes, watch: SkyWatch
 ) -> tuple[CameraConfig | None, list[StarExposure]]:
-    """Return the camera whose focal length makes the angles between stars those of the sky, and the exposures by it.
+    """Return the camera whose focal length fits the angles between stars, and the exposures with it.
 
     Returns:
-        None for the camera where too few stars have identities: the exposures are then by the camera as configured.
+        None for the camera if too few stars are identified: the exposures then use the configured camera.
     """
     camera = record.camera
     for factor in _FIRST_FACTORS:
@@ -90,7 +91,7 @@ def fitted_camera(
 
 
 def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, watch: SkyWatch) -> list[StarExposure]:
-    """Return the exposures whose time and place are known well enough for a sky, their stars identified if possible."""
+    """Return the exposures whose time and place are known well enough, with their stars identified if possible."""
     sensor_id, exposures = record.topic.split("/")[1], []
     geometry = camera.camera("camera")
     for message, receive_ns in record.messages:
@@ -120,7 +121,7 @@ def _with_focal_length(camera: CameraConfig, focal_length_m: float) -> CameraCon
 
 
 def _scale(exposures: list[StarExposure], watch: SkyWatch) -> float | None:
-    """Return the median ratio of measured to true angles between stars; None where there are too few pairs."""
+    """Return the median ratio of measured to true angles between stars; None if there are too few pairs."""
     ratios: list[float] = []
     for exposure in exposures:
         named = exposure[exposure.identified]
@@ -132,6 +133,6 @@ def _scale(exposures: list[StarExposure], watch: SkyWatch) -> float | None:
         first, second = np.triu_indices(len(named), 1)
         true = angle_between(places_n[first], places_n[second])
         measured = angle_between(named.directions_s[first], named.directions_s[second])
-        # Where a place is not known (too low) the angle is NaN, and not used.
+        # The angle is NaN, and not used, for stars too low for an apparent place.
         ratios += (measured[true > _LEAST_PAIR_ANGLE] / true[true > _LEAST_PAIR_ANGLE]).tolist()
     return float(np.median(ratios)) if len(ratios) >= _FEWEST_PAIRS else None

@@ -1,7 +1,4 @@
-"""What of a suite configuration does not fit a bag recorded with its sensors, said before the voyage.
-
-Topics, types and frames, and inputs that come too seldom.
-"""
+"""Contradictions between a suite configuration and a bag: topics, types, frames, and too long gaps of inputs."""
 
 import os
 import re
@@ -27,14 +24,14 @@ def check_bag(check: BagCheck) -> None:
     _check_presence(check, check.found.keys() | given)
     for node in check.nodes:
         _check_inputs(check, node)
-    # What is wrong with the bag is wrong for each node that takes it.
+    # A problem of the bag is found for each node that uses it: report it once.
     check.findings.errors = list(dict.fromkeys(check.findings.errors))
     taken = {topic.topic for node in check.nodes for topic in node.adapter.inputs}
     check.findings.warnings += [*_not_configured(check, taken | given), *check.bag.problems]
 
 
 def _check_presence(check: BagCheck, present: Collection[str]) -> None:
-    """Each input that is not among the topics in the bag or given by a node: once, with the nodes that take it."""
+    """Report each input that is neither in the bag nor published by a node, once, with the nodes that use it."""
     absent: dict[str, list[tuple[CheckedNode, bool]]] = {}
     for node in check.nodes:
         for topic in node.adapter.inputs:
@@ -50,13 +47,13 @@ def _check_presence(check: BagCheck, present: Collection[str]) -> None:
         whose = ", ".join(f"{role} {' and '.join(names)}" for role, names in roles if names)
         hint = likely_namespace(check.bag.topics, [name])
         similar = remap_advice(name, kinds[name], check.bag.topics, kinds, check.namespace)
-        advice = f" (there is one under the namespace '{hint}')" if hint else f" ({similar})" if similar else ""
+        advice = f" (found in namespace '{hint}')" if hint else f" ({similar})" if similar else ""
         place = takers[0][0].place(check.path, _section(name))
         check.say(bool(needing), f"{place}: topic '{name}' is not in {check.bag.path}: {whose}{advice}")
 
 
 def _check_inputs(check: BagCheck, node: CheckedNode) -> None:
-    """Check what a node takes from a bag."""
+    """Check the inputs of a node in a bag."""
     bag, errors = check.bag, check.findings.errors
     readable: dict[str, str] = {}
     for topic in node.adapter.inputs:
@@ -74,7 +71,7 @@ def _check_inputs(check: BagCheck, node: CheckedNode) -> None:
 
 
 def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) -> Iterator[str]:
-    """Messages that would be refused because their frame_id is not the configured one."""
+    """Yield errors for messages that would be rejected because of their frame_id."""
     expected = {topic: _frame_id(node.config, topic) for topic in readable}
     waiting = {readable[topic]: topic for topic, frame in expected.items() if frame}
     for record in check.bag.records(waiting) if waiting else ():
@@ -92,7 +89,7 @@ def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) 
 
 
 def _frame_id(config: Any, topic: str) -> str:
-    """The frame_id that messages of an input topic must carry; empty for any."""
+    """Return the configured frame_id of an input topic; empty if any is accepted."""
     if topic == _INS_TOPIC:
         return str(config.ins.frame_id)
     group, *rest = topic.split("/")
@@ -100,7 +97,7 @@ def _frame_id(config: Any, topic: str) -> str:
 
 
 def _not_configured(check: BagCheck, known: set[str]) -> Iterator[str]:
-    """Sensors in the bag that the configuration does not use."""
+    """Yield warnings for sensors in the bag that the configuration does not use."""
     found, where = check.found, check.bag.path
     for topic in sorted(found.keys() - known):
         match = _SENSOR_TOPIC.fullmatch(topic)
@@ -114,13 +111,13 @@ def _not_configured(check: BagCheck, known: set[str]) -> Iterator[str]:
 
 
 def _section(topic: str) -> str:
-    """Dotted name of the parameters about an input topic."""
+    """Return the dotted name of the parameter section of an input topic."""
     group, *rest = topic.split("/")
     return f"{_GROUPS[group]}.{rest[0]}" if group in _GROUPS else group
 
 
 def check_rates(check: BagCheck) -> None:
-    """Compare the gaps between the messages of a bag with what the parameters allow; estimate the load by its rates."""
+    """Compare the gaps between messages of a bag with the parameters, and estimate the load from the rates."""
     taken = {topic.topic for node in check.nodes for topic in node.adapter.inputs} & check.found.keys()
     times = {topic: MessageTimes() for topic in taken}
     relative_names = {check.found[topic]: topic for topic in taken}

@@ -1,4 +1,4 @@
-"""Contradictions between a camera's parameters and its stars in a bag: axes of the image, focal length, magnitudes."""
+"""Contradictions between a camera's parameters and its stars in a bag: image axes, focal length, magnitudes."""
 
 from collections.abc import Iterator
 
@@ -7,19 +7,20 @@ from ship_replay.preflight.measured_mounting import MeasuredMounting
 
 _SIGMAS = 5.0
 _FOCAL_LENGTH_TOLERANCE = 0.01
-"""A focal length further off loses the stars towards the edge of the image."""
+"""Relative error of the focal length above which stars near the edge of the image are lost."""
 
 _LIKELY_SIGMAS = 2.0
-"""Number of stated standard deviations by which a focal length may be off without a word."""
+"""Error of the focal length, in stated standard deviations, that is accepted without a warning."""
 
 _OTHER_BAND = 0.4
-"""V and Hp of the same stars differ by 0.15 at most on the average, B and R from Hp by half a magnitude and more."""
+"""Offset in magnitudes that indicates another band: V and Hp differ by at most 0.15 on average, B and R from Hp by 0.5
+and more."""
 
 _OFFSET_SIGMAS = 3.0
 
 
 def camera_contradictions(mounting: MeasuredMounting, bag: Bag) -> Iterator[tuple[bool, str, str]]:
-    """Yield for each contradiction: whether it is an error, the parameter, and the text."""
+    """Yield for each contradiction: True if it is an error, the parameter, and the text."""
     if mounting.camera is not None:
         yield from _axes(mounting, bag)
         yield from _focal_length(mounting, bag)

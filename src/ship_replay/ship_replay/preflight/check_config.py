@@ -1,4 +1,4 @@
-"""What a suite configuration lacks, said before the voyage; and what every check of it against a bag begins with."""
+"""Check of a suite configuration by itself, and the common basis of all checks against a bag."""
 
 import copy
 import dataclasses
@@ -27,18 +27,18 @@ from ship_node.parameters.places import HeldPlace
 from ship_replay.offline.adapter_chain import nodes_of
 
 _OF_ONE_NODE = ("magnitude_limit", "refraction_time_s", "position_time_s")
-"""Parameters of the sky that may well differ: which stars a node identifies, and how a filter forgets."""
+"""Sky parameters that may differ between nodes: which stars a node identifies, and time constants of its filter."""
 
 
 @dataclass
 class Findings:
-    """What the checks have found.
+    """Findings of the checks.
 
     Attributes:
-        errors: one line each: with these the node would not start, or would refuse what the bag holds.
-        unused: one line each: inputs of which more than half would not be used.
-        warnings: one line each: probably not meant so.
-        notes: one line each: good to know.
+        errors: one line each: the node would not start, or would reject data of the bag.
+        unused_inputs: one line each: inputs of which more than half would not be used.
+        warnings: one line each: probably not intended.
+        notes: one line each: information.
     """
 
     errors: list[str] = field(default_factory=list)
@@ -49,13 +49,13 @@ class Findings:
 
 @dataclass
 class CheckedNode:
-    """A node of a configuration, wrong values replaced by allowed ones for the checks that follow.
+    """A node of a configuration, with invalid values replaced by allowed ones for the following checks.
 
     Attributes:
         file: its parameters in the file.
         config: its configuration.
         adapter: its adapter.
-        refused: dotted names of the parameters whose values were replaced: of these enough is said.
+        replaced_parameters: dotted names of replaced parameters, which are already reported.
     """
 
     file: ParameterFile
@@ -64,21 +64,21 @@ class CheckedNode:
     refused: frozenset[str] = frozenset()
 
     def place(self, path: Path, parameter: str) -> str:
-        """File and line of a parameter or of the nearest group around it; the file alone where it names none."""
+        """Return file and line of a parameter or its nearest group; only the file if it contains neither."""
         line = self.file.line_of(parameter)
         return f"{path}:{line}" if line else str(path)
 
 
 @dataclass
 class BagCheck:
-    """A suite configuration held against a bag that was recorded with the sensors of the voyage.
+    """A suite configuration compared with a bag that was recorded with the same sensors.
 
     Attributes:
         path: file of the configuration.
-        nodes: what it is about.
+        nodes: nodes of the configuration.
         bag: the bag.
-        namespace: of the ship in the bag.
-        findings: takes what is found.
+        namespace: namespace of the ship in the bag.
+        findings: receives the findings.
     """
 
     path: Path
@@ -94,11 +94,11 @@ class BagCheck:
 
     @property
     def usable(self) -> dict[str, str]:
-        """Relative topic → name in the bag, of topics whose messages are defined as here."""
+        """Relative topic → name in the bag, for topics with the same message definition here."""
         return {topic: name for topic, name in self.found.items() if self.bag.topics[name] not in self.bag.differences}
 
     def say(self, is_error: bool, text: str) -> None:
-        """Note a finding, but only once: two nodes may share a parameter."""
+        """Add a finding once: two nodes may share a parameter."""
         lines = self.findings.errors if is_error else self.findings.warnings
         if text not in lines:
             lines.append(text)
@@ -107,16 +107,16 @@ class BagCheck:
 def check_file(
     path: Path, adapter_classes: Sequence[type[Adapter]], findings: Findings, namespace: str = ""
 ) -> list[CheckedNode]:
-    """Check the parameters of a file, all of them, also those of nodes that stand beside the estimators.
+    """Check all parameters of a file, including those of nodes other than the estimators.
 
     Args:
         path: the file.
-        adapter_classes: nodes that are known; see :func:`nodes_of`.
-        findings: takes what is found.
-        namespace: of the nodes: sections are held against their full names, as rcl does.
+        adapter_classes: known nodes; see :func:`nodes_of`.
+        findings: receives the findings.
+        namespace: namespace of the nodes: sections are matched with their full names, as in rcl.
 
     Returns:
-        The nodes that the file is about and that can be made by it.
+        The nodes of the file that can be created from it.
 
     Raises:
         BadInput: the file cannot be read, is no parameter file or has a section for none of the nodes.
@@ -144,7 +144,7 @@ def check_file(
 
 
 def _check_names(path: Path, nodes: Sequence[CheckedNode], findings: Findings) -> None:
-    """Check the map ``topics``: its entries, and that some node takes each input that is named."""
+    """Check the map ``topics``: its entries, and that a node uses each input named."""
     try:
         names = ship_names(path)
     except BadInput as problem:
@@ -164,7 +164,7 @@ def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
 
 
 def _misfit(path: Path, name: str) -> list[str]:
-    """What is wrong with a section that does not fit a node but was probably meant for it: it would not start."""
+    """Return the error about a section that nearly fits a node: the node would not start with it."""
     try:
         misfit(path, name)
     except BadInput as problem:
@@ -182,7 +182,7 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
         findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
         return CheckedNode(file, config, adapter, frozenset(told))
     except ParameterError as problem:
-        # A value that was taken out above is missing here: told already.
+        # Parameters removed above are missing here and already reported.
         if told.isdisjoint(problem.parameters):
             findings.errors.append(str(file.error(problem)))
     except BadInput as problem:
@@ -193,7 +193,7 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
 def _held_places(
     path: Path, companion: Companion, namespace: str, findings: Findings
 ) -> Iterator[tuple[str, ParameterFile, HeldPlace]]:
-    """Full name, parameters and each place of a node beside the estimators, whose parameters are checked."""
+    """Yield full name, parameters and each exclusive resource of another node, and check its parameters."""
     try:
         kind = companion.config_type
     except ImportError:
@@ -208,7 +208,7 @@ def _held_places(
 
 
 def _held_twice(path: Path, held: Sequence[tuple[str, ParameterFile, HeldPlace]]) -> Iterator[str]:
-    """What two nodes of a suite want of the machine and only one can have; of one node its configuration tells it."""
+    """Yield errors for exclusive resources of the machine that two nodes use."""
     for (node, file, place), (other_node, other_file, other) in itertools.combinations(held, 2):
         if node != other_node and place.excludes(other):
             reason = f"parameter '{other.parameter}' = {other.name!r} of {other_node}"
@@ -218,16 +218,16 @@ def _held_twice(path: Path, held: Sequence[tuple[str, ParameterFile, HeldPlace]]
 
 
 def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tuple[Any, set[str]]:
-    """The configuration with wrong values replaced, or None; and the names of those of which enough is said."""
+    """Return the configuration with invalid values replaced, or None, and the names of reported parameters."""
     values = copy.deepcopy(file.values)
     descriptions = list(describe(kind))
     told: set[str] = set()
     while True:
         try:
             return build(kind, values), told
-        except ParameterError as problem:  # noqa: PERF203 - each time another value is put right
+        except ParameterError as problem:  # noqa: PERF203 - each pass replaces another value
             if problem.parameters and problem.parameters[0] in told:
-                return None, told  # it follows from the value that was taken out
+                return None, told  # caused by the removed value
             findings.errors.append(str(file.error(problem)))
             told.update(problem.parameters[:1])
             if not _put_right(values, problem, descriptions):
@@ -235,7 +235,7 @@ def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tup
 
 
 def _told_differently(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
-    """What two nodes must know alike and are told differently: how a sensor is mounted, and the sky over the ship."""
+    """Yield warnings for parameters of a sensor's mounting or of the sky that differ between two nodes."""
     for node, other in itertools.combinations(nodes, 2):
         for name, one, two in [*_mountings(node.config, other.config), *_skies(node.config, other.config)]:
             if one != two:
@@ -244,7 +244,7 @@ def _told_differently(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]
 
 
 def _mountings(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Parameters of the mounting of sensors that two nodes have in common, with the values of both."""
+    """Yield the mounting parameters of sensors common to two nodes, with both values."""
     names = [field.name for field in dataclasses.fields(MountingConfig) if field.name != "frame_id"]
     sensors, others = getattr(one, "star_sensors", {}), getattr(other, "star_sensors", {})
     for id_, name in itertools.product([id_ for id_ in sensors if id_ in others], names):
@@ -252,9 +252,9 @@ def _mountings(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Parameters of the sky that two nodes have in common where both look at it, with the values of both.
+    """Yield the sky parameters of two nodes that both need the sky, with both values.
 
-    What a solution of one node shares with other sensors is told apart by the sky of the other.
+    The sky must be the same because errors shared by solutions and other sensors are separated by it.
     """
     if _looks_at_sky(one) and _looks_at_sky(other):
         for name in (field.name for field in dataclasses.fields(SkyConfig) if field.name not in _OF_ONE_NODE):
@@ -262,16 +262,16 @@ def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _looks_at_sky(config: Any) -> bool:
-    """Whether a sensor of a node needs the sky over the ship: on the deck, or a camera on the theodolite."""
+    """True if a sensor of a node needs the sky over the ship: on the deck, or a camera on the theodolite."""
     on_deck = any(getattr(star, "looks_at_sky", True) for star in getattr(config, "star_sensors", {}).values())
     return hasattr(config, "sky") and (on_deck or bool(getattr(config, "telescopes", {})))
 
 
 def _put_right(values: dict[str, Any], problem: ParameterError, descriptions: list[ParameterDescription]) -> bool:
-    """Take the value that a problem names out, and put an allowed one in where there must be one.
+    """Remove the value named by a problem, and insert an allowed one if the parameter is required.
 
     Returns:
-        Whether anything changed: if not, the same problem would come again.
+        True if anything changed; otherwise the same problem would occur again.
     """
     if not problem.parameters:
         return False

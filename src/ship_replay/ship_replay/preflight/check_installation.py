@@ -25,7 +25,7 @@ from theodolite_calib.config import OpticalAxisConfig
 
 _SIGMAS = 5.0
 _TOO_FAR = np.deg2rad(1.0)
-"""An installation further off cannot be a matter of its sigma: no star would be used."""
+"""Installation error that no sigma explains, rad: no star would be used."""
 
 _WORTH_SAYING = np.deg2rad(0.01)
 _FEWEST = 3
@@ -36,21 +36,22 @@ _NEAR_NS = NS_PER_S // 5
 _FEWEST_PAIRS = 5
 _LEAST_ANGLE = np.deg2rad(0.1)
 _TOLERANCE = 0.2
-"""Baselines are from the ship's antenna and not from the telescope: at some hundred metres that is a few percent."""
+"""Relative tolerance of the focal length. Baselines start at the ship's antenna, not at the telescope: a few percent at
+some hundred metres."""
 
 _IMAGE_TOPIC = "theodolite/beacons"
 
 
 @dataclass(frozen=True)
 class _Residual:
-    """How far a measured installation is from the configured one.
+    """Difference between measured and configured installation.
 
     Attributes:
-        mounting: what was measured.
+        mounting: measured mounting.
         measured_dv: deck from device by the data, shape (3, 3).
-        turn_d: rotation vector, deck frame, from the configured to the measured one, rad, shape (3,).
-        kept: True for the moments compared that are no outliers, shape (n,).
-        sigmas: the turn in the device frame by its sigma, largest component.
+        turn_d: rotation vector, deck frame, from the configured to the measured installation, rad, shape (3,).
+        is_inlier: True for the compared times that are no outliers, shape (n,).
+        sigmas: largest component of the rotation in the device frame, in its sigmas.
     """
 
     mounting: MeasuredMounting
@@ -61,10 +62,10 @@ class _Residual:
 
 
 def check_installation(check: BagCheck) -> None:
-    """Compare configured installations and cameras with those that the bag shows.
+    """Compare configured installations and cameras with those measured in the bag.
 
-    The attitudes of each device are compared with the INS's at some moments of the bag, and the stars of each camera
-    with one another.
+    The attitudes of each device are compared with the INS at some times of the bag, and the stars of each camera with
+    one another.
     """
     told = {*check.findings.errors, *check.findings.warnings}
     for node in check.nodes:
@@ -73,7 +74,7 @@ def check_installation(check: BagCheck) -> None:
         mountings = list(measured_mountings(node.config, check.bag, check.usable))
         for is_error, parameter, text in _contradictions(mountings, node.config, check.bag):
             said = f"{node.place(check.path, parameter)}: {text}"
-            # A value that is refused was replaced to look at the rest: there is nothing to say of the replacement.
+            # Replaced values are already reported.
             if said not in told and parameter not in node.refused:
                 told.add(said)
                 check.say(is_error, said)
@@ -82,7 +83,7 @@ def check_installation(check: BagCheck) -> None:
 def _contradictions(
     mountings: Sequence[MeasuredMounting], config: Any, bag: Bag
 ) -> Iterator[tuple[bool, str, str]]:
-    """For each contradiction: whether it is an error, the parameter, and what to say."""
+    """Yield for each contradiction: True if it is an error, the parameter, and the text."""
     residuals = []
     for mounting in mountings:
         yield from camera_contradictions(mounting, bag)
@@ -100,7 +101,7 @@ def _contradictions(
 
 def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
     rotations_dv = mounting.rotations_dv
-    # Those far from most are left out: wrong stars, and moments of another clock.
+    # Exclude outliers: misidentified stars, and times of a wrong clock.
     middle = _mean(rotations_dv)
     distances = np.linalg.norm(log_rotation(middle.T @ rotations_dv), axis=-1)
     kept = distances <= 3.0 * np.median(distances) + ARCSEC
@@ -111,13 +112,13 @@ def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
     ins_sigma = ARCSEC * np.hypot(max(ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec), ins.white_sigma_arcsec)
     sigma_v = np.sqrt(installation_sigma_v**2 + ins_sigma**2 + scatter_v**2)
     turn_v = log_rotation(configured_dv.T @ middle)
-    # Both sigmas may be 0: then any turn contradicts.
+    # Both sigmas may be 0: then any rotation is a contradiction.
     sigmas = float(np.max(np.abs(turn_v) / np.maximum(sigma_v, 0.1 * ARCSEC)))
     return _Residual(mounting, middle, log_rotation(middle @ configured_dv.T), kept, sigmas)
 
 
 def _mean(rotations: FloatArray) -> FloatArray:
-    """The mean of rotations of shape (n, 3, 3): the rotation nearest to all of them, shape (3, 3)."""
+    """Return the mean of rotations of shape (n, 3, 3): the rotation nearest to all of them, shape (3, 3)."""
     left, _, right = np.linalg.svd(rotations.sum(axis=0))
     sign = np.linalg.det(left @ right)
     mean: FloatArray = left @ np.diag([1.0, 1.0, sign]) @ right
@@ -125,7 +126,7 @@ def _mean(rotations: FloatArray) -> FloatArray:
 
 
 def _configured(device: Any) -> tuple[FloatArray, FloatArray]:
-    """Deck from device by the parameters, and its sigma about the device's axes, rad."""
+    """Return deck from device by the parameters, and its sigma about the device's axes, rad."""
     if isinstance(device, ReferenceConfig):
         angles_deg = device.heading_deg, device.pitch_deg, device.roll_deg
         return rotation_from_angles(*np.deg2rad(angles_deg)), np.full(3, device.installation_sigma_arcsec * ARCSEC)
@@ -133,7 +134,7 @@ def _configured(device: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def _common_turn(far: Sequence[_Residual]) -> FloatArray | None:
-    """The turn of the deck that all of two or more devices show alike, rad, shape (3,); None where there is none."""
+    """Return the common rotation of the deck in two or more devices, rad, shape (3,); None if there is none."""
     if len(far) < 2:
         return None
     turns = np.array([residual.turn_d for residual in far])
@@ -142,12 +143,12 @@ def _common_turn(far: Sequence[_Residual]) -> FloatArray | None:
 
 
 def _words_of_ins(turn_d: FloatArray, far: Sequence[_Residual], bag: Bag) -> str:
-    # Right-handed about up is towards port: a heading counts the other way round.
+    # Right-handed about up is to port; headings count the opposite way.
     forward, up, right = np.rad2deg(turn_d)
     topics = ", ".join(f"'{residual.mounting.topic}'" for residual in far)
     return (
-        f"all of {topics} in {bag.path} are turned alike against 'ins/imu': {forward:.1f} deg about the deck's forward "
-        f"axis, {up:.1f} about up, {right:.1f} about right: look at 'ins.convention' and "
+        f"all of {topics} in {bag.path} have the same rotation against 'ins/imu': {forward:.1f} deg about the deck's "
+        f"forward axis, {up:.1f} about up, {right:.1f} about right: check 'ins.convention' and "
         "'ins.installation_heading_deg', '..._pitch_deg', '..._roll_deg'"
     )
 
@@ -161,7 +162,7 @@ def _installation(residual: _Residual, bag: Bag) -> Iterator[tuple[bool, str, st
     if angle <= _TOO_FAR:
         text = (
             f"{mounting.section}: by {where} the installation is {np.rad2deg(angle):.3f} deg off, "
-            f"{residual.sigmas:.0f} of its sigmas: calibrate_installation finds it"
+            f"{residual.sigmas:.0f} of its sigmas: run calibrate_installation"
         )
         yield False, mounting.section, text
         return
@@ -175,7 +176,7 @@ def _installation(residual: _Residual, bag: Bag) -> Iterator[tuple[bool, str, st
             in_radians = abs(_wrap_deg(np.rad2deg(configured) - measured)) < _LOOKS_LIKE_RADIANS_DEG
             hint = ": radians for degrees?" if in_radians else ""
             parameter = f"{mounting.section}.{name}"
-            text = f"parameter '{parameter}' = {configured:g} deg, but {where} say {measured:.2f} deg{hint}"
+            text = f"parameter '{parameter}' = {configured:g} deg, but {where} give {measured:.2f} deg{hint}"
             yield True, parameter, text
 
 
@@ -189,7 +190,7 @@ def _pixel_count(residuals: Sequence[_Residual], config: Any, bag: Bag) -> Itera
         name = f"{mounting.section}.camera.principal_u_px"
         text = (
             f"parameter '{name}': by '{mounting.topic}', other cameras and 'ins/imu' in {bag.path} the stars are one "
-            "pixel to the right and down: pixels counted from 1? Subtract 1 from u and v"
+            "pixel to the right and down: if pixels are counted from 1, subtract 1 from u and v"
         )
         yield False, name, text
 
@@ -219,7 +220,7 @@ def _wrap_deg(angle_deg: float) -> float:
 
 
 def check_telescope(check: BagCheck) -> None:
-    """Compare the configured focal length with that by distances in the image and angles between the lights."""
+    """Compare the configured focal length with the one from image distances and angles between the lights."""
     for node in check.nodes:
         if isinstance(node.config, OpticalAxisConfig) and _IMAGE_TOPIC in check.usable:
             measured_m = _focal_length_m(node.config, check.bag, check.usable)
@@ -228,12 +229,12 @@ def check_telescope(check: BagCheck) -> None:
                 name = "telescope.focal_length_m"
                 check.findings.errors.append(
                     f"{node.place(check.path, name)}: parameter '{name}' = {configured_m:g} m, but lights on "
-                    f"'{_IMAGE_TOPIC}' in {check.bag.path} stand as far apart as with {measured_m:.2g} m"
+                    f"'{_IMAGE_TOPIC}' in {check.bag.path} have distances that fit {measured_m:.2g} m"
                 )
 
 
 def _focal_length_m(config: OpticalAxisConfig, bag: Bag, usable: dict[str, str]) -> float | None:
-    """Focal length by the median over pairs of lights, m; None where there are too few."""
+    """Return the median focal length over pairs of lights, m; None if there are too few."""
     images, baselines = _collected(config, bag, usable)
     ratios_m: list[float] = []
     for time_ns, points_m in images:
@@ -249,7 +250,7 @@ def _focal_length_m(config: OpticalAxisConfig, bag: Bag, usable: dict[str, str])
 def _collected(
     config: OpticalAxisConfig, bag: Bag, usable: dict[str, str]
 ) -> tuple[list[tuple[int, dict[str, FloatArray]]], dict[str, list[tuple[int, FloatArray]]]]:
-    """Images with several lights, spread over the bag, and the unit vectors to the drones by time."""
+    """Return images with several lights, spread over the bag, and the unit vectors to the drones by time."""
     topics = {f"beacon/{id_}/baseline": id_ for id_ in config.beacons if f"beacon/{id_}/baseline" in usable}
     relative = {usable[topic]: topic for topic in (*topics, _IMAGE_TOPIC)}
     spacing_ns = ((bag.end_ns or 0) - (bag.start_ns or 0)) // _IMAGES
@@ -274,7 +275,7 @@ def _collected(
 
 
 def _nearest(baselines: list[tuple[int, FloatArray]], time_ns: int) -> FloatArray | None:
-    """The unit vector nearest in time; None where none is near."""
+    """Return the unit vector nearest in time; None if none is within the limit."""
     index = bisect_left(baselines, time_ns, key=lambda entry: entry[0])
     near = [entry for entry in baselines[max(index - 1, 0) : index + 1] if abs(entry[0] - time_ns) <= _NEAR_NS]
     return min(near, key=lambda entry: abs(entry[0] - time_ns))[1] if near else None

@@ -1,4 +1,4 @@
-"""Sigmas that the data of a bag contradict: of measurements by their innovations, of the INS by its own rates."""
+"""Sigmas contradicted by a bag: of measurements by their innovations, of the INS by its own rates."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 
 CONTRADICTED_FACTOR = 1.5
-"""Ratio of the measured to the stated sigma, or its inverse, from which on the data contradict it."""
+"""Ratio of measured to stated sigma, or its inverse, from which on the data contradict the sigma."""
 
 _INS_TOPIC = "ins/imu"
 _LEAST_FACTOR = 0.01
@@ -28,11 +28,11 @@ _OUTLIER, _MOST_LASTING = 8.0, 0.2
 
 
 class InsNoise(NamedTuple):
-    """Noise of an INS by its attitudes against its own rates, standard deviation of each axis.
+    """Noise of an INS from its attitudes and rates, standard deviation per axis.
 
     Attributes:
-        white_rad: of a single attitude.
-        rate_rad_per_s: of a single rate; 0 where that of the attitudes hides it, NaN where errors that last do.
+        attitude_sigma_rad: of a single attitude, rad.
+        rate_sigma_rad_per_s: of a single rate, rad/s; 0 if hidden by the attitude noise, NaN if by correlated errors.
     """
 
     white_rad: float
@@ -40,15 +40,15 @@ class InsNoise(NamedTuple):
 
 
 def check_sigmas(check: BagCheck, until_ns: int) -> None:
-    """Name the sigmas that the data contradict, with the values that fit.
+    """Report the sigmas that the data contradict, with the values that fit.
 
     Args:
-        check: whose nodes have been given the bag.
-        until_ns: log time up to which they were.
+        check: its nodes have processed the bag.
+        until_ns: log time up to which they have.
     """
     for node in check.nodes:
         rests_on_ins = isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)) and _INS_TOPIC in check.usable
-        # The innovations of all others rest on the INS too.
+        # All other innovations depend on the INS too.
         if rests_on_ins and _contradicts_ins(check, node, until_ns):
             continue
         if isinstance(node.adapter, ReportingAdapter):
@@ -59,16 +59,16 @@ def check_sigmas(check: BagCheck, until_ns: int) -> None:
 def _check_source(
     check: BagCheck, node: CheckedNode, adapter: ReportingAdapter, source: str, verdict: SourceVerdict
 ) -> None:
-    """Hold the verdict on one source against its sigmas."""
+    """Compare the innovation diagnosis of one source with its sigmas."""
     if verdict.kind not in (VerdictKind.OPTIMISTIC, VerdictKind.CONSERVATIVE):
         return
     factor = verdict.factor
-    # Data without any noise are made by hand, and show nothing.
+    # Data without any noise are artificial: no conclusion.
     if not (factor >= CONTRADICTED_FACTOR or _LEAST_FACTOR <= factor <= 1.0 / CONTRADICTED_FACTOR):
         return
     feed = next(feed for feed in adapter.feeds.values() if feed.source == source)
     record = adapter.health.records[feed.input.topic]
-    said = f"the innovations of {source} in {check.bag.path} are those of {factor:.2g} times this noise"
+    said = f"the innovations of {source} in {check.bag.path} fit {factor:.2g} times this noise"
     names = list(_parameters(node.config, source))
     if not names or 2 * record.noted[Reason.COVARIANCE_UNKNOWN] < record.received:
         text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {said} ({verdict.count} measurements)"
@@ -81,7 +81,7 @@ def _check_source(
 
 
 def _parameters(config: Any, source: str) -> Iterator[str]:
-    """Dotted names of the parameters of the noise of a source, which hold where its messages give none."""
+    """Yield the dotted names of a source's noise parameters, which apply if its messages give no covariance."""
     group, _, id_ = source.partition(".")
     if group == "star":
         section = "star_sensors" if id_ in getattr(config, "star_sensors", {}) else "telescopes"
@@ -106,9 +106,9 @@ def _value(config: Any, name: str) -> float:
 
 
 def _contradicts_ins(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
-    """Hold the noise of the INS, as its own rates show it, against the configured one; returns whether it is larger.
+    """Report configured INS noise that is smaller than that from its own rates; return True if there is any.
 
-    A smaller one is no contradiction: errors that last have no part in it.
+    Smaller measured noise is no contradiction: it does not include correlated errors.
     """
     times, rotations, rates = [], [], []
     for record in check.bag.records({check.found[_INS_TOPIC]}):
@@ -132,7 +132,7 @@ def _contradicts_ins(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
     found = False
     for name, (value, unit) in measured.items():
         stated = _value(node.config, name)
-        # A rate sigma of zero is learnt.
+        # A rate sigma of zero means that it is estimated.
         if stated > 0.0 and value >= CONTRADICTED_FACTOR * stated:
             text = f"{node.place(check.path, name)}: parameter '{name}' = {stated:.3g} {unit}, but '{_INS_TOPIC}'"
             against = "attitudes scatter against their own rates" if "white" in name else "rates scatter"
@@ -142,17 +142,17 @@ def _contradicts_ins(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
 
 
 def ins_noise(times_ns: Any, rotations_nd: FloatArray, rates_d: FloatArray) -> InsNoise | None:
-    """Return the noise of an INS by the turns between its attitudes, less those by the mean of both rates.
+    """Return the noise of an INS from the rotations between its attitudes minus those from the mean of both rates.
 
-    Noise of an attitude is in two such differences, with opposite signs; noise of a rate in two with equal signs.
+    Noise of an attitude enters two such differences with opposite signs, noise of a rate two with equal signs.
 
     Args:
         times_ns: stamps, shape (N,).
-        rotations_nd: shape (N, 3, 3).
-        rates_d: rad/s, shape (N, 3).
+        rotations_nd: attitudes, shape (N, 3, 3).
+        rates_d: rates, rad/s, shape (N, 3).
 
     Returns:
-        None where there are too few samples, or where they are too far apart in time.
+        None if there are too few samples, or if they are too far apart in time.
     """
     if len(times_ns) < _FEWEST_STEPS:
         return None

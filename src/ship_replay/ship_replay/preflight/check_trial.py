@@ -1,4 +1,4 @@
-"""Try a bag on the nodes of a configuration: inputs that they would hardly use, and their sigmas."""
+"""Trial of a bag on the nodes of a configuration: inputs that are hardly used, and their sigmas."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,7 +16,7 @@ from ship_replay.preflight.check_config import BagCheck, CheckedNode
 from ship_replay.preflight.check_sigmas import check_sigmas
 
 TRIAL_S = 600.0
-"""Length of the beginning of a bag that is tried: ten minutes of data take half a minute."""
+"""Length of the part of a bag that is tried, s: ten minutes of data take half a minute."""
 
 _FEWEST = 10
 _OF_THE_CONFIGURATION = (
@@ -29,40 +29,43 @@ _OF_THE_CONFIGURATION = (
     Reason.UNITS,
     Reason.UNKNOWN_SENSOR,
 )
-"""Where these refuse all of an input, no change of the weather will mend it."""
+"""Rejection reasons that indicate a wrong configuration if they affect a whole input."""
 
 _OF_THE_WEATHER = (Reason.TOO_FEW_STARS, Reason.BELOW_HORIZON, Reason.DUPLICATE, Reason.OFF)
-"""Where these refuse most of an input, nothing is wrong with it."""
+"""Rejection reasons that indicate no fault even if they affect most of an input."""
 
 _ADVICE = {
-    Reason.FUTURE: "set the device's clock to UTC (GPS time is 18 s ahead), or have its driver stamp by the computer",
+    Reason.FUTURE: "set the device's clock to UTC (GPS time is 18 s ahead), or let its driver use the computer's clock",
     Reason.LATE: "set the device's clock, or raise lag_s to its delay",
-    Reason.GAP: "the samples of ins/imu around it are missing or refused: see there first",
-    Reason.NO_FIX: "give position fixes on gnss/fix at least every sky.fix_max_age_s, stamped in UTC",
+    Reason.GAP: "samples of ins/imu around it are missing or rejected: check ins/imu first",
+    Reason.NO_FIX: "provide position fixes on gnss/fix at least every sky.fix_max_age_s, stamped in UTC",
     Reason.UNIDENTIFIED: "check the camera's focal length, the installation angles, gnss/fix and the stamps (UTC)",
-    Reason.JUMP: "these values cannot follow one another at a ship: check what the receiver or instrument gives first",
+    Reason.JUMP: "such jumps are impossible on a ship: check the receiver or instrument first",
     Reason.NOT_FIXED: "the receiver has no fixed solution: check its corrections, or set least_fix",
 }
-"""What to do about an input that is refused for a reason."""
+"""Advice by rejection reason."""
 
 
 class _NoOutput:
-    """Takes the outputs of a trial, which are not kept."""
+    """Sink that discards the outputs of a trial."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take a message."""
+        """Discard a message."""
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Take a message given by its bytes."""
+        """Discard a serialised message."""
 
     def write_many(
         self, topics: Sequence[tuple[str, str]], of_topic: StampArray, data: Sequence[bytes], log_times_ns: StampArray
     ) -> None:
-        """Take many messages."""
+        """Discard many messages."""
 
 
 def check_trial(check: BagCheck) -> None:
-    """Replay the beginning of a bag through the nodes, which are used up; name inputs hardly used and wrong sigmas."""
+    """Replay the beginning of a bag through the nodes; report inputs that are hardly used and wrong sigmas.
+
+    The nodes cannot be used afterwards.
+    """
     bag = check.bag
     chain = AdapterChain([node.adapter for node in check.nodes])
     names = {check.found[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in check.found}
@@ -86,9 +89,9 @@ def check_trial(check: BagCheck) -> None:
 
 
 def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> None:
-    """Name the inputs of which a node has used at most half, and those on which two publishers send."""
+    """Report inputs of which a node used at most half, and those with two publishers."""
     for text in node.adapter.health.first_contested.values():
-        check.say(False, f"{check.bag.path}: {span}{text}; what rests on both is not VALID")
+        check.say(False, f"{check.bag.path}: {span}{text}; outputs based on both are not VALID")
     records, factory = node.adapter.health.records, RosbagsFactory()
     for health in node.adapter.health.messages(factory, last_ns):
         line = hardly_used(health) if health.received >= _FEWEST else ""
@@ -110,7 +113,7 @@ def _words(reasons: Sequence[Reason]) -> Iterator[str]:
 
 
 def _why(last: Any, word: str) -> str:
-    """Return the node's text about the last one, and what to do."""
+    """Return the node's text about the last rejection, and the advice."""
     told = f": {shortened(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
     advice = next((advice for reason, advice in _ADVICE.items() if reason.word == word), "")
     return f"{told}; {advice}" if advice else told

@@ -1,8 +1,8 @@
-"""The load that a suite will be for this computer, estimated from the rates of its inputs.
+"""Estimate of the suite's processor load on this computer, from the rates of its inputs.
 
-The costs of a message are those of live nodes as measured on one computer, with all that a node does for it: taking it,
-its part of the estimate, what is published. The speed of another computer is measured by a small sum of the same kind.
-So the load is right to within a factor of about 1.5; it distinguishes a third of a core from a whole one.
+The cost of a message is that of a live node, measured on one computer: receiving it, its part of the estimate and its
+outputs. The speed of another computer is measured with a small computation of the same kind. The load is accurate to a
+factor of about 1.5.
 """
 
 import time
@@ -14,34 +14,34 @@ import numpy as np
 from ship_node.edge.adapter import Adapter
 
 MOST_SHARE = 0.7
-"""Share of a core above which a node is expected to fall behind at times."""
+"""Share of a core above which a node may fall behind at times."""
 
 _IDLE_SHARE = 0.06
-"""Share of a core that a node takes without inputs: ticks, diagnostics."""
+"""Share of a core that a node needs without inputs: ticks, diagnostics."""
 
 _COST_MS: Mapping[str, tuple[tuple[str, float], ...]] = {
     "ship_attitude": (("ins/", 0.7), ("star/", 1.5), ("", 0.6)),
     "star_attitude": (("star/", 2.0), ("", 0.4)),
 }
-"""Node → beginning of a topic and cost of a message on it, ms; the first row that fits counts."""
+"""Node → prefix of a topic and cost of a message on it, ms; the first matching row counts."""
 
 _OTHER_COST_MS = 0.6
 """Cost of a message of any other node, ms."""
 
 _REFERENCE_S = 14e-6
-"""Time of the sum on the computer on which the costs were measured, s."""
+"""Duration of the test computation on the reference computer, s."""
 
 _MEASURED_S, _SLICES = 0.2, 10
 
 
 @dataclass(frozen=True)
 class NodeLoad:
-    """The load of one node.
+    """Load of one node.
 
     Attributes:
-        node: its name.
-        share: of one core of this computer.
-        busiest: the input that takes most of it, with its rate.
+        node: name of the node.
+        share: share of one core of this computer.
+        busiest: input with the largest share, with its rate.
     """
 
     node: str
@@ -58,9 +58,9 @@ def loads(adapters: Sequence[Adapter], rates_hz: Mapping[str, float], slowness: 
     """Return the load of each node.
 
     Args:
-        adapters: of the nodes.
-        rates_hz: topic → rate, of inputs from outside; that of what the nodes give one another follows from them.
-        slowness: of this computer, see :func:`measured_slowness`.
+        adapters: adapters of the nodes.
+        rates_hz: topic → rate of inputs from outside; rates of topics between nodes follow from them.
+        slowness: relative slowness of this computer, see :func:`measured_slowness`.
     """
     found = []
     for adapter in adapters:
@@ -109,7 +109,7 @@ def load_warnings(found: Sequence[NodeLoad], cores: int) -> Iterator[str]:
 
 
 def measured_slowness() -> float:
-    """Return how many times longer this computer takes than that of the costs; measuring takes 0.2 s."""
+    """Return the computing time of this computer relative to the reference computer; the measurement takes 0.2 s."""
     matrix, times_s = np.eye(21) + 0.01, []
     for _ in range(_SLICES):
         begin_s, count = time.process_time(), 0
@@ -117,12 +117,12 @@ def measured_slowness() -> float:
             _sum(matrix)
             count += 1
         times_s.append((time.process_time() - begin_s) / count)
-    # What other programs do to the caches only makes it longer.
+    # Other programs can only increase the time.
     return min(times_s) / _REFERENCE_S
 
 
 def _sum(matrix: np.ndarray) -> None:
-    """Do what a step of a filter does most: small matrices, and Python around them."""
+    """Do a computation typical of a filter step: small matrices, and Python around them."""
     known = {str(number): 0.5 * number for number in range(40)}
     matrix = matrix @ (known["2"] * (matrix + matrix.T))
     np.linalg.cholesky(matrix @ matrix.T + np.eye(len(matrix)))
@@ -134,7 +134,7 @@ def _cost_s(node: str, topic: str) -> float:
 
 
 def _rate_hz(topic: str, rates_hz: Mapping[str, float]) -> float:
-    """Rate of a topic; of one that another node gives, where that is not known, that of what it is made of."""
+    """Return the rate of a topic; for an unknown one of another node, the rate of its source topic."""
     if topic in rates_hz:
         return rates_hz[topic]
     made_of = "ins/imu" if topic == "ship/attitude" else topic.replace("/solution", "/observations")

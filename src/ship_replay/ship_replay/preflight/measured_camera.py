@@ -1,6 +1,6 @@
-"""A camera by its stars: axes of the image, focal length, principal point, magnitudes; and the attitudes they give.
+"""Camera parameters from stars: image axes, focal length, principal point, magnitudes; and the resulting attitudes.
 
-Axes, focal length and principal point need no attitude; only a mirrored image needs one to state which of its axes is
+Axes, focal length and principal point need no predicted attitude, except to decide which axis of a mirrored image is
 reversed.
 """
 
@@ -24,17 +24,17 @@ from ship_replay.preflight.camera_exposures import AS_EXPECTED, MIRRORED, Camera
 _FEWEST_MAGNITUDES = 5
 
 _MOST_OF_THE_STARS = 0.5
-"""Share of the stars that must agree on one attitude per exposure for the axes of an image to be the right ones."""
+"""Minimum share of stars consistent with one attitude per exposure for the axes of an image to be accepted."""
 
 _WHICH_IS_OPEN = "u or v is reversed, or both are exchanged"
-"""The stars alone do not decide between these: a turn by a quarter or half leads from one to another."""
+"""Text for mirrored axes that the stars alone cannot distinguish: rotations by a quarter or half turn relate them."""
 
 
 class MagnitudeOffset(NamedTuple):
-    """Magnitudes of a camera against the catalogue's.
+    """Magnitudes of a camera relative to the catalogue.
 
     Attributes:
-        offset: median of measured minus catalogue (Hp).
+        offset: median of measured minus catalogue magnitude (Hp).
         sigma: standard deviation of the offset.
     """
 
@@ -44,13 +44,13 @@ class MagnitudeOffset(NamedTuple):
 
 @dataclass(frozen=True)
 class MeasuredCamera:
-    """A camera as its stars show it.
+    """Camera parameters measured from stars.
 
     Attributes:
-        axes: of its image.
-        focal_length_m: by the angles between stars; None where too few stars have identities.
-        optics: correction of the focal length and of the principal point as configured; None where not determined.
-        magnitudes: None where too few are given.
+        axes: image axes.
+        focal_length_m: focal length from the angles between stars; None if too few stars are identified.
+        optics: correction of the configured focal length and principal point; None if not determined.
+        magnitudes: magnitude offset; None if too few are given.
         attitudes: times and attitudes (horizon from sensor).
     """
 
@@ -63,12 +63,12 @@ class MeasuredCamera:
 
 @dataclass(frozen=True)
 class _Reading:
-    """The exposures of a camera under one assumption about its axes.
+    """Exposures of a camera under one hypothesis about its axes.
 
     Attributes:
-        axes: the assumption.
-        camera: with the focal length that fits the angles between stars; None where there are too few.
-        solved: exposures with an attitude, and the attitude.
+        axes: the hypothesis.
+        camera: camera with the focal length that fits the angles between stars; None if there are too few.
+        solutions: exposures with an attitude, and the attitude.
         star_count: number of stars in all exposures.
     """
 
@@ -79,7 +79,7 @@ class _Reading:
 
     @property
     def used_count(self) -> int:
-        """Number of stars that agree with the attitudes of their exposures, where other stars verify these."""
+        """Number of stars consistent with the attitudes of their exposures, where other stars verify these."""
         return sum(solution.star_count for _, solution in self.verified)
 
     @property
@@ -88,7 +88,7 @@ class _Reading:
         return [entry for entry in self.solved if entry[1].star_count >= FEWEST_VERIFIED]
 
     def turn(self, record: CameraRecord) -> float:
-        """Median angle between the attitudes and the predicted ones, rad; NaN where none is predicted."""
+        """Return the median angle between the attitudes and the predicted ones, rad; NaN without predictions."""
         pairs = [(record.prior_at(placed.time_ns), solution.rotation_nb) for placed, solution in self.verified]
         turns = [
             float(np.linalg.norm(log_rotation(prior.rotation_nb.T @ rotation_ns)))
@@ -99,11 +99,11 @@ class _Reading:
 
 
 def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
-    """Return a camera as its stars show it.
+    """Return the parameters of a camera from its stars.
 
     Args:
-        record: its stars.
-        watch: the sky, with place and air.
+        record: messages of the camera.
+        sky_model: the sky, with place and air.
     """
     reading = _read(record, AS_EXPECTED, watch)
     if reading.used_count < _MOST_OF_THE_STARS * reading.star_count:
@@ -119,7 +119,7 @@ def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
 
 
 def _mirrored(record: CameraRecord, expected: _Reading, watch: SkyWatch) -> _Reading:
-    """Return the reading with the mirrored axes that explain the stars; that with the expected axes where none do."""
+    """Return the hypothesis of mirrored axes that fits the stars; the expected axes if none does."""
     found = [reading for axes in MIRRORED if _explains(reading := _read(record, axes, watch), expected)]
     nearest = min(found, key=lambda reading: reading.turn(record), default=expected)
     if found and np.isnan(nearest.turn(record)):
@@ -128,7 +128,7 @@ def _mirrored(record: CameraRecord, expected: _Reading, watch: SkyWatch) -> _Rea
 
 
 def _explains(mirrored: _Reading, expected: _Reading) -> bool:
-    """True if most stars agree with the mirrored axes, and far fewer with the expected ones."""
+    """True if most stars are consistent with the mirrored axes, and far fewer with the expected ones."""
     least = max(_MOST_OF_THE_STARS * mirrored.star_count, 2 * expected.used_count, FEWEST_VERIFIED)
     return mirrored.used_count >= least
 
@@ -160,7 +160,7 @@ def _optics(configured: CameraConfig, reading: _Reading) -> OpticsEstimate | Non
     if found is None or not found.degrees:
         return None
     focal_length_m = fitted.focal_length_m * (1.0 + found.scale)
-    # Centroids worse than stated must not make a contradiction of the optics.
+    # Centroids worse than stated must not appear as an error of the optics.
     return replace(
         found,
         scale=focal_length_m / configured.focal_length_m - 1.0,
@@ -175,7 +175,7 @@ def _focal_length_m(configured: CameraConfig, reading: _Reading, optics: OpticsE
 
 
 def _magnitudes(reading: _Reading, watch: SkyWatch) -> MagnitudeOffset | None:
-    """Return the offset of the magnitudes of stars that agree with the attitude of their exposure."""
+    """Return the magnitude offset of stars consistent with the attitude of their exposure."""
     differences: dict[int, list[float]] = {}
     for placed, solution in reading.verified:
         used = placed.exposure[solution.members]

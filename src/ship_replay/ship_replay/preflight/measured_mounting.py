@@ -1,7 +1,7 @@
-"""Mountings and cameras of the devices of a bag, measured at some times of the bag.
+"""Mountings and cameras of devices, measured at some times of a bag.
 
-The attitudes of devices on the deck are compared with the INS's. A camera on the theodolite has no fixed attitude in
-the deck: its stars are compared with one another, and what predicts its attitude serves to identify them.
+Attitudes of devices on the deck are compared with the INS. A camera on the theodolite has no fixed attitude in the
+deck: its stars are compared with one another, and its predicted attitude only serves to identify them.
 """
 
 import functools
@@ -33,7 +33,7 @@ from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
 from theodolite_calib.ros import messages_in as mount_messages_in
 
 _EPOCHS = 30
-"""Moments of the bag at which a device is compared with the INS: all that a check needs."""
+"""Number of times of the bag at which a device is compared with the INS."""
 
 _INS_TOPIC = "ins/imu"
 
@@ -43,16 +43,16 @@ Config = ShipAttitudeConfig | StarAttitudeConfig | OpticalAxisConfig
 
 @dataclass(frozen=True)
 class MeasuredMounting:
-    """How one device is mounted by the data of a bag, and what its camera is.
+    """Mounting of one device measured from a bag, and its camera.
 
     Attributes:
         section: dotted name of its parameters.
-        topic: where its messages came.
+        topic: topic of its messages.
         device: its configuration.
-        rotations_dv: deck from device at the moments compared, shape (n, 3, 3); n = 0 where there were none, and for
-            a camera on the theodolite.
-        rates_d: of the deck at these moments, rad/s, shape (n, 3).
-        camera: by its stars; None where the device gives no single stars.
+        rotations_dv: deck from device at the compared times, shape (n, 3, 3); n = 0 without any, and for a camera on
+            the theodolite.
+        rates_d: rates of the deck at these times, rad/s, shape (n, 3).
+        camera: camera parameters from its stars; None if the device gives no single stars.
     """
 
     section: str
@@ -64,10 +64,10 @@ class MeasuredMounting:
 
 
 def measured_mountings(config: Config, bag: Bag, found: dict[str, str]) -> Iterator[MeasuredMounting]:
-    """Each device of a configuration that the bag has messages of.
+    """Yield the mounting of each configured device with messages in the bag.
 
     Args:
-        config: of a node that takes star sensors, references or cameras on the theodolite.
+        config: configuration of a node with star sensors, references or cameras on the theodolite.
         bag: the bag.
         found: relative topic → name in the bag.
     """
@@ -98,13 +98,13 @@ def measured_mountings(config: Config, bag: Bag, found: dict[str, str]) -> Itera
 
 
 def _ship_topic(config: Config, found: dict[str, str]) -> str:
-    """Return where the attitude of the ship comes from; on a theodolite the INS where its source is not in the bag."""
+    """Return the topic of the ship's attitude; for a theodolite the INS if its source is not in the bag."""
     source = config.ship.source if isinstance(config, OpticalAxisConfig) else _INS_TOPIC
     return source if source in found else _INS_TOPIC
 
 
 def _devices(config: Config) -> dict[str, tuple[str, Any]]:
-    """Relative topic → section and configuration."""
+    """Return relative topic → section and configuration."""
     devices: dict[str, tuple[str, Any]] = {}
     for id_, star in getattr(config, "star_sensors", {}).items():
         devices[f"star/{id_}/{getattr(star, 'input', 'observations')}"] = f"star_sensors.{id_}", star
@@ -118,7 +118,7 @@ def _devices(config: Config) -> dict[str, tuple[str, Any]]:
 
 
 def _epochs(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
-    """Relative topic → stamps of messages spread over the bag."""
+    """Return relative topic → stamps of messages spread over the bag."""
     stamps: dict[str, list[int]] = {relative: [] for relative in topics.values()}
     spacing_ns = ((bag.end_ns or 0) - (bag.start_ns or 0)) // _EPOCHS
     for record in bag.records(topics):
@@ -131,10 +131,10 @@ def _epochs(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
 def _collected(
     tracks: AttitudeTracks, bag: Bag, found: dict[str, str], epochs: dict[str, list[int]], watch: SkyWatch | None
 ) -> dict[str, list[tuple[Any, int]]]:
-    """The messages (with their arrival) at the epochs; tracks and sky take what belongs to the times around."""
+    """Return the messages at the stamps, with arrival times; add samples around these times to tracks and sky."""
     wanted = {topic: set(stamps) for topic, stamps in epochs.items()}
     all_epochs = sorted(stamp for stamps in epochs.values() for stamp in stamps)
-    # Clocks may differ by a second (the range of time_offset_s), and an interpolation needs samples on both sides.
+    # Clocks may differ by a second (range of time_offset_s), and interpolation needs samples on both sides.
     reach_ns = round((tracks.config.ins.max_gap_s + 1.0) * NS_PER_S)
     messages: dict[str, list[tuple[Any, int]]] = {topic: [] for topic in epochs}
     sky_topics = set(SURROUNDINGS) if watch is not None else set()
@@ -152,14 +152,14 @@ def _collected(
 
 
 def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, watch: SkyWatch | None) -> None:
-    """Give a message to the track or the sky that it belongs to, unless a node would refuse it."""
+    """Add a message to its track or to the sky, unless a node would reject it."""
     receive_ns, config = max(record.log_time_ns, stamp_ns), tracks.config
     try:
         message = record.decode()
         if topic == ENCODER_TOPIC:
             tracks.encoder.insert(mount_messages_in.encoder(message, config, receive_ns).value)
         elif topic == _INS_TOPIC:
-            # Its rates may be wrong in their units: attitudes alone decide here.
+            # Rates may have wrong units: use the attitudes only.
             tracks.ship.insert(replace(ins_sample(message, config.ins, receive_ns).value, rate_d=None))
         elif topic == tracks.ship_topic:
             tracks.ship.insert(replace(mount_messages_in.ship_attitude(message, config, receive_ns).value, rate_d=None))
@@ -184,7 +184,7 @@ def _decoded(record: BagRecord) -> Any:
 def _attitudes(
     topic: str, device: Any, messages: list[tuple[Any, int]], watch: SkyWatch | None
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Stamps and attitudes (horizon from device) of a device that solves its own."""
+    """Yield stamps and attitudes (horizon from device) of a device that outputs attitudes."""
     _, id_, kind = topic.split("/")
     for message, receive_ns in messages:
         try:

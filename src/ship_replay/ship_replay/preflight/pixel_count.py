@@ -1,8 +1,8 @@
-"""Cameras whose pixels are counted from 1: by their attitudes against one another's and the INS's.
+"""Cameras whose pixels are counted from 1, detected from their attitudes relative to each other and to the INS.
 
-A camera that counts from 1 sees all stars one pixel to the right and down: its attitude is turned by one pixel about
-its up and right axes. Where the installations are known to less than a pixel, the turns of several cameras against one
-INS are far likelier with this pixel than without it. One camera beside an INS that is known to less is enough.
+A camera that counts from 1 sees all stars one pixel to the right and down: its attitude is rotated by one pixel about
+its up and right axes. If the installations are known to less than a pixel, the rotations of several cameras against one
+INS are far more likely with this pixel than without it. One camera is enough if the INS is known to less than a pixel.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,20 +14,22 @@ from ship_estimation.chi_square import probability_above
 from ship_geometry.rotations import FloatArray
 
 _CLEARLY_LIKELIER = 12.0
-"""Difference of chi² by which one count is clearly likelier than another: 400 times. By chance: 3 in 10 000 at most."""
+"""Difference of chi² from which on one hypothesis is clearly more likely: by a factor of 400. By chance: at most 3 in
+10 000."""
 
 _LEAST_PROBABILITY = 0.01
-"""Of the turns with a count from 1: below it something else is wrong."""
+"""Minimum probability of the rotations under the best hypothesis; below it something else is wrong."""
 
 
 @dataclass(frozen=True)
 class CameraTurn:
-    """The mean turn of a camera on the deck against its installation, by the attitude of the INS.
+    """Mean rotation of a camera on the deck relative to its installation, by the attitude of the INS.
 
     Attributes:
         turn_d: rotation vector, deck frame, from the configured to the measured installation, rad, shape (3,).
-        covariance_d: of the errors that no other camera has: installation, noise of the mean, rad², shape (3, 3).
-        pixel_d: turn of a camera that counts from 1, rad, shape (3,).
+        covariance_d: covariance of errors not shared with other cameras: installation, noise of the mean, rad², shape
+            (3, 3).
+        pixel_d: rotation of a camera that counts from 1, rad, shape (3,).
     """
 
     turn_d: FloatArray
@@ -36,14 +38,14 @@ class CameraTurn:
 
 
 def counted_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: FloatArray) -> tuple[int, ...]:
-    """Return which cameras count their pixels from 1, as far as the turns show it.
+    """Return the cameras that count their pixels from 1, as far as the rotations show it.
 
-    Each camera alone and all together are considered. Of counts that are not clearly less likely than the likeliest,
-    the cameras are returned that they have in common.
+    Hypotheses are each camera alone, and all together. The result is the intersection of all hypotheses that are not
+    clearly less likely than the best.
 
     Args:
-        cameras: of one ship, compared at the same times of its INS.
-        ins_covariance_d: of the INS's attitude, deck frame, rad², shape (3, 3).
+        cameras: cameras of one ship, compared at the same times of its INS.
+        ins_covariance_d: covariance of the INS attitude, deck frame, rad², shape (3, 3).
     """
     if not cameras:
         return ()
@@ -67,11 +69,11 @@ def counted_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: FloatArray
 
 
 def turn_at_rest(turns_d: FloatArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean turn of a camera without what a time offset makes of the ship's rates, and its covariance.
+    """Return the mean rotation of a camera, corrected for the effect of a time offset on rates, and its covariance.
 
     Args:
-        turns_d: at n times, deck frame, rad, shape (n, 3).
-        rates_d: of the deck at these times, rad/s, shape (n, 3).
+        turns_d: rotation vectors at n times, deck frame, rad, shape (n, 3).
+        rates_d: rates of the deck at these times, rad/s, shape (n, 3).
 
     Returns:
         Rotation vector, rad, shape (3,), and covariance, rad², shape (3, 3).
@@ -88,7 +90,7 @@ def turn_at_rest(turns_d: FloatArray, rates_d: FloatArray) -> tuple[FloatArray, 
 
 
 def _choices(count: int) -> Iterator[tuple[int, ...]]:
-    """Each camera alone, and all of them where there are several."""
+    """Yield each camera alone, and all of them if there are several."""
     yield from ((number,) for number in range(count))
     if count > 1:
         yield tuple(range(count))

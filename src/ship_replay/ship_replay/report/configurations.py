@@ -1,4 +1,4 @@
-"""How the configurations of two recordings differ: line by line as they were written, and parameter by parameter."""
+"""Differences between the configurations of two recordings: line by line as written, and parameter by parameter."""
 
 import difflib
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _TEXTS = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class ParameterDifference:
-    """A parameter that is not the same in both; empty where a node, or a device of it, is not configured."""
+    """A parameter that differs between A and B; the value is empty if the node or device is not configured there."""
 
     node: str
     name: str
@@ -25,7 +25,7 @@ class ParameterDifference:
 
 
 def attached_texts(night: Night) -> dict[str, str]:
-    """Name → text of the configurations that are attached to a bag."""
+    """Return name → text of the configurations attached to a bag."""
     return {
         name: data.decode(errors="replace") for name, data in sorted(night.attachments.items())
         if name.endswith(_TEXTS)
@@ -33,7 +33,7 @@ def attached_texts(night: Night) -> dict[str, str]:
 
 
 def text_differences(a: Night, b: Night) -> dict[str, list[str]]:
-    """Name of an attached configuration → lines of its unified diff from A to B, none where both are equal."""
+    """Return name of an attached configuration → lines of its unified diff from A to B; no lines if both are equal."""
     texts_a, texts_b = attached_texts(a), attached_texts(b)
     return {
         name: list(
@@ -48,12 +48,13 @@ def text_differences(a: Night, b: Night) -> dict[str, list[str]]:
 
 
 def parameter_differences(a: Night, b: Night) -> list[ParameterDifference]:
-    """The parameters that differ, defaults included: one that only one file writes out at its default is none.
+    """Return the parameters that differ, defaults included.
 
-    A node that only one of the files configures is one row.
+    A parameter written out at its default in one file only does not differ. A node configured in one file only is one
+    row.
 
     Raises:
-        BadInput: a suite file is none of this version; whoever has evaluated the bags knows that it is.
+        BadInput: a suite file does not belong to this version; evaluating the bags checks this first.
     """
     found = []
     for node, kind in _NODES.items():

@@ -1,8 +1,8 @@
-"""Whether stated sigmas fit: of errors against the truth over the whole run, of innovations minute by minute.
+"""Consistency of stated sigmas: NEES of errors over the whole run, NIS of innovations minute by minute.
 
-The errors of a filter hang together over minutes, so that a run holds few independent ones; the band of their NEES is
-that of as many. Innovations are nearly independent, so that over a night no stated sigma would be exact enough: each
-minute is judged as the live page judges the last one, and the word is that of the minutes.
+Errors of a filter are correlated over minutes, so a run holds few independent ones; the NEES band is that of their
+number. Innovations are nearly independent, and over a long run no stated sigma would be exact enough. So each minute is
+tested as the live page tests the last one, and the result follows from the number of minutes outside their band.
 """
 
 import math
@@ -16,29 +16,29 @@ from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.picture import NisVerdict
 from ship_watch.verdict import BAND_SIGMAS, WIDEST_BAND, WINDOW_NS, NisWindow, as_stated, misfit
 
-TOO_FEW = "too few to tell"
-TOO_FEW_INDEPENDENT = "too few independent ones to tell"
+TOO_FEW = "too few"
+TOO_FEW_INDEPENDENT = "too few independent errors"
 
 _BAND = 0.999
 _NEES_DEGREES = 3
 _MINUTE_OUTSIDE = 2.0 * float(norm.sf(BAND_SIGMAS))
-"""Share of the minutes of an honest sigma whose ratio is outside the band of a minute."""
+"""Probability that a minute's ratio is outside its band although the stated sigma is correct."""
 
 
 @dataclass(frozen=True)
 class SigmaFit:
-    """Whether the sigma of a source fits.
+    """Result of the consistency test of one source's sigma.
 
     Attributes:
         kind: ``NEES`` of errors against the truth, ``NIS`` of innovations.
-        name: of the source.
-        mean: of the normalised squares; NaN where there are none.
-        degrees: mean number of degrees of freedom, which is what ``mean`` is of a sigma that fits.
-        count: of the squares.
-        independent: so many independent ones tell as much; NaN of innovations, which nearly are.
-        minutes: verdicts of the minutes of which something can be told, by the word ``as stated``, ``optimistic`` or
-            ``pessimistic``; empty of errors.
-        words: "σ as stated (1.01)", "σ optimistic by 1.6 in 40 of 60 minutes", or that there are too few.
+        name: name of the source.
+        mean: mean of the normalised squares; NaN if there are none.
+        degrees: mean number of degrees of freedom, the expected value of ``mean``.
+        count: number of normalised squares.
+        independent: equivalent number of independent squares; NaN for innovations, which are nearly independent.
+        minutes: number of tested minutes by result: ``as stated``, ``optimistic`` or ``pessimistic``; empty for errors.
+        words: the result, as "σ as stated (1.01)", "σ optimistic by 1.6 in 40 of 60 minutes", or that there are too
+            few.
     """
 
     kind: str
@@ -52,20 +52,20 @@ class SigmaFit:
 
     @property
     def ratio(self) -> float:
-        """Real over stated sigma, over the whole run; NaN where unknown."""
+        """Actual over stated sigma for the whole run; NaN if unknown."""
         return math.sqrt(self.mean / self.degrees) if self.degrees > 0.0 and self.mean >= 0.0 else math.nan
 
 
 def consistency(evaluation: Evaluation) -> list[SigmaFit]:
-    """A verdict for each source of errors, then for each source of innovations."""
+    """Return a result for each source of errors, then for each source of innovations."""
     fits = [nees_fit(errors) for errors in evaluation.errors]
     return fits + [nis_fit(name, part) for name, part in evaluation.innovations.items() if part.compared]
 
 
 def nees_fit(errors: AttitudeErrors) -> SigmaFit:
-    """Whether the errors of a source are as large as stated: mean NEES in its 99.9 % band of as many independent ones.
+    """Return the NEES test of a source's errors: the mean against its 99.9 % band for the independent number of errors.
 
-    N independent NEES of three degrees of freedom come to a χ² of 3 N.
+    The sum of N independent NEES of three degrees of freedom follows a χ² distribution with 3 N degrees of freedom.
     """
     nees = errors.nees[np.isfinite(errors.nees)]
     mean = float(np.mean(nees)) if len(nees) else math.nan
@@ -73,7 +73,14 @@ def nees_fit(errors: AttitudeErrors) -> SigmaFit:
 
 
 def mean_nees_fit(name: str, mean: float, count: int, independent: float) -> SigmaFit:
-    """Whether a mean of so many NEES, which tell as much as so many independent ones, is that of a sigma that fits."""
+    """Return the test of a mean NEES.
+
+    Args:
+        name: name of the source.
+        mean: mean NEES.
+        count: number of NEES.
+        independent: equivalent number of independent NEES.
+    """
     if not count:
         return SigmaFit("NEES", name, math.nan, _NEES_DEGREES, 0, 0.0, {}, "no σ stated")
     low, high = nees_band(independent)
@@ -88,7 +95,11 @@ def mean_nees_fit(name: str, mean: float, count: int, independent: float) -> Sig
 
 
 def nees_band(independent: float) -> tuple[float, float]:
-    """The 99.9 % band of the mean of so many independent NEES of three degrees of freedom; NaN of none."""
+    """Return the 99.9 % band of the mean of independent NEES of three degrees of freedom; NaN if there are none.
+
+    Args:
+        independent: number of independent NEES.
+    """
     if not independent:
         return math.nan, math.nan
     low, high = chi2.ppf([0.5 * (1.0 - _BAND), 0.5 * (1.0 + _BAND)], _NEES_DEGREES * independent) / independent
@@ -96,10 +107,10 @@ def nees_band(independent: float) -> tuple[float, float]:
 
 
 def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
-    """Whether the innovations of a source are as large as stated, minute by minute.
+    """Return the NIS test of a source's innovations, minute by minute.
 
-    Of the minutes of an honest sigma one in a thousand is outside its band by chance. σ is as stated where no more of
-    them are than the binomial distribution allows with 99.9 %.
+    With a correct sigma, one minute in a thousand is outside its band by chance. σ is as stated if the number of such
+    minutes does not exceed the 99.9 % quantile of the binomial distribution.
     """
     stamps = np.array(sorted(part.compared), dtype=np.int64)
     judged = [part.compared[stamp] for stamp in stamps.tolist()]
@@ -112,7 +123,7 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
         for row in rows:
             window.add(int(stamps[row]), float(nis[row]), int(degrees[row]))
         verdicts.append(window.verdict(int(stamps[rows[-1]])))
-    verdicts = [verdict for verdict in verdicts if verdict.text]  # of the others nothing can be told
+    verdicts = [verdict for verdict in verdicts if verdict.text]  # too few innovations in the others
     outside = {
         "optimistic": [verdict for verdict in verdicts if not verdict.is_as_stated and verdict.ratio > 1.0],
         "pessimistic": [verdict for verdict in verdicts if not verdict.is_as_stated and verdict.ratio < 1.0],
@@ -132,6 +143,6 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
 
 
 def _together(verdicts: list[NisVerdict]) -> float:
-    """The ratio of several minutes in one."""
+    """Return the actual over stated sigma of several minutes together."""
     degrees = sum(verdict.degrees for verdict in verdicts)
     return math.sqrt(sum(verdict.ratio**2 * verdict.degrees for verdict in verdicts) / degrees)

@@ -1,6 +1,6 @@
-"""The figures of a report as SVG that stands inside a page: few points, no names of other files, the same bytes always.
+"""Figures of a report as inline SVG: few points, no references to other files, reproducible bytes.
 
-The figures of errors and residuals are those of ``evaluation/figures.py``.
+The figures of errors and residuals come from ``evaluation/figures.py``.
 """
 
 import io
@@ -33,36 +33,36 @@ from ship_watch.picture import ANGLES, Safety
 from ship_watch.topics import source_of_name, source_of_topic
 
 MOST_POINTS = 1200
-"""A line has no more points than this."""
+"""Maximum number of points of a line."""
 
 STATE_LOOKS = {
     Safety.SAFE: ("#cfe8dc", ""),
     Safety.CAUTION: ("#ffc53d", "//"),
     Safety.UNSAFE: ("#d8352b", "xx"),
 }
-"""Fill and hatch of each word: told apart in black and white, too."""
+"""Fill colour and hatch of each state, distinguishable in black and white."""
 
 ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5)]
-"""Labels of a logarithmic axis."""
+"""Tick values of a logarithmic axis."""
 
 MARK = "mark-"
-"""Beginning of the id of the line that marks a second in the figure of the status; the second, POSIX, follows."""
+"""Prefix of the id of the line that marks a second in the status figure; the POSIX second follows."""
 
 _SERIES = ("#0b3c6f", "#7a5fa8", "#1f8a82", "#8a9bb0", "#b08d57", "#c9cfd6")
 _SOURCE_COLOURS = ("#0b3c6f", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5fa8", "#8a6d3b")
 _FIRST_SOURCES = ("fused", "pointing", "ins")
 SVG_STYLE = {"svg.hashsalt": "ship report", "svg.fonttype": "none", "font.size": 10, "hatch.linewidth": 0.6,
              "text.parse_math": False}
-"""How every figure of a page is drawn; a name with $ is a name."""
+"""Style of all figures of a page; "$" in a name is printed literally."""
 _STRIPPED = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|\s+xmlns(:\w+)?=\"[^\"]*\"", re.DOTALL)
 
 
 def svg(figure: Figure, name: str) -> str:
-    """A figure as an element of a page; it forgets the figure.
+    """Return a figure as an SVG element and close the figure.
 
     Args:
-        figure: drawn.
-        name: its ids begin with this, so that figures of one page do not meddle with each other.
+        figure: the finished figure.
+        name: prefix of all its ids, so that ids of the figures of one page do not collide.
     """
     stream = io.StringIO()
     with plt.rc_context(SVG_STYLE):
@@ -75,7 +75,7 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def source_colours(night: Night, evaluation: Evaluation) -> dict[str, str]:
-    """Return one colour for each source, the same in all panels of a report."""
+    """Return one colour for each source, the same in all figures of a report."""
     named = [errors.label for errors in evaluation.errors]
     named += [*evaluation.innovations, *(source_of(refusal.source) for refusal in night.refusals)]
     first = [name for name in _FIRST_SOURCES if name in named]
@@ -84,16 +84,16 @@ def source_colours(night: Night, evaluation: Evaluation) -> dict[str, str]:
 
 
 def source_of(name: str) -> str:
-    """Return the source that an innovation's name or an input topic belongs to; the name itself where it is none."""
+    """Return the source that an innovation's name or an input topic belongs to; the name itself if there is none."""
     return source_of_name(name) or source_of_topic(name) or name
 
 
 def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
-    """Return a ribbon for each angle, a second a point, and below it how accurate it was; empty without any angle.
+    """Return a bar of states for each angle, one second per point, and the accuracy below; empty without any angle.
 
     Args:
-        night: the recording.
-        marked: seconds, POSIX, that a link leads to: a line each, which is seen while it is the target of the page.
+        recording: the recording.
+        marked: POSIX seconds that links lead to: a line for each, visible while it is the target of the page.
     """
     shown = [name for name in ANGLES if night.words.get(name)]
     if not shown:
@@ -112,7 +112,7 @@ def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
         drawn = 0
         for number, name in enumerate(shown):
             told = np.array(night.accuracy.get(name, []), dtype=float).reshape(-1, 2)
-            told = told[told[:, 1] > 0.0]  # a covariance of zeros was not given
+            told = told[told[:, 1] > 0.0]
             drawn += len(told)
             kept = np.flatnonzero(thinned(told[:, 1:], MOST_POINTS))
             time_ns, (value,) = interrupted(told[kept, 0], gap_times(told[:, 0]), told[kept, 1])
@@ -143,9 +143,9 @@ def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
 
 
 def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
-    """Errors inside their ±3σ where the truth is known, a figure an orientation; innovations inside theirs elsewhere.
+    """Return the errors with their ±3σ, one figure per orientation; without truth the innovations with their ±3σ.
 
-    Empty without either.
+    The list is empty if there are neither.
     """
     groups: dict[tuple[str, ...], list[AttitudeErrors]] = {}
     for errors in evaluation.errors:
@@ -167,7 +167,7 @@ def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
 
 
 def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
-    """Variances of the largest sources, stacked for each angle; the axis is labelled by their roots."""
+    """Return the stacked variances of the largest sources for each angle; the axis shows their square roots."""
     points = [point for point in points if point.by_angle]
     if not points:
         return ""
@@ -185,7 +185,7 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
 
 
 def refusals_svg(night: Night, colours: Mapping[str, str]) -> str:
-    """When which source was refused: a row a source, a tick a second."""
+    """Return the times at which measurements were not used: one row per source, one bar per second."""
     rows: dict[str, set[int]] = {}
     for refusal in night.refusals:
         if not refusal.is_note:
@@ -211,7 +211,7 @@ def refusals_svg(night: Night, colours: Mapping[str, str]) -> str:
 
 
 def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start_ns: int) -> None:
-    """The words of an angle as bars at the height of a row, in seconds since a time."""
+    """Draw the states of an angle as bars at the height of a row, in seconds since `start_ns`."""
     for word, spans in _spans(words).items():
         fill, hatch = STATE_LOOKS[word]
         bars = [(start - start_ns / NS_PER_S, length) for start, length in spans]
@@ -219,14 +219,14 @@ def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start
 
 
 def thinned(values: FloatArray, most: int) -> np.ndarray:
-    """Which of the rows a line keeps: the least and largest of each column in stretches as long as one another.
+    """Return the rows that a decimated line keeps: the minimum and maximum of each column in equal intervals.
 
     Args:
-        values: shape (n, columns); what is not finite is neither.
-        most: so many rows are kept at the most; all where there are no more.
+        values: shape (n, columns); non-finite values are ignored.
+        most: maximum number of rows kept; all are kept if there are no more.
 
     Returns:
-        Booleans, shape (n,).
+        True for the rows kept, shape (n,).
     """
     count, columns = values.shape
     if count <= most:
@@ -238,7 +238,7 @@ def thinned(values: FloatArray, most: int) -> np.ndarray:
 
 
 def thin_errors(errors: AttitudeErrors) -> AttitudeErrors:
-    """Return errors with their extremes, few enough to be drawn; NaN where the output was INVALID or silent."""
+    """Return errors decimated to their extremes; NaN where the output was INVALID or missing."""
     together = np.hstack([errors.error_arcsec, errors.sigma_arcsec])
     kept = thinned(together, MOST_POINTS)
     kept[0] = True
@@ -249,11 +249,11 @@ def thin_errors(errors: AttitudeErrors) -> AttitudeErrors:
 
 
 def thin_innovations(part: SourceInnovations) -> SourceInnovations:
-    """Innovations with the extremes of each component, few enough to be drawn."""
+    """Return innovations decimated to the extremes of each component."""
     stamps = np.array(sorted(part.compared))
     if len(stamps) <= MOST_POINTS:
         return part
-    # One row of numbers, a zero before those of each stamp: a call of numpy for each stamp takes longer than all else.
+    # One array for all stamps, each preceded by a zero: one numpy call per stamp would be far slower.
     residuals: list[float] = []
     starts: list[int] = []
     for stamp in stamps.tolist():
@@ -305,7 +305,7 @@ def _draw_budget(
 
 
 def _spans(words: Sequence[tuple[int, Safety]]) -> Mapping[Safety, list[tuple[int, int]]]:
-    """Word → (first second, length in s) of each run of seconds in which it stood."""
+    """Return state → (first second, length in s) of each run of seconds with this state."""
     return {word: _runs([second for second, told in words if told is word]) for word in Safety}
 
 
@@ -320,7 +320,7 @@ def _runs(seconds: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def plain(grid: Iterable[Axes]) -> None:
-    """Axes with a grid of times and without a frame."""
+    """Set a grid of times and no frame."""
     for axes in grid:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.9", lw=0.6)

@@ -1,4 +1,4 @@
-"""The events of a report: changes back and forth of one subject are one row."""
+"""Events of a report, with repeated changes of one subject between two states combined in one row."""
 
 import re
 from collections import Counter
@@ -11,10 +11,10 @@ from ship_replay.report.wording import duration, utc
 from ship_watch.picture import Event
 
 LEAST_REPEATED = 6
-"""Changes back and forth from which on they are one row: there and back, three times."""
+"""Minimum number of changes between two states that are combined in one row: there and back, three times."""
 
 LONGEST_STAY_NS = 60 * NS_PER_S
-"""Changes farther apart than this are rows of their own, ns."""
+"""Maximum time between two changes combined in one row, ns."""
 
 _ORDER = ("IN", "OUT", "SAFE", "CAUTION", "UNSAFE", "VALID", "COASTING", "DEGRADED", "INVALID")
 """States of each kind, the better one first."""
@@ -25,14 +25,14 @@ _SOURCE_STATES = ("IN", "OUT")
 
 @dataclass(frozen=True)
 class EventRow:
-    """One row of the events: an event, or changes back and forth.
+    """One row of the events: a single event, or repeated changes between two states.
 
     Attributes:
         from_ns: time of the event or of the first change, UTC.
         to_ns: time of the last change.
-        kind: of the events.
-        subject: of the events.
-        text: for people.
+        kind: kind of the events.
+        subject: subject of the events.
+        text: text for people.
         count: number of events in the row.
     """
 
@@ -45,12 +45,12 @@ class EventRow:
 
     @property
     def when(self) -> str:
-        """The time, or the times from which to which, in UTC."""
+        """Time of the event, or times of the first and last change, in UTC."""
         return utc(self.from_ns) if self.count == 1 else f"{utc(self.from_ns)}–{utc(self.to_ns)}"
 
 
 def event_rows(events: Sequence[Event]) -> list[EventRow]:
-    """Return the rows in order of time: changes of one subject between the same two states are together."""
+    """Return the rows in order of time, with repeated changes of one subject between the same two states combined."""
     by_subject: dict[tuple[str, str], list[Event]] = {}
     for event in events:
         by_subject.setdefault((event.kind, event.subject), []).append(event)
@@ -64,7 +64,7 @@ def event_rows(events: Sequence[Event]) -> list[EventRow]:
 
 
 def states_of(event: Event) -> tuple[str, str, str]:
-    """Return state before, state after and the reason of an event; "" where it has none."""
+    """Return state before, state after and reason of an event; "" for each that is missing."""
     rest = event.text.removeprefix(event.subject).lstrip()
     found = _CHANGE.match(rest)
     if found is None:
@@ -78,7 +78,7 @@ def states_of(event: Event) -> tuple[str, str, str]:
 
 
 def _runs(events: Sequence[Event]) -> list[list[Event]]:
-    """Split the events of one subject into runs that go back and forth between two states."""
+    """Split the events of one subject into runs that alternate between two states."""
     runs: list[list[Event]] = []
     pair: frozenset[str] = frozenset()
     last, last_ns = "", 0

@@ -1,4 +1,4 @@
-"""The reports of a folder of bags, and one page with a row for each session."""
+"""Reports of a folder of bags, and one page with a row for each session."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -20,14 +20,14 @@ class SessionRow:
     """One session of a folder.
 
     Attributes:
-        name: of the bag.
-        error: why there is no report; empty where there is one.
+        name: name of the bag.
+        error: reason why there is no report; empty if there is one.
         start_ns: UTC at which the outputs begin.
         length_s: length of the recording.
         shares: "ship/attitude VALID", "heading SAFE" → share of the time.
-        worst_source: source that was out longest by its own fault; empty where none was.
-        faults: number of outages of sources by their own fault.
-        to_do: what to do, one sentence.
+        worst_source: source with the longest own outage; empty if none was out.
+        faults: number of outages not caused by another source.
+        to_do: recommended action, one sentence.
     """
 
     name: str
@@ -41,12 +41,12 @@ class SessionRow:
 
     @property
     def file(self) -> str:
-        """Name of the file with the session's report."""
+        """File name of the session's report."""
         return f"{self.name}.html"
 
 
 def bags_in(folder: Path) -> list[Path]:
-    """Return the bags of a folder by name: MCAP files and rosbag2 folders. Empty where the folder is itself a bag."""
+    """Return the bags of a folder by name: MCAP files and rosbag2 folders; empty if the folder is itself a bag."""
     if not folder.is_dir() or (folder / INFORMATION_FILE).exists():
         return []
     return sorted(
@@ -58,10 +58,10 @@ def bags_in(folder: Path) -> list[Path]:
 def session_reports(
     bags: Sequence[Path], read: Callable[[Path], ToldNight], write: Callable[[str, str], None]
 ) -> Iterator[SessionRow]:
-    """Write the report of each bag and yield its row; a bag without a report is a row with the error.
+    """Write the report of each bag and yield its row; a bag without a report yields a row with the error.
 
     Args:
-        bags: of the folder.
+        bags: bags of the folder.
         read: reads and evaluates a bag.
         write: writes a page under a name.
     """
@@ -93,8 +93,8 @@ def index_page(folder: Path, rows: Sequence[SessionRow], reports: str) -> str:
     """Return the page of a folder: its sessions in order of time, bags without a report last.
 
     Args:
-        folder: of the bags.
-        rows: of all bags.
+        folder: folder of the bags.
+        rows: rows of all bags.
         reports: folder of the reports, relative to the page.
     """
     sessions = sorted((row for row in rows if not row.error), key=lambda row: (row.start_ns, row.name))
@@ -113,7 +113,7 @@ def index_page(folder: Path, rows: Sequence[SessionRow], reports: str) -> str:
 
 
 def _shown(row: SessionRow, before: SessionRow | None, columns: Sequence[str]) -> dict[str, object]:
-    """Return the texts of a row, each value with its difference to the session before."""
+    """Return the texts of a row, each value with its difference to the previous session."""
     cells = []
     for name in columns:
         share = row.shares.get(name)

@@ -1,7 +1,7 @@
-"""A whole recording as a watch officer would have seen it: states, events, alerts, refusals, budgets, second by second.
+"""A recording as a watch officer would have seen it: states, events, alerts, rejections and budgets, second by second.
 
-The bag goes message by message through :class:`ship_watch.watch.Watch`. Its buffers hold ten minutes, so that what is
-new in them is taken out again and again.
+The bag is processed message by message by :class:`ship_watch.watch.Watch`. Its buffers hold ten minutes, so new entries
+are collected periodically.
 """
 
 import math
@@ -35,21 +35,21 @@ ALERTS = "ship/alerts"
 OUTPUT_OF_ANGLE = {
     name: "ship/attitude" if name in ("heading", "pitch", "roll") else "theodolite/pointing" for name in ANGLES
 }
-"""Angle → topic of the output that it is published in."""
+"""Angle → topic of the output that publishes it."""
 
 _LONGEST_S = 1.0
-"""Time for which an output that fell silent still counts with its last status, s: its age limit."""
+"""Maximum time for which the last status of an output counts, s: its age limit."""
 
 _LOOK_NS = NS_PER_S // 2
-"""How often the picture is taken, ns: alerts that are computed here are told at these moments."""
+"""Sampling period of the displayed state, and time resolution of alerts computed here, ns."""
 
 _OFTEN_ENOUGH_NS = NS_PER_S // 5
-"""Of topics of which the newest message says all, one in so long is read, ns."""
+"""Reading period of topics of which only the newest message matters, ns."""
 
 
 @dataclass(frozen=True)
 class AlertTold:
-    """What became of an alert at a moment."""
+    """A change of an alert's state: raised, acknowledged, over."""
 
     utc_ns: int
     what: str
@@ -58,9 +58,9 @@ class AlertTold:
 
 @dataclass(frozen=True)
 class RefusalTold:
-    """A measurement that was not used: by which source, why, and whether its node or the filter refused it.
+    """A measurement that was not used: source, reason, and whether the node or the filter rejected it.
 
-    A note is no refusal: the measurement was used all the same.
+    A note is no rejection: the measurement was used.
     """
 
     utc_ns: int
@@ -73,27 +73,28 @@ class RefusalTold:
 
 @dataclass
 class Night:
-    """What one recording tells.
+    """States, events, alerts, rejections and budgets of one recording.
 
     Attributes:
-        path: of the bag.
-        sha256: of the bag's file; of a folder a line for each of its files, as sha256sum writes them.
-        start_ns: log time of its first message.
-        end_ns: log time of its last message.
-        limits: that it was judged by.
+        path: path of the bag.
+        sha256: hash of the bag's file; for a folder one line per file, as sha256sum writes them.
+        start_ns: log time of the first message.
+        end_ns: log time of the last message.
+        limits: limits of the ship that the states refer to.
         topics: relative topic → type.
-        attachments: of the bag.
-        metadata: of the bag.
-        words: angle → one (second, worst word) for each second in which it was told, UTC in s.
+        attachments: attachments of the bag.
+        metadata: metadata records of the bag.
+        safety_states: angle → (second in UTC, worst state) for each second in which the angle was published.
         accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second; none while its output is INVALID.
-        status_s: topic of an output → status → time for which it stood, s.
-        events: in the order in which they were told.
-        alerts: what became of alerts, in time; ``alerts_are_recorded`` tells whether an alert node published them.
-        refusals: in time.
-        budgets: by topic.
-        before: the first estimates told, by topic.
-        after: the last ones.
-        last: the picture of the last moment.
+        status_s: topic of an output → status → total time with this status, s.
+        events: events in the order in which they were reported.
+        alerts: changes of alerts, in order of time.
+        alerts_are_recorded: True if an alert node published them, False if they were computed here.
+        rejections: rejections and notes, in order of time.
+        budgets: topic → points of the error budget.
+        first_estimates: topic → first published estimates.
+        last_estimates: topic → last published estimates.
+        last: displayed state at the end.
         problems: what is wrong with the bag, one line each.
     """
 
@@ -120,17 +121,17 @@ class Night:
 
     @property
     def start_utc_ns(self) -> int:
-        """UTC at which the outputs begin: that of the first word; log time where none was told."""
+        """UTC of the first published state; log time of the first message if there is none."""
         first_s = min((words[0][0] for words in self.words.values() if words), default=self.start_ns // NS_PER_S)
         return first_s * NS_PER_S
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """UTC at which the outputs begin and end, as long apart as the log times."""
+        """UTC at which the outputs begin and end; as long as the span of the log times."""
         return self.start_utc_ns, self.start_utc_ns + self.end_ns - self.start_ns
 
     def seconds(self, angle: str) -> Counter[Safety]:
-        """For how many seconds each word stood, the worst of each second."""
+        """Return the number of seconds of each state, the worst of each second."""
         return Counter(word for _, word in self.words.get(angle, ()))
 
 
@@ -138,7 +139,7 @@ def read_night(path: Path, limits: Limits | None = None, namespace: str = "") ->
     """Read a bag with outputs of the suite.
 
     Raises:
-        BadInput: it cannot be read, or holds no output; it names the file and what was expected.
+        BadInput: the bag cannot be read or holds no output; names the file and the expected topics.
     """
     limits = limits or Limits()
     with read_bag(path) as bag:
@@ -159,20 +160,20 @@ def read_night(path: Path, limits: Limits | None = None, namespace: str = "") ->
 
 
 class _FewKept(HistoryKeeper):
-    """Keeps words, budgets and parameters: errors and innovations are drawn from the evaluation, not from buffers."""
+    """History of states, budgets and parameters only: errors and innovations come from the evaluation."""
 
     def note_error(self, topic: str, message: Any) -> None:
-        """Nothing."""
+        """Ignore an error message."""
 
     def note_innovation(self, source: str, message: Any, now_ns: int) -> None:
-        """Nothing."""
+        """Ignore an innovation."""
 
     def note_seen(self, topic: str, message: Any, now_ns: int) -> None:
-        """Nothing."""
+        """Ignore a star or light that was seen."""
 
 
 class _Reading:
-    """Goes through a bag once."""
+    """Reader of one bag, in one pass."""
 
     def __init__(self, night: Night, alerts_are_recorded: bool) -> None:
         self._night, self._watch = night, Watch(night.limits, _FewKept)
@@ -187,7 +188,7 @@ class _Reading:
         self._status: dict[str, tuple[int, str]] = {}
 
     def read(self, bag: Bag, topics: Mapping[str, str]) -> None:
-        # Errors against the truth are those of evaluate.
+        # Errors against the truth come from evaluate.
         rows = {
             name: row
             for name, topic in topics.items()
@@ -242,7 +243,7 @@ class _Reading:
         self._empty()
 
     def _empty(self) -> None:
-        """Take what is new out of the buffers."""
+        """Append the new entries of the buffers to the recording."""
         night = self._night
         for point in self._newer("", self._history.ribbons):
             for name in ANGLES:
@@ -264,7 +265,7 @@ class _Reading:
         return found
 
     def _note_status(self, topic: str, message: Any, now_ns: int) -> None:
-        """Count how long the status before this message stood; of a silence the first second."""
+        """Add the duration of the previous status; after the output stops, one second of it counts."""
         since_ns, word = self._status.get(topic, (now_ns, ""))
         if word:
             stood_s = min((now_ns - since_ns) / NS_PER_S, _LONGEST_S)
@@ -278,7 +279,10 @@ class _Reading:
             self._night.refusals.append(RefusalTold(stamp_ns, str(message.source), reason_name(message), "filter"))
 
     def _note_health(self, message: Any) -> None:
-        """Counts of a node only grow; one that is less is that of a node that began anew."""
+        """Record rejections and notes from input_health.
+
+        A count below the previous one means that the node restarted.
+        """
         stamp_ns, topic = ns_from_stamp(message.header.stamp), str(message.topic)
         rejected = int(message.rejected)
         is_note = rejected == self._rejected.get(topic, 0)
@@ -291,7 +295,7 @@ class _Reading:
                 self._night.refusals.append(RefusalTold(stamp_ns, topic, str(reason), "node", more, is_note))
 
     def _note_recorded(self, picture: Picture) -> None:
-        """What became of the alerts that an alert node published."""
+        """Record the changes of published alerts."""
         heard = {(alert.id, alert.instance): alert for alert in picture.alerts or ()}
         for key, alert in heard.items():
             if key not in self._heard or self._heard[key].state != alert.state:
@@ -304,5 +308,5 @@ class _Reading:
 
 
 def _grave(changes: Iterable[AlertChange]) -> list[AlertChange]:
-    """Nobody acknowledges what is computed afterwards, so that repetitions for that tell nothing."""
+    """Return the changes without repetitions for missing acknowledgement: computed alerts are never acknowledged."""
     return [change for change in changes if not change.what.startswith("repeated")]

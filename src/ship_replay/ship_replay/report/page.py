@@ -1,4 +1,4 @@
-"""The page: what an analyst reads at breakfast, in the order in which it is asked for."""
+"""The report page of one recording."""
 
 import json
 import platform
@@ -23,20 +23,20 @@ from ship_replay.report.told import ToldNight
 from ship_replay.report.wording import duration, number, utc
 
 SECTIONS = (
-    ("verdict", "Verdict"),
+    ("verdict", "Summary"),
     ("status", "Status over time"),
-    ("errors", "Errors inside their σ"),
+    ("errors", "Errors with their ±3σ"),
     ("budget", "Error budget over time"),
     ("consistency", "NIS and NEES"),
     ("alignment", "Alignment before and after"),
     ("alerts", "Alerts"),
     ("events", "Events"),
-    ("refusals", "Refusals by reason and time"),
+    ("refusals", "Rejections by reason and time"),
     ("inputs", "Inputs"),
     ("configuration", "Configuration"),
     ("provenance", "Versions and hash of the bag"),
 )
-"""Ids and titles of the sections, in their order."""
+"""Ids and titles of the sections, in order."""
 
 _PACKAGES = (
     *SUITE_PACKAGES, "ship_attitude_star", "theodolite_calib", "ship_watch", "ship_replay",
@@ -45,7 +45,7 @@ _PACKAGES = (
 
 
 def page(told: ToldNight) -> str:
-    """The report of one recording as one HTML file that names no other; the same recording gives the same text."""
+    """Return the report of one recording as a single HTML file; the same recording gives the same text."""
     night, evaluation = told.night, told.evaluation
     start_ns = night.start_utc_ns
     events, colours = event_rows(night.events), source_colours(night, evaluation)
@@ -102,13 +102,13 @@ def render(template: str, **values: Any) -> str:
 
 
 def versions() -> list[tuple[str, str]]:
-    """Of the suite and of what computes for it, here and now: those that made the report."""
+    """Return the versions of the suite and of its libraries that make the report."""
     own = suite_commit() or "unknown: no git checkout"
     return [("suite, commit", own), ("python", platform.python_version()), *package_versions(_PACKAGES).items()]
 
 
 def recorded_versions(night: Night) -> list[tuple[str, str]]:
-    """Return the commit of the suite that made the bag, and the versions in a black box; empty where it has none."""
+    """Return the commit of the suite that made the bag, and the versions in a black box; empty if it has neither."""
     commit = night.metadata.get(COMMIT_RECORD, {}).get("commit", "")
     of_commit = [("suite, commit", commit)] if commit else []
     try:

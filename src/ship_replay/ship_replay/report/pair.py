@@ -1,4 +1,4 @@
-"""Two recordings side by side: both told, their outputs at equal stamps, and whether they stem from the same inputs."""
+"""Two recordings side by side: both read, their outputs at equal stamps, and whether their inputs are the same."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits
 
 _SIMULATION, _INJECTION = "simulation", "injection"
-"""Names of the metadata records with the seeds of a simulated voyage, and of faults put into a bag."""
+"""Names of the metadata records with the seed of a simulated voyage and of injected faults."""
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class Pair:
     """Two recordings, A and B.
 
     Attributes:
-        a: the first.
-        b: the second.
-        published: what A and B published.
-        differences: of the outputs at equal stamps, B minus A, by orientation.
+        a: data of A.
+        b: data of B.
+        published: published outputs of A and B.
+        differences: outputs at equal stamps, B minus A, by orientation.
     """
 
     a: ToldNight
@@ -35,17 +35,17 @@ class Pair:
 
     @property
     def is_same(self) -> bool:
-        """Whether both are the same file, byte for byte."""
+        """True if both are the same file, byte for byte."""
         return self.a.night.sha256 == self.b.night.sha256
 
     @property
     def nights(self) -> tuple[Night, Night]:
-        """Of A and B."""
+        """Recordings A and B."""
         return self.a.night, self.b.night
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """From the first to the last moment of both, UTC in ns."""
+        """First and last time of both recordings, UTC in ns."""
         spans = [night.span_ns for night in self.nights]
         return min(start for start, _ in spans), max(end for _, end in spans)
 
@@ -56,7 +56,7 @@ def read_pair(
     """Read two bags with outputs.
 
     Raises:
-        BadInput: a bag cannot be read or lacks what is expected of it, or the two have no time in common.
+        BadInput: a bag cannot be read or lacks a required topic, or the two have no time in common.
     """
     if is_short(a) and is_short(b):
         told, other = (read_told(path, truth, limits, namespace) for path in (a, b))
@@ -71,7 +71,7 @@ def read_pair(
 def _read_beside(
     a: Path, b: Path, truth: Path | None, limits: Limits | None, namespace: str
 ) -> tuple[ToldNight, ToldNight, tuple[Published, Published]]:
-    """All that is read of both at the same time: one after the other would take twice as long."""
+    """Read both bags in parallel, with additional processes."""
     check_truth(truth, namespace)
     with other_processes(5) as others:
         evaluated = [others.submit(evaluate, path, against=truth, namespace=namespace) for path in (a, b)]
@@ -86,9 +86,9 @@ def _read_beside(
 
 
 def origin(pair: Pair) -> list[str]:
-    """In sentences: whether both stem from the same inputs, as far as the bags tell, and of which times they are."""
+    """Return sentences about the inputs of both recordings: whether they are the same, and their times."""
     if pair.is_same:
-        return ["A and B are the same recording: their SHA-256 is the same."]
+        return ["A and B are the same recording (same SHA-256)."]
     sentences = [_stem(pair)]
     counts_a, counts_b = (one.received for one in pair.published)
     counted = [
@@ -97,43 +97,43 @@ def origin(pair: Pair) -> list[str]:
         if counts_a.get(topic, 0) != counts_b.get(topic, 0)
     ]
     if counted:
-        sentences.append(f"The nodes did not receive the same number of messages: {'; '.join(counted)}.")
+        sentences.append(f"The nodes received different numbers of messages: {'; '.join(counted)}.")
     spans = [night.span_ns for night in pair.nights]
     if max(abs(spans[0][0] - spans[1][0]), abs(spans[0][1] - spans[1][1])) > 2 * 10**9:
         texts = [f"{utc(start)} to {utc(end)}" for start, end in spans]
         common = duration(overlap_s(*spans))
         sentences.append(
-            f"They are not of the same time: A from {texts[0]}, B from {texts[1]} UTC; {common} are in both. "
-            "Shares and means are those of the whole of each."
+            f"The times differ: A from {texts[0]}, B from {texts[1]} UTC; {common} in common. "
+            "Shares and means refer to each whole recording."
         )
     return sentences
 
 
 def _stem(pair: Pair) -> str:
-    """Whether the inputs are the same, by the strongest thing that the bags tell."""
+    """Return the sentence about the inputs, by the strongest evidence in the bags."""
     given_a, given_b = (one.given for one in pair.published)
     shared = sorted(given_a.keys() & given_b.keys())
     unequal = [topic for topic in shared if given_a[topic] != given_b[topic]]
     if unequal:
-        return f"They do not stem from the same inputs: {', '.join(unequal)} differ{'s' * (len(unequal) == 1)}."
+        return f"The inputs are not the same: {', '.join(unequal)} differ{'s' * (len(unequal) == 1)}."
     injected = [night.metadata.get(_INJECTION) for night in pair.nights]
     if injected[0] != injected[1]:
         told = [f"{_entries(record)} in {letter}" for letter, record in zip("AB", injected, strict=True) if record]
         only = " only" if len(told) == 1 else ""
-        return f"They do not stem from the same inputs: faults were injected ({', '.join(told)}{only})."
+        return f"The inputs are not the same: faults were injected ({', '.join(told)}{only})."
     scenarios = [night.attachments.get(SCENARIO_ATTACHMENT) for night in pair.nights]
     seeds = [night.metadata.get(_SIMULATION) for night in pair.nights]
     if scenarios[0] is not None and scenarios[1] is not None:
         if scenarios[0] != scenarios[1]:
-            return f"They do not stem from the same inputs: their scenarios differ ({SCENARIO_ATTACHMENT} below)."
+            return f"The inputs are not the same: the scenarios differ ({SCENARIO_ATTACHMENT} below)."
         if seeds[0] != seeds[1]:
             told = [_entries(record) or "no seed" for record in seeds]
-            return f"They do not stem from the same inputs: {told[0]} in A, {told[1]} in B."
-        faults = "" if injected[0] is None else " So is the seed of the injected faults; which they were is not told."
-        return f"Both stem from the same simulated voyage: scenario and seed are the same.{faults}"
+            return f"The inputs are not the same: {told[0]} in A, {told[1]} in B."
+        faults = "" if injected[0] is None else " So is the seed of the injected faults; the faults are not recorded."
+        return f"The inputs are the same simulated voyage (same scenario and seed).{faults}"
     if shared:
-        return f"As far as the bags tell, the inputs are the same: {', '.join(shared)}."
-    return "Nothing in the bags tells whether they stem from the same inputs."
+        return f"The inputs are the same as far as recorded: {', '.join(shared)}."
+    return "Whether the inputs are the same is unknown: the bags have no truth, ins/imu or scenario in common."
 
 
 def _entries(record: Mapping[str, str] | None) -> str:

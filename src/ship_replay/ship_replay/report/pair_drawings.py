@@ -1,4 +1,4 @@
-"""The figures of two recordings: on one axis of time, or beside each other on one scale."""
+"""Figures of two recordings, on one time axis or side by side with the same scale."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,15 +31,15 @@ from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES
 
 _A, _B = ("#0b3c6f", "-"), ("#d55e00", "--")
-"""Colour and dash of each: told apart in black and white, too."""
+"""Colour and line style of each run, distinguishable in black and white."""
 
 _PALE = "#cfdceb"
 
 
 def states_svg(pair: Pair) -> str:
-    """The words of both, a ribbon each, and the 95 % accuracy of both, an angle a row, on one axis of time.
+    """Return the states of both runs and, one row per angle, the 95 % accuracy of both, on one time axis.
 
-    Empty where no angle was ever told.
+    The text is empty if no angle was published.
     """
     shown = [name for name in ANGLES if any(night.words.get(name) for night in pair.nights)]
     if not shown:
@@ -69,11 +69,11 @@ def states_svg(pair: Pair) -> str:
 
 
 def difference_svg(difference: OutputDifference, span_ns: tuple[int, int]) -> str:
-    """B minus A at equal stamps, a row a channel, over ±1.96σ of both.
+    """Return B minus A at equal stamps, one row per channel, over ±1.96σ of both.
 
     Args:
-        difference: of one output.
-        span_ns: times from which to which the axis goes, UTC in ns.
+        difference: difference of one output.
+        span_ns: first and last time of the axis, UTC in ns.
     """
     start_ns, end_ns = span_ns
     with plt.rc_context(SVG_STYLE):
@@ -113,9 +113,9 @@ class _Line:
 
 
 def sides_svg(pair: Pair) -> str:
-    """Errors of the outputs inside ±3σ, or innovations where there is no truth: A on the left, B on the right.
+    """Return the errors of the outputs with their ±3σ, or innovations without truth: A on the left, B on the right.
 
-    Both sides of a row have one scale. Empty where neither has any.
+    Both sides of a row have the same scale. The text is empty if there are neither errors nor innovations.
     """
     sides = [_errors(told) if pair.a.evaluation.errors or pair.b.evaluation.errors else _innovations(told)
              for told in (pair.a, pair.b)]
@@ -137,7 +137,7 @@ def sides_svg(pair: Pair) -> str:
                 axes.plot(time_s, line.value, color=_A[0], lw=0.8)
             for axes, side in zip(row, sides, strict=True):
                 if name not in side:
-                    axes.text(0.5, 0.5, "nothing", transform=axes.transAxes, ha="center", color="#888888")
+                    axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", color="#888888")
             _limit(row[0], [part for _, line in found for part in (line.value, 3.0 * line.sigma)])
             label = "\n".join(map(short_name, name.split("\n")))
             row[0].set_ylabel(label, fontsize=8, rotation="horizontal", ha="right", va="center")
@@ -200,7 +200,7 @@ def _innovations(told: ToldNight) -> dict[str, _Line]:
 
 
 def _limit(axes: Axes, parts: Sequence[FloatArray]) -> None:
-    """Scale an axis symmetrically to what is drawn; the first uncertain moments may lie outside."""
+    """Set symmetric limits from the 99th percentile; larger values, as at the start, may lie outside."""
     sizes = [np.percentile(np.abs(part[np.isfinite(part)]), 99.0) for part in parts if np.isfinite(part).any()]
     high = 1.25 * max(sizes, default=0.0)
     axes.set_ylim(-high if high > 0.0 else -1.0, high if high > 0.0 else 1.0)

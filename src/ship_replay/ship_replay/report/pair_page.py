@@ -25,24 +25,24 @@ from ship_replay.report.wording import duration, utc
 from ship_watch.picture import ANGLES
 
 PAIR_SECTIONS = (
-    ("verdict", "Verdict"),
+    ("verdict", "Summary"),
     ("states", "States"),
-    ("difference", "Difference of the outputs"),
-    ("errors", "Errors inside their σ"),
+    ("difference", "Output differences"),
+    ("errors", "Errors with their ±3σ"),
     ("budget", "Error budget"),
     ("consistency", "NIS and NEES"),
     ("alignment", "Alignment at the end"),
-    ("alerts", "Alerts that only one has"),
-    ("events", "Events that only one has"),
-    ("refusals", "Refusals by reason"),
+    ("alerts", "Alerts in one run only"),
+    ("events", "Events in one run only"),
+    ("refusals", "Rejections by reason"),
     ("configuration", "Configuration"),
     ("provenance", "Versions and hashes"),
 )
-"""Ids and titles of the sections, in their order."""
+"""Ids and titles of the sections, in order."""
 
 
 def pair_page(pair: Pair) -> str:
-    """Two recordings in one HTML file that names no other; the same recordings give the same text."""
+    """Return the comparison of two recordings as a single HTML file; the same recordings give the same text."""
     a, b = pair.nights
     start_ns, end_ns = pair.span_ns
     parameters, errors = parameter_differences(a, b), error_rows(pair)
@@ -87,7 +87,7 @@ def pair_page(pair: Pair) -> str:
 
 
 def _problems(pair: Pair) -> list[str]:
-    """What is wrong with the bags, and with which."""
+    """Return the problems of the bags, each with the letters of the bags that have it."""
     found: dict[str, str] = {}
     for letter, told in zip("AB", (pair.a, pair.b), strict=True):
         for problem in sorted({*told.night.problems, *told.evaluation.problems}):
@@ -96,11 +96,11 @@ def _problems(pair: Pair) -> list[str]:
 
 
 def _shares_of_both(a: Night, b: Night) -> list[tuple[str, dict[str, float] | None, dict[str, float] | None]]:
-    """Angle, and the share of each word in A and in B; None where one never told it."""
+    """Return angle, and the share of each state in A and in B; None where the angle was not published."""
     of_a, of_b = ({name: share for name, share, _ in shares(night)} for night in (a, b))
     return [(name, of_a.get(name), of_b.get(name)) for name in ANGLES if name in of_a or name in of_b]
 
 
 def _of_both(a: Mapping[str, str], b: Mapping[str, str]) -> list[tuple[str, str, str]]:
-    """Each name, and what it is in A and in B; empty where it is not."""
+    """Return each name with its values in A and in B; empty where it is missing."""
     return [(name, a.get(name, ""), b.get(name, "")) for name in dict.fromkeys([*a, *b])]

@@ -1,4 +1,4 @@
-"""The rows of two recordings side by side: of each quantity A's value, B's, and what is between them."""
+"""Tables of two recordings side by side: value of A, value of B and their difference."""
 
 import math
 import re
@@ -22,10 +22,10 @@ from ship_watch.history import BudgetPoint, ParameterShown
 from ship_watch.orientations import channel_name
 
 SAME_MOMENT_NS = 2 * NS_PER_S
-"""What both tell within this time of each other is the same."""
+"""Maximum time difference of events that count as the same, ns."""
 
 FAR_APART_SIGMAS = 3.0
-"""Estimates farther apart than this are pointed out."""
+"""Difference of two estimates, in their common sigma, above which it is marked."""
 
 _DIGITS = re.compile(r"[\d.]+")
 _PART = TypeVar("_PART")
@@ -33,15 +33,15 @@ _PART = TypeVar("_PART")
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """Errors of one channel of a source in A and B, arcsec; NaN where one has none.
+    """Errors of one channel of a source in A and B, arcsec; NaN where a run has none.
 
     Attributes:
-        label: the source.
-        channel: as its orientation calls it.
+        label: name of the source.
+        channel: name of the channel in its orientation.
         rms: root mean squares.
-        size_95: what 95 % of the errors do not exceed.
-        samples: number of errors.
-        at_equal_stamps: whether only errors at stamps that both have are in it.
+        size_95: 95th percentiles of the error size.
+        samples: numbers of errors.
+        at_equal_stamps: True if only errors at common stamps are included.
     """
 
     label: str
@@ -53,17 +53,17 @@ class ErrorRow:
 
     @property
     def name(self) -> str:
-        """The channel for people."""
+        """Name of the channel for people."""
         return channel_name(self.channel)
 
     @property
     def ratio(self) -> float:
-        """RMS of B over that of A."""
+        """RMS of B over RMS of A."""
         return self.rms[1] / self.rms[0] if self.rms[0] > 0.0 else math.nan
 
 
 def error_rows(pair: Pair) -> list[ErrorRow]:
-    """A row for each source and channel with errors against the truth; at equal stamps where there are any."""
+    """Return a row for each source and channel with errors against the truth; at equal stamps if there are any."""
     sides = [{series.label: series for series in told.evaluation.errors} for told in (pair.a, pair.b)]
     rows = []
     for label in dict.fromkeys([*sides[0], *sides[1]]):
@@ -83,7 +83,7 @@ def error_rows(pair: Pair) -> list[ErrorRow]:
 
 
 def difference_rows(differences: Iterable[OutputDifference]) -> list[dict[str, str]]:
-    """A row for each channel of the outputs: how far B is from A, and when the most."""
+    """Return a row for each channel of the outputs: B minus A, and its largest value with the time."""
     rows = []
     for found in differences:
         for channel, name in enumerate(found.orientation.channels):
@@ -107,12 +107,12 @@ def difference_rows(differences: Iterable[OutputDifference]) -> list[dict[str, s
 
 @dataclass(frozen=True)
 class BudgetTable:
-    """Roots of mean variances in A and B, arcsec, for people.
+    """Square roots of mean variances in A and B, arcsec, as texts.
 
     Attributes:
-        topic: of the budget.
+        topic: topic of the budget.
         angles: columns.
-        rows: source of error, and A's and B's value for each angle; the largest source first.
+        rows: source of error, and the values of A and B for each angle; the largest source first.
     """
 
     topic: str
@@ -121,7 +121,7 @@ class BudgetTable:
 
 
 def budget_tables(pair: Pair) -> list[BudgetTable]:
-    """What of the errors comes from which source, on the average of all moments that were told."""
+    """Return the error budgets: mean variance of each source of error over the run."""
     tables = []
     for topic in sorted({topic for night in pair.nights for topic in night.budgets}):
         a, b = (_mean_variances(night.budgets.get(topic, [])) for night in pair.nights)
@@ -143,13 +143,13 @@ def budget_tables(pair: Pair) -> list[BudgetTable]:
 
 @dataclass(frozen=True)
 class FitOfBoth:
-    """Whether the sigma of a source fits in A and in B; None where one has none.
+    """Consistency test of a source's sigma in A and in B; None where a run has none.
 
     Attributes:
         kind: ``NEES`` or ``NIS``.
-        name: of the source.
-        a: in A.
-        b: in B.
+        name: name of the source.
+        a: result in A.
+        b: result in B.
     """
 
     kind: str
@@ -159,20 +159,20 @@ class FitOfBoth:
 
     @property
     def differs(self) -> bool:
-        """Whether the words differ, numbers aside."""
+        """True if the results differ in more than their numbers."""
         words = {_DIGITS.sub("#", fit.words) if fit else "" for fit in (self.a, self.b)}
         return len(words) > 1
 
 
 def consistency_rows(pair: Pair) -> list[FitOfBoth]:
-    """A row for each NEES, then for each NIS."""
+    """Return a row for each NEES, then for each NIS."""
     a, b = ({(fit.kind, fit.name): fit for fit in consistency(told.evaluation)} for told in (pair.a, pair.b))
     keys = sorted({**a, **b}, key=lambda key: key[0])
     return [FitOfBoth(*key, a.get(key), b.get(key)) for key in keys]
 
 
 def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
-    """Topic, and a row for each parameter: the last estimates of A and B with their σ, and how far they are apart."""
+    """Return topic, and a row for each parameter: the last estimates of A and B with their σ, and their difference."""
     a, b = pair.nights
     tables = []
     for topic in sorted(a.after.keys() | b.after.keys()):
@@ -185,9 +185,9 @@ def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
 
 
 def only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
-    """The events that only A or only B has, in time; and how many both have.
+    """Return the events of one run only, in order of time, and the number of events of both.
 
-    An event is the same where kind and text are, numbers aside, and the times are within two seconds.
+    Two events are the same if kind and text agree except for numbers, and the times differ by at most two seconds.
     """
     a, b = ([(event.utc_ns, (event.kind, _DIGITS.sub("#", event.text)), event) for event in night.events]
             for night in pair.nights)
@@ -198,7 +198,7 @@ def only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 
 def alerts_only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
-    """Likewise what became of alerts."""
+    """Return the alert changes of one run only, in order of time, and the number of those of both."""
     a, b = ([(told.utc_ns, (told.alert.id, told.what), told) for told in night.alerts] for night in pair.nights)
     alone, both = _unmatched(a, b)
     return [
@@ -209,7 +209,7 @@ def alerts_only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 
 def refusal_rows_of_both(pair: Pair) -> list[dict[str, str]]:
-    """A row for each source, place and reason: how many in A and in B; refusals before notes."""
+    """Return a row for each source, place and reason: counts in A and in B; rejections before notes."""
     a, b = (_refusals(night) for night in pair.nights)
     return [
         {
@@ -222,7 +222,7 @@ def refusal_rows_of_both(pair: Pair) -> list[dict[str, str]]:
 
 
 def _common_stamps(series: Sequence[AttitudeErrors | None]) -> np.ndarray | None:
-    """Stamps that both have; None where there are none."""
+    """Return the stamps of both; None if there are none."""
     a, b = series
     if a is None or b is None:
         return None
@@ -231,7 +231,7 @@ def _common_stamps(series: Sequence[AttitudeErrors | None]) -> np.ndarray | None
 
 
 def _mean_variances(points: Sequence[BudgetPoint]) -> dict[str, dict[str, float]]:
-    """Angle → source of error → mean variance, rad²; a source that is not told at a moment had none there."""
+    """Return angle → source of error → mean variance, rad²; a source missing at a time counts as zero there."""
     sums: dict[str, dict[str, float]] = {}
     told = [point for point in points if point.by_angle]
     for point in told:
@@ -277,7 +277,7 @@ def _refusals(night: Night) -> Counter[tuple[bool, str, str, str]]:
 def _unmatched(
     a: Sequence[tuple[int, object, _PART]], b: Sequence[tuple[int, object, _PART]]
 ) -> tuple[list[tuple[int, str, _PART]], int]:
-    """What has no counterpart of the same key within two seconds, in time; and how many pairs there are."""
+    """Return the entries without a counterpart of the same key within two seconds, and the number of pairs."""
     waiting: dict[object, list[tuple[int, _PART]]] = {}
     for time_ns, key, part in b:
         waiting.setdefault(key, []).append((time_ns, part))

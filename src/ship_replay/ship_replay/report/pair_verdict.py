@@ -1,4 +1,4 @@
-"""In sentences: which of two recordings is the better one, in what, and where."""
+"""Summary of two recordings in sentences: which run is better, in what, and where they differ."""
 
 import math
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES, Safety
 
 _ALIKE = 0.02
-"""Errors that differ by less than this part of themselves tell nothing of which is better."""
+"""Relative difference of RMS errors below which neither run counts as better."""
 
 _LAST_BITS_ARCSEC = 1e-6
-"""Below this, runs differ by the rounding of another machine or library."""
+"""Differences below this are due to rounding on another machine or with another library."""
 
 _MOST_NAMED = 3
 _ON_SKY = "_cos_elevation"
@@ -26,12 +26,12 @@ _NEVER_NS = 1 << 63
 
 
 def pair_verdict(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[ParameterDifference]) -> list[str]:
-    """What an analyst wants to know first, a sentence or two each.
+    """Return the summary, one or two sentences per point.
 
     Args:
         pair: both recordings.
-        errors: their errors against the truth; empty without truth.
-        parameters: those that differ.
+        errors: errors of both against the truth; empty without truth.
+        parameters: parameters that differ.
     """
     sentences = origin(pair)
     if not pair.is_same:
@@ -56,25 +56,25 @@ def _configuration(parameters: Sequence[ParameterDifference]) -> str:
 
 
 def _safe_for_longer(pair: Pair) -> list[str]:
-    """Which was SAFE for more of the time, in which angles that both tell."""
+    """Return which run was SAFE for more of the time, and in which of the angles that both published."""
     longer: dict[str, list[str]] = {"A": [], "B": []}
     for name in ANGLES:
         a, b = (_share_safe(night, name) for night in pair.nights)
         if a != b and math.isfinite(a) and math.isfinite(b):
             longer["A" if a > b else "B"].append(name)
-    parts = [f"{letter} was SAFE for longer in {', '.join(names)}" for letter, names in longer.items() if names]
+    parts = [f"{letter} was SAFE longer in {', '.join(names)}" for letter, names in longer.items() if names]
     return [f"{'; '.join(parts)}."] if parts else []
 
 
 def _which_is_better(errors: Sequence[ErrorRow]) -> list[str]:
-    """Which is nearer to the truth in which channel of the outputs."""
+    """Return which run has the smaller RMS error in which channel of the outputs."""
     ratios = {row.channel: row.ratio for row in _of_outputs(errors) if math.isfinite(row.ratio)}
     if not ratios:
         return []
     nearer = {
-        "A is nearer to the truth in": [name for name, ratio in ratios.items() if ratio > 1.0 + _ALIKE],
-        "B is nearer to the truth in": [name for name, ratio in ratios.items() if ratio < 1.0 - _ALIKE],
-        "both are equally near to the truth (within 2 %) in":
+        "A has the smaller RMS error in": [name for name, ratio in ratios.items() if ratio > 1.0 + _ALIKE],
+        "B has the smaller RMS error in": [name for name, ratio in ratios.items() if ratio < 1.0 - _ALIKE],
+        "RMS errors are equal within 2 % in":
             [name for name, ratio in ratios.items() if 1.0 - _ALIKE <= ratio <= 1.0 + _ALIKE],
     }
     parts = [f"{text} {', '.join(map(channel_name, names))}" for text, names in nearer.items() if names]
@@ -83,7 +83,7 @@ def _which_is_better(errors: Sequence[ErrorRow]) -> list[str]:
 
 
 def _angle(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
-    """How long it was SAFE in each, and how wrong."""
+    """Return for how long an angle was SAFE in each run, and its error."""
     safe = [_share_safe(night, name) for night in pair.nights]
     if not any(map(math.isfinite, safe)):
         return ""
@@ -92,7 +92,7 @@ def _angle(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
     else:
         has, lacks = ("A", "B") if math.isfinite(safe[0]) else ("B", "A")
         share = safe["AB".index(has)]
-        return f"{name.capitalize()}: only {has} tells it (SAFE {_percent(share)} of the time); {lacks} never does."
+        return f"{name.capitalize()}: published in {has} (SAFE {_percent(share)} of the time), not in {lacks}."
     for row in _of_outputs(errors):
         if row.channel.removesuffix(_ON_SKY) == name and math.isfinite(row.ratio):
             text += (
@@ -114,7 +114,7 @@ def _outputs(found: OutputDifference) -> str:
         return f"{text}; the angles are equal to the last bit{told}."
     largest = [found.largest(channel) for channel in range(len(found.orientation.channels))]
     if all(abs(value) < _LAST_BITS_ARCSEC for value, _ in largest):
-        return f"{text}; the angles differ in their last bits only, by less than {_LAST_BITS_ARCSEC:g}″."
+        return f"{text}; the angles differ only by rounding, by less than {_LAST_BITS_ARCSEC:g}″."
     parts = [
         f"{channel_name(name)} up to {number(abs(value))}″ at {utc(stamp_ns)}"
         for name, (value, stamp_ns) in zip(found.orientation.channels, largest, strict=True)
@@ -123,20 +123,20 @@ def _outputs(found: OutputDifference) -> str:
 
 
 def _not_compared(pair: Pair) -> list[str]:
-    """Outputs that only one claims, or that have no stamp in common."""
+    """Return a sentence for each output published in one run only, or without a common stamp."""
     sentences = []
     compared = {found.orientation.label for found in pair.differences}
     for known in ORIENTATIONS:
         claims = [known.label in one.claims for one in pair.published]
         if all(claims) and known.label not in compared:
-            sentences.append(f"{known.topic}: A and B have no stamp in common, so that they cannot be subtracted.")
+            sentences.append(f"{known.topic}: A and B have no stamp in common, so no difference is shown.")
         elif claims[0] != claims[1]:
-            sentences.append(f"{known.topic}: only {'A' if claims[0] else 'B'} has any.")
+            sentences.append(f"{known.topic}: published in {'A' if claims[0] else 'B'} only.")
     return sentences
 
 
 def _sources(pair: Pair) -> list[str]:
-    """Which source was out in one while it was in in the other, as far as both are of the same time."""
+    """Return which source was out in one run only, for the time that both cover."""
     a, b = (outages(night) for night in pair.nights)
     sentences, told = [], set()
     for source in dict.fromkeys(outage.source for outage in (*a, *b)):
@@ -147,22 +147,22 @@ def _sources(pair: Pair) -> list[str]:
                 told.add(source)
                 more = f" and {len(found) - _MOST_NAMED} times more" if len(found) > _MOST_NAMED else ""
                 times = ", ".join(one.text for one in found[:_MOST_NAMED])
-                sentences.append(f"{source} was out in {letter} but not in {other} from {times}{more}.")
+                sentences.append(f"{source} was out in {letter} and not in {other}: {times}{more}.")
     alike = [source for source in dict.fromkeys(outage.source for outage in a) if source not in told]
     if alike:
-        sentences.append(f"Out in both at the same times: {', '.join(alike)}.")
+        sentences.append(f"Identical outages in both runs: {', '.join(alike)}.")
     return sentences if a or b else ["No source was out in either."]
 
 
 def _beyond(outages_here: list[SourceOutage], elsewhere: list[SourceOutage]) -> list[SourceOutage]:
-    """The parts of outages in which it was in elsewhere; of a moment or less they tell nothing."""
+    """Return the parts of outages that the other run does not have; parts of two seconds or less are ignored."""
     for other in elsewhere:
         outages_here = [left for outage in outages_here for left in _without(outage, other)]
     return [one for one in outages_here if (one.to_ns or _NEVER_NS) - one.from_ns > SAME_MOMENT_NS]
 
 
 def _without(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
-    """What of an outage is before another, and what is after it."""
+    """Split an outage at another one; return the parts before and after it."""
     end_ns, other_end_ns = outage.to_ns or _NEVER_NS, other.to_ns or _NEVER_NS
     left = []
     if outage.from_ns < other.from_ns:
@@ -174,7 +174,7 @@ def _without(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
 
 
 def _unrecorded(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
-    """The times of the other recording of which this one tells nothing, as if the source had been out."""
+    """Return the times that the other recording does not cover, as outages of the source."""
     (start_ns, end_ns), (_, other_end_ns) = (
         night.span_ns for night in (pair.nights if letter == "A" else reversed(pair.nights))
     )
@@ -188,7 +188,7 @@ def _of_outputs(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
 
 
 def _share_safe(night: Night, angle: str) -> float:
-    """Of the time in which an angle was told; NaN where it never was."""
+    """Return the SAFE share of the time in which an angle was published; NaN if it never was."""
     seconds = night.seconds(angle)
     total = sum(seconds.values())
     return seconds[Safety.SAFE] / total if total else math.nan

@@ -1,4 +1,4 @@
-"""The warnings of a comparison: what is different, why that matters, what to do."""
+"""Warnings of a comparison: what differs, why it matters, what to do."""
 
 import re
 from collections.abc import Sequence
@@ -11,38 +11,38 @@ _REPLAY_BOTH = "replay one recording with both configurations, and compare the t
 
 _EXPLANATIONS = (
     (
-        r"They do not stem from the same inputs",
-        "B − A contains the difference of the inputs as well as that of the suite or its parameters",
+        r"The inputs are not the same",
+        "B − A contains differences of the inputs in addition to those of the suite or its parameters",
         _REPLAY_BOTH,
     ),
     (
-        r"Nothing in the bags tells whether",
-        "without truth or a scenario in the bags, B − A may come from other inputs",
-        f"compare first and last message and the counts of inputs below; to be certain, {_REPLAY_BOTH}",
+        r"Whether the inputs are the same is unknown",
+        "B − A may be caused by different inputs",
+        f"compare first and last message and the input counts below; to be certain, {_REPLAY_BOTH}",
     ),
     (
-        r"The nodes did not receive the same number",
-        "outputs may differ because messages were missing, and not because of a parameter",
-        f"see Refusals and the gaps in the states; of losses on the ship, {_REPLAY_BOTH}",
+        r"The nodes received different numbers",
+        "outputs may differ because of missing messages and not because of a parameter",
+        f"see Rejections and the gaps in the states; if messages were lost on the ship, {_REPLAY_BOTH}",
     ),
     (
-        r"They are not of the same time",
-        "a share or mean of A is of other minutes than that of B",
-        "judge by the difference of the outputs and by the errors: those are at equal stamps only",
+        r"The times differ",
+        "shares and means of A and B refer to different times",
+        "use the output differences and the errors, which are compared at equal stamps only",
     ),
     (
-        r"is left out: no .* while the truth is known|not evaluated",
-        "errors of this source are not in the tables; the outputs and their errors are not affected",
-        "to see its errors, name the bag that was replayed: --truth BAG",
+        r"not evaluated",
+        "errors of this source are missing in the tables; the outputs and their errors are not affected",
+        "to see its errors, add the bag that was replayed: --truth BAG",
     ),
     (
         r"messages could be read, the last at|is damaged|are lost",
-        "what could not be read is missing in all tables",
-        "recover the bag (record --recover), and compare again",
+        "the unreadable part is missing in all tables",
+        "recover the bag (record --recover) and compare again",
     ),
     (
         r"were made by different commits",
-        "a difference may come from the code and not from a parameter",
+        "a difference may be caused by the code and not by a parameter",
         "replay both inputs with one commit to compare parameters",
     ),
 )
@@ -54,9 +54,9 @@ class PairWarning:
     """A warning about a comparison.
 
     Attributes:
-        what: what is different or wrong.
-        why: why that matters; empty where the text says all.
-        do: what to do; likewise.
+        what: what differs or is wrong.
+        why: why it matters; empty if the text is complete.
+        do: what to do; empty likewise.
     """
 
     what: str
@@ -65,11 +65,11 @@ class PairWarning:
 
 
 def pair_warnings(pair: Pair, problems: Sequence[str]) -> list[PairWarning]:
-    """Return the warnings about two recordings: how their inputs and commits differ, and what is wrong with the bags.
+    """Return the warnings about two recordings: different inputs or commits, and problems of the bags.
 
     Args:
         pair: both recordings.
-        problems: of the bags, each beginning with the letters of those that have it.
+        problems: problems of the bags, each preceded by the letters of the bags that have it.
     """
     found = [_explained(text) for text in [*origin(pair), *_commits(pair)]]
     return [one for one in found if one.why] + [_explained(text) for text in problems]

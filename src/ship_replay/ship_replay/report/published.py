@@ -1,4 +1,4 @@
-"""What two runs published at equal stamps, and how far it differs: to the last bit, or in arcsec."""
+"""Outputs of two runs at equal stamps, and their differences: bitwise equality, or arcsec."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -20,13 +20,13 @@ _DIGEST_BYTES = 8
 
 @dataclass(frozen=True)
 class Claims:
-    """The claims of one orientation in one bag; INVALID messages claim nothing.
+    """Outputs of one orientation in one bag, without INVALID messages.
 
     Attributes:
-        time_ns: stamps in their order, each once: of several claims of one stamp the last counts. Shape (n,).
-        angles: as :attr:`Orientation.angles` names them, rad, shape (n, 3).
-        sigma: predicted standard deviations of the angles, rad, shape (n, 3); NaN where none was given.
-        digests: of the messages as they lie in the bag, shape (n,).
+        time_ns: stamps in ascending order, each once: of several messages of one stamp the last counts. Shape (n,).
+        angles: angles as named in :attr:`Orientation.angles`, rad, shape (n, 3).
+        sigma: predicted standard deviations of the angles, rad, shape (n, 3); NaN if not given.
+        digests: hashes of the serialised messages, shape (n,).
     """
 
     time_ns: np.ndarray
@@ -37,12 +37,12 @@ class Claims:
 
 @dataclass
 class Published:
-    """What one bag tells of its outputs, and of what went in.
+    """Outputs and inputs of one bag.
 
     Attributes:
-        claims: label of the orientation → its claims.
-        received: input topic → messages received since the start, by the node that counted most.
-        given: topic of what no node publishes (truth, ``ins/imu``) → digest of all its messages.
+        series: label of the orientation → its outputs.
+        received_counts: input topic → messages received since the start, by the node with the largest count.
+        input_digests: topic that no node publishes (truth, ``ins/imu``) → hash of all its messages.
     """
 
     claims: dict[str, Claims] = field(default_factory=dict)
@@ -55,13 +55,14 @@ class OutputDifference:
     """Outputs of B minus those of A at equal stamps.
 
     Attributes:
-        orientation: which output.
+        orientation: the output.
         time_ns: the equal stamps, shape (n,).
-        difference_arcsec: of the channels, shape (n, 3); of the azimuth times the cosine of the elevation.
+        difference_arcsec: differences of the channels, shape (n, 3); azimuth is multiplied by the cosine of the
+            elevation.
         sigma_arcsec: predicted standard deviations of A's and of B's channels, shape (2, n, 3).
-        channels_equal: whether all values of a channel are equal to the last bit.
-        messages_equal: of how many stamps the whole messages are equal to the last bit.
-        alone: how many claims only A and only B has.
+        channels_equal: for each channel, True if all values are equal to the last bit.
+        messages_equal: number of stamps at which the whole messages are equal to the last bit.
+        unpaired_counts: numbers of outputs in A only and in B only.
     """
 
     orientation: Orientation
@@ -74,20 +75,20 @@ class OutputDifference:
 
     @property
     def all_equal(self) -> bool:
-        """Whether both published the same messages, and no others."""
+        """True if both published the same messages and no others."""
         return self.messages_equal == len(self.time_ns) and self.alone == (0, 0)
 
     def largest(self, channel: int) -> tuple[float, int]:
-        """The difference of the largest size, arcsec, with its sign, and its stamp; there is at least one stamp."""
+        """Return the largest difference, arcsec, with its sign, and its stamp; at least one stamp is required."""
         row = int(np.argmax(np.abs(self.difference_arcsec[:, channel])))
         return float(self.difference_arcsec[row, channel]), int(self.time_ns[row])
 
     def rms_arcsec(self, channel: int) -> float:
-        """Root mean square of a channel's difference."""
+        """Return the root mean square of a channel's difference."""
         return float(np.sqrt(np.mean(self.difference_arcsec[:, channel] ** 2)))
 
     def sigmas_arcsec(self, channel: int) -> tuple[float, float]:
-        """Root mean squares of what A and B predicted for a channel; NaN where one predicted nothing."""
+        """Return the root mean squares of the sigmas of A and B for a channel; NaN if one states none."""
         first, second = np.sqrt(np.mean(self.sigma_arcsec[:, :, channel] ** 2, axis=1)).tolist()
         return first, second
 
@@ -124,7 +125,7 @@ def read_published(path: Path, namespace: str = "") -> Published:
 
 
 def differences(first: Published, second: Published) -> list[OutputDifference]:
-    """B minus A of each orientation that both published, where they have equal stamps."""
+    """Return B minus A for each orientation that both published, if they have equal stamps."""
     return [
         found
         for orientation in ORIENTATIONS
@@ -139,7 +140,7 @@ def _difference(orientation: Orientation, a: Claims, b: Claims) -> OutputDiffere
         return None
     angles_a, angles_b = a.angles[in_a], b.angles[in_b]
     scale, apart = orientation.scale(angles_a), angles_b - angles_a
-    # Only what went around is wrapped: that rounds to the last bit of pi, which is more than that of a small angle.
+    # Only differences beyond pi are wrapped: wrapping rounds to the last bit of pi, coarser than that of a small angle.
     apart = np.where(np.abs(apart) > np.pi, wrap_pi(apart), apart)
     equal = np.all(angles_a.view(np.int64) == angles_b.view(np.int64), axis=0).tolist()
     return OutputDifference(
@@ -176,7 +177,7 @@ def _claims(rows: dict[int, tuple[bytes, FloatArray, FloatArray]]) -> Claims:
 
 
 def span(published: Published) -> tuple[int, int] | None:
-    """First and last stamp that is claimed, UTC in ns; None where nothing is."""
+    """Return first and last stamp of all outputs, UTC in ns; None if there are none."""
     claims = published.claims.values()
     if not claims:
         return None
@@ -184,5 +185,5 @@ def span(published: Published) -> tuple[int, int] | None:
 
 
 def overlap_s(a: tuple[int, int], b: tuple[int, int]) -> float:
-    """How long two spans have in common, s; negative where one ends before the other begins."""
+    """Return the length of the intersection of two spans, s; negative if they do not overlap."""
     return (min(a[1], b[1]) - max(a[0], b[0])) / NS_PER_S

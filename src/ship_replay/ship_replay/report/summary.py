@@ -1,4 +1,4 @@
-"""Five sentences that open a report: availability, worst source, causes, mountings, what to do."""
+"""The five sentences that open a report: availability, worst source, causes, mountings, what to do."""
 
 import math
 import re
@@ -17,11 +17,11 @@ _SHIFTED = "mounting shifted by"
 _MUCH_CHANGED_SIGMAS = 3.0
 _ADVISED = 2
 _CONSEQUENCE = ".degraded"
-"""Ending of the alerts of an output that is worse than its limit: the source that caused it has its own alert."""
+"""Suffix of alerts about an output over its limit: the source that caused it has its own alert."""
 
 
 def summary(night: Night) -> list[str]:
-    """Return the five sentences; one where no output was published."""
+    """Return the five sentences; one if no output was published."""
     if not any(night.words.get(name) for name in ANGLES):
         return ["Availability: no attitude and no pointing was published."]
     found = outages(night)
@@ -29,7 +29,7 @@ def summary(night: Night) -> list[str]:
 
 
 def worst_source(night: Night) -> str:
-    """Return the source that was out longest by its own fault; empty where none was out."""
+    """Return the source with the longest own outage; empty if none was out."""
     seconds = _seconds_out(night, root_outages(outages(night)))
     return max(seconds, key=lambda source: seconds[source], default="")
 
@@ -63,11 +63,11 @@ def _worst_source(night: Night, found: Sequence[SourceOutage]) -> str:
 
 
 def _causes(night: Night, found: Sequence[SourceOutage]) -> str:
-    """Each source that was out by its own fault, then what could not be used or was not SAFE because of it."""
+    """Return the sentence about each source that failed, and the sources and angles affected by it."""
     roots = list(dict.fromkeys(outage.source for outage in root_outages(found)))
     if not roots:
         unsafe = [name for name in ANGLES if _is_ever(night, name)]
-        return f"Cause: none by a source; {_listed(unsafe)} not SAFE for accuracy alone." if unsafe else \
+        return f"Cause: no source failed; {_listed(unsafe)} not SAFE because of accuracy." if unsafe else \
             "Cause: nothing failed."
     texts = []
     for source in roots[:_MOST_NAMED]:
@@ -86,7 +86,7 @@ def _causes(night: Night, found: Sequence[SourceOutage]) -> str:
 
 
 def _mountings(night: Night) -> str:
-    """The sources that were reinstated with another mounting, and estimates far from where they began."""
+    """Return the sentence about shifted mountings, or about estimates far from their first values."""
     shifted = [event for event in night.events if event.kind == "source" and _SHIFTED in event.text]
     if shifted:
         return f"Mountings: {'; '.join(f'{event.text} at {utc(event.utc_ns)}' for event in shifted[:_MOST_NAMED])}."
@@ -100,14 +100,14 @@ def _mountings(night: Night) -> str:
             if sigmas > _MUCH_CHANGED_SIGMAS:
                 changed[shown.name] = sigmas
     if not changed:
-        return "Mountings: none was relearnt; all estimates are within 3σ of where they began."
+        return "Mountings: no shift; all estimates stayed within 3σ of their first values."
     worst = sorted(changed, key=lambda name: -changed[name])[:_MOST_NAMED]
     texts = [f"{name} changed by {number(changed[name])} σ" for name in worst]
     return f"Mountings: no source was reinstated with a shifted mounting, but {', '.join(texts)}."
 
 
 def _advice(night: Night) -> str:
-    """The advice for the alerts that were raised, causes first, then by priority."""
+    """Return the advice of the raised alerts, causes first, then by priority."""
     raised = [told.alert for told in night.alerts if told.what in ("raised", "active not acknowledged")]
     raised.sort(key=lambda alert: (alert.id.endswith(_CONSEQUENCE), -int(alert.priority)))
     texts = [
@@ -121,7 +121,7 @@ def _seconds_out(night: Night, found: Sequence[SourceOutage]) -> Counter[str]:
     _, end_ns = night.span_ns
     seconds: Counter[str] = Counter()
     for outage in found:
-        # Counter holds whole seconds: a tenth tells nothing here.
+        # Whole seconds are precise enough.
         seconds[outage.source] += round(((outage.to_ns or end_ns) - outage.from_ns) / NS_PER_S)
     return seconds
 

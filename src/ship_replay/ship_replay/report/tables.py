@@ -1,4 +1,4 @@
-"""The sentences and rows of a report: what a night comes to, before it is laid out."""
+"""Tables of a report: outages, shares of the states, alignment, rejections."""
 
 import math
 from collections import Counter
@@ -13,12 +13,19 @@ from ship_watch.history import ParameterShown
 from ship_watch.picture import ANGLES, Safety
 
 _NEEDS = "needs "
-"""Beginning of the reason of a source that is out because of another one."""
+"""Prefix of the reason of a source that is out because of another one."""
 
 
 @dataclass(frozen=True)
 class SourceOutage:
-    """A source that was out: from when to when, UTC in ns, 0 where it never came back; and why, as first told."""
+    """An outage of a source.
+
+    Attributes:
+        source: name of the source.
+        from_ns: beginning, UTC.
+        to_ns: end, UTC; 0 if the source did not return.
+        why: first reported reason.
+    """
 
     source: str
     from_ns: int
@@ -27,12 +34,12 @@ class SourceOutage:
 
     @property
     def text(self) -> str:
-        """For a sentence: "12:00:05 to 12:00:20 (silent)"."""
+        """The outage for a sentence: "12:00:05 to 12:00:20 (no data)"."""
         return f"{utc(self.from_ns)} to {utc(self.to_ns) if self.to_ns else 'the end'} ({self.why})"
 
 
 def outages(night: Night) -> list[SourceOutage]:
-    """Which source was out when: one for each time, though its reason may have been told anew meanwhile."""
+    """Return the outages of all sources; an outage whose reason changes is still one."""
     found: list[SourceOutage] = []
     last: dict[str, int] = {}
     for event in night.events:
@@ -49,12 +56,12 @@ def outages(night: Night) -> list[SourceOutage]:
 
 
 def root_outages(found: Sequence[SourceOutage]) -> list[SourceOutage]:
-    """Return the outages by a source's own fault: those that are no consequence of another source's."""
+    """Return the outages that are not caused by another source."""
     return [outage for outage in found if not outage.why.startswith(_NEEDS)]
 
 
 def outage_rows(night: Night) -> list[dict[str, str]]:
-    """Return a row for each outage: source, from, to, length and why."""
+    """Return a row for each outage: source, from, to, length and reason."""
     _, end_ns = night.span_ns
     return [
         {
@@ -66,7 +73,7 @@ def outage_rows(night: Night) -> list[dict[str, str]]:
 
 
 def shares(night: Night) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
-    """Angle, share of the time of each word, seconds of each word; only of angles that were told."""
+    """Return angle, share of the time of each state and seconds of each state, for the angles published."""
     rows = []
     for name in ANGLES:
         seconds = night.seconds(name)
@@ -76,7 +83,7 @@ def shares(night: Night) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
 
 
 def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShown]) -> list[dict[str, str]]:
-    """A row for each parameter: first and last estimate with their σ, and the change in sigmas of the first."""
+    """Return a row for each parameter: first and last estimate with their σ, and the change in sigmas of the first."""
     first = {shown.name: shown for shown in before}
     rows = []
     for shown in after:
@@ -97,7 +104,7 @@ def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShow
 
 
 def refusal_rows(night: Night) -> list[dict[str, str]]:
-    """A row for each source, place and reason: how many, first and last time; refusals before notes."""
+    """Return a row for each source, place and reason: count, first and last time; rejections before notes."""
     counts: Counter[tuple[bool, str, str, str]] = Counter()
     times: dict[tuple[bool, str, str, str], tuple[int, int]] = {}
     for refusal in night.refusals:
@@ -115,12 +122,12 @@ def refusal_rows(night: Night) -> list[dict[str, str]]:
 
 
 def told_value(shown: ParameterShown) -> float:
-    """The value of a parameter, an angle from -pi to pi: an azimuth a little left of 0 is not told as one of 360°."""
+    """Return the value of a parameter, an angle wrapped to -pi to pi, so that azimuths around 0 do not jump to 360°."""
     return float(wrap_pi(shown.value)) if shown.unit == "rad" else shown.value
 
 
 def shown_scale(shown: ParameterShown) -> tuple[float, str]:
-    """By what a parameter is divided to be told, and the unit it then has."""
+    """Return the divisor for display and the unit of the result."""
     if shown.unit == "rad":
         large = abs(float(wrap_pi(shown.value))) > math.radians(1.0)
         return (math.pi / 180.0, "deg") if large else (ARCSEC, "arcsec")

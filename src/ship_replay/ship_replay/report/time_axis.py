@@ -1,4 +1,4 @@
-"""Time axes of a report: UTC ticks at whole minutes or whole tens of seconds, and lines that stop at gaps."""
+"""Time axes of a report: UTC ticks at round times, and lines interrupted at gaps."""
 
 from datetime import datetime, timezone
 
@@ -13,30 +13,30 @@ _STEPS_S = (
     *(1, 2, 5, 10, 20, 30), *(60 * minutes for minutes in (1, 2, 5, 10, 20, 30)),
     *(3600 * hours for hours in (1, 2, 3, 6, 12, 24)),
 )
-"""Steps between ticks, s: each divides a day, so that ticks lie at whole minutes, hours or tens of seconds."""
+"""Steps between ticks, s: divisors of a day, so that ticks lie at whole minutes, hours or tens of seconds."""
 
 _GAP_PERIODS = 3.0
-"""Number of periods without a value from which on a line is interrupted."""
+"""Number of periods without a value above which a line is interrupted."""
 
 
 class UtcTicks(Locator):
-    """Ticks at round times UTC, on an axis of seconds since a time.
+    """Ticks at round UTC times, on an axis of seconds since a start time.
 
     Args:
         start_ns: zero of the axis, UTC in ns.
-        most: greatest number of ticks.
+        most: maximum number of ticks.
     """
 
     def __init__(self, start_ns: int, most: int) -> None:
         self._start_s, self._most = start_ns / NS_PER_S, most
 
     def __call__(self) -> list[float]:
-        """Return the places of the ticks in the limits of the axis."""
+        """Return the positions of the ticks within the limits of the axis."""
         assert self.axis is not None
         return self.tick_values(*self.axis.get_view_interval())
 
     def tick_values(self, vmin: float, vmax: float) -> list[float]:
-        """Return the places of the ticks from vmin to vmax."""
+        """Return the positions of the ticks from vmin to vmax."""
         low, high = self._start_s + min(vmin, vmax), self._start_s + max(vmin, vmax)
         days = _STEPS_S[-1] * np.arange(1, 1000)
         step = next((step for step in (*_STEPS_S, *days) if (high - low) / step < self._most), days[-1])
@@ -45,7 +45,7 @@ class UtcTicks(Locator):
 
 
 def utc_axis(axes: Axes, start_ns: int, most_labels: int = 8) -> None:
-    """Label seconds since a time by their UTC: hours and minutes, with seconds where ticks are closer."""
+    """Label an axis of seconds by UTC: hours and minutes, with seconds where ticks are closer than a minute."""
 
     def text(value: float, _: int | None) -> str:
         seconds = round(start_ns / NS_PER_S + value)
@@ -62,7 +62,7 @@ def utc_axis(axes: Axes, start_ns: int, most_labels: int = 8) -> None:
 
 
 def gap_times(time_ns: np.ndarray) -> np.ndarray:
-    """Return the middle of each gap in a series of stamps: longer than three of its usual periods. Shape (k,).
+    """Return the middle of each gap longer than three usual periods. Shape (k,).
 
     Args:
         time_ns: stamps in ascending order, shape (n,).
@@ -82,7 +82,7 @@ def interrupted(
 
     Args:
         time_ns: stamps, shape (n,).
-        gaps_ns: times at which lines stop, shape (k,).
+        gaps_ns: times of the gaps, shape (k,).
         columns: values at the stamps, each of shape (n, ...).
     """
     times = np.concatenate([time_ns, gaps_ns]).astype(np.int64)

@@ -1,4 +1,4 @@
-"""What a report tells: a recording read once as a night, and evaluated once."""
+"""Data of a report: a recording read once and evaluated once."""
 
 import contextlib
 from collections.abc import Iterator
@@ -19,14 +19,14 @@ from ship_watch.limits import Limits
 from ship_watch.orientations import ORIENTATIONS
 
 SHORT_BYTES = 8_000_000
-"""Bags up to this size are read sooner than another process would have begun."""
+"""Size up to which a bag is read faster than another process would start."""
 
 _TRUTH_TOPICS = [orientation.truth_topic for orientation in ORIENTATIONS]
 
 
 @dataclass(frozen=True)
 class ToldNight:
-    """A recording and what it was worth: all that a page is made of."""
+    """A recording and its evaluation: all data of a report page."""
 
     night: Night
     evaluation: Evaluation
@@ -35,15 +35,15 @@ class ToldNight:
 def read_told(
     path: Path, truth: Path | None = None, limits: Limits | None = None, namespace: str = ""
 ) -> ToldNight:
-    """Read a bag with outputs, and evaluate it.
+    """Read and evaluate a bag with outputs.
 
     Raises:
-        BadInput: a bag cannot be read or lacks what is expected of it.
+        BadInput: a bag cannot be read or lacks a required topic.
     """
     check_truth(truth, namespace)
     if is_short(path):
         return ToldNight(read_night(path, limits, namespace), evaluate(path, against=truth, namespace=namespace))
-    # Each takes half of the time; neither needs the other.
+    # Both take equally long and are independent.
     with other_processes(1) as others:
         evaluated = others.submit(evaluate, path, against=truth, namespace=namespace)
         night = read_night(path, limits, namespace)
@@ -52,10 +52,10 @@ def read_told(
 
 @contextlib.contextmanager
 def other_processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that work beside this one, and end where it fails or is interrupted, whatever they were at.
+    """Start a pool of processes; they are terminated if this process fails or is interrupted.
 
-    They are new ones: a copy of this one would take its threads' locks with it. What they do must not begin processes
-    of its own, which nobody would end.
+    The processes are spawned: a fork would copy locks held by threads. They must not start processes of their own,
+    which would not be terminated.
     """
     known = {process.pid for process in active_children()}
     context, begin = get_context("spawn"), partial(serve_a_command, current_names())
@@ -70,12 +70,12 @@ def other_processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def is_short(path: Path) -> bool:
-    """Whether a bag is read so soon that no other process needs to help."""
+    """True if a bag is so short that parallel processes do not pay."""
     return path.is_file() and path.stat().st_size <= SHORT_BYTES
 
 
 def check_truth(path: Path | None, namespace: str) -> None:
-    """Refuse what was named as a bag with truth and has none.
+    """Refuse a bag named as truth that has none.
 
     Raises:
         BadInput: it has none, or cannot be read.
@@ -85,10 +85,10 @@ def check_truth(path: Path | None, namespace: str) -> None:
 
 
 def has_truth(path: Path, namespace: str) -> bool:
-    """Whether a bag holds a truth that something can be held against.
+    """True if a bag contains a truth topic of an orientation.
 
     Raises:
-        BadInput: it cannot be read.
+        BadInput: the bag cannot be read.
     """
     with read_bag(path) as bag:
         topics = relative_topics(bag.topics, namespace)

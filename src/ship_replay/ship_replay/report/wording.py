@@ -1,4 +1,4 @@
-"""Numbers and times as a reader of the report sees them."""
+"""Formatting of numbers and times in reports."""
 
 import math
 from datetime import datetime, timezone
@@ -9,7 +9,7 @@ from ship_bags.stamps import NS_PER_S
 
 
 def duration(seconds: float) -> str:
-    """A length of time for people: "1 h 02 min", "4 min 05 s", "12 s"."""
+    """Return a duration for people: "1 h 02 min", "4 min 05 s", "12 s"."""
     whole = round(seconds)
     if whole >= 3600:
         return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
@@ -17,14 +17,14 @@ def duration(seconds: float) -> str:
 
 
 def number(value: float) -> str:
-    """A value with three digits, a dash where there is none."""
+    """Return a value with three digits; a dash if it is not finite."""
     if not math.isfinite(value):
         return "–"
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}".replace("-", "−")
 
 
 def placed(value: float, sigma: float) -> str:
-    """A value with the places that its sigma makes worth telling."""
+    """Return a value with as many decimals as its sigma justifies."""
     if not math.isfinite(value):
         return "–"
     places = 2 if not sigma > 0.0 else int(np.clip(1 - math.floor(math.log10(sigma)), 0, 6))
@@ -32,5 +32,5 @@ def placed(value: float, sigma: float) -> str:
 
 
 def utc(time_ns: int, form: str = "%H:%M:%S") -> str:
-    """A time, POSIX in ns, as its UTC in whole seconds; hours, minutes and seconds where no other form is asked for."""
+    """Return a POSIX time in ns as UTC in whole seconds, by default with hours, minutes and seconds."""
     return datetime.fromtimestamp(time_ns // NS_PER_S, tz=timezone.utc).strftime(form)

@@ -1,7 +1,7 @@
-"""Hours without faults: is anybody excluded, is the attitude there, do the levels hold, are the covariances honest?
+"""Hours without faults: exclusions, availability, protection levels and consistency of the covariances.
 
-A voyage is simulated and given to the core of its node in this process, without messages and files, which is what lets
-a hundred hours pass in one. Outputs are asked for once a second; exclusions and doubts are looked for after every
+A voyage is simulated and passed to the core of its node in this process, without messages and files, so a hundred hours
+take about one. Outputs are requested once a second; exclusions and unresolved faults are recorded after every
 measurement.
 """
 
@@ -36,15 +36,16 @@ from theodolite_calib.measured.samples import PointingEstimate
 
 TWO, THREE, THEODOLITE = "two sensors", "three sensors", "theodolite"
 ALERT_LIMIT_ARCSEC = {TWO: 30.0, THREE: 12.0}
-"""Kind of voyage → the limit at which its attitude must be available."""
+"""Kind of voyage → alert limit within which its attitude must be available."""
 SETTLED_S = 600.0
-"""From here on availability, doubts and RMS count: the INS's slow error has been found."""
+"""Time after which availability, unresolved faults and RMS count, s: the INS's correlated error is estimated by then.
+"""
 BEYOND_SIGMAS = 5.0
 
 _SLOW_INS_HZ = 20.0
 _AZIMUTHS_DEG = {"fore": 0.0, "starboard": 120.0, "port": 240.0}
 _TURN = 10
-"""Voyages until the kinds begin again: eight of the ship by turns, one with the INS's full rate, one theodolite."""
+"""Number of voyages after which the kinds repeat: eight of the ship, one with the INS's full rate, one theodolite."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,9 @@ class CleanVoyage:
     """A voyage without faults.
 
     Attributes:
-        number: of the voyage, and seed of what it draws.
+        number: number of the voyage, and seed of its errors.
         kind: TWO, THREE or THEODOLITE.
-        full_rate: whether the INS has the rate of the scenario; otherwise 20 Hz.
+        full_rate: True if the INS has the rate of the scenario; otherwise 20 Hz.
     """
 
     number: int
@@ -63,7 +64,7 @@ class CleanVoyage:
 
 
 def clean_voyages(count: int) -> list[CleanVoyage]:
-    """Voyages of all kinds in turn."""
+    """Return voyages of all kinds in turn."""
     found = []
     for number in range(count):
         turn, place = divmod(number, _TURN)
@@ -73,12 +74,12 @@ def clean_voyages(count: int) -> list[CleanVoyage]:
 
 
 def scenario_of(voyage: CleanVoyage, folder: Path, length_s: float) -> Scenario:
-    """What sails: the reference case with two sensors or three at 120 degrees, or the theodolite's scenario.
+    """Return the scenario of a voyage: two sensors, or three at 120 degrees, or the theodolite's.
 
     Args:
-        voyage: its kind.
-        folder: of the scenarios.
-        length_s: of the voyage.
+        voyage: the voyage.
+        folder: folder of the scenarios.
+        length_s: length of the voyage.
     """
     name = "theodolite" if voyage.kind == THEODOLITE else "paper"
     scenario = dataclasses.replace(load_scenario(folder / f"{name}.yaml"), duration_s=length_s)
@@ -93,21 +94,21 @@ def scenario_of(voyage: CleanVoyage, folder: Path, length_s: float) -> Scenario:
 
 @dataclass
 class Watched:
-    """What a voyage has said so far.
+    """Statistics of a voyage.
 
     Attributes:
-        limit: alert limit of its levels, rad; infinite where it has none.
+        limit: alert limit of its levels, rad; infinite without one.
         exclusions: (s, source) of each exclusion.
-        doubts: (s, why) of each time that an output was DEGRADED although the voyage had settled, at its beginning.
-        seconds: outputs looked at, one a second.
-        settled: of these, after the settling.
-        available: of these, VALID with every level within the limit.
-        beyond_sigmas: VALID outputs with an error beyond five sigmas.
-        beyond_level: VALID outputs with an error beyond their level.
+        doubts: (s, reason) of each time after settling at which an output became DEGRADED.
+        seconds: number of outputs, one a second.
+        settled: number of these after settling.
+        available: number of these that are VALID with every level within the limit.
+        beyond_sigmas: number of VALID outputs with an error above five sigmas.
+        beyond_level: number of VALID outputs with an error above their level.
         worst_over_level: largest error over its level.
-        worst_level: largest level of a settled output that has one, rad.
+        worst_level: largest level of a settled output, rad.
         squares: sum of the squared errors of the settled outputs, rad², shape (3,).
-        nees: of the last output.
+        nees: NEES of the last output.
     """
 
     limit: float
@@ -126,12 +127,12 @@ class Watched:
     _in_doubt: bool = False
 
     def look_at_sources(self, since_s: float, excluded: frozenset[str]) -> None:
-        """Note who is excluded after a measurement."""
+        """Record the excluded sources after a measurement."""
         self.exclusions += [(since_s, name) for name in sorted(excluded - self._excluded)]
         self._excluded = excluded
 
     def look_at_status(self, since_s: float, status: Status, text: str) -> None:
-        """Note an output that begins to be DEGRADED."""
+        """Record the beginning of a DEGRADED status."""
         if status is Status.DEGRADED and not self._in_doubt and since_s >= SETTLED_S:
             self.doubts.append((since_s, text))
         self._in_doubt = status is Status.DEGRADED
@@ -150,7 +151,7 @@ class Watched:
             self.worst_level = max(self.worst_level, *np.nan_to_num(level).tolist())
         if valid:
             sigma = np.sqrt(np.diagonal(covariance))
-            # An error that is no number is beyond everything.
+            # A NaN error counts as above the limit.
             self.beyond_sigmas += not np.all(np.abs(error) <= BEYOND_SIGMAS * sigma)
             if np.all(np.isfinite(level)):
                 over = float(np.max(np.abs(error) / level))
@@ -159,7 +160,7 @@ class Watched:
 
 
 def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Result:
-    """Make a voyage; what became of it, as plain data."""
+    """Run a voyage; return its statistics as plain data."""
     begun_s, result = time.process_time(), dataclasses.asdict(voyage)
     result["voyage"] = result.pop("number")
     result |= {"length_s": length_s, "exception": ""}
@@ -173,7 +174,7 @@ def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Res
             "worst_level": watched.worst_level / ARCSEC,
         }
     except Exception:
-        # A defect of the software is told, and the other voyages go on.
+        # A software defect is recorded, and the other voyages continue.
         result["exception"] = traceback.format_exc(limit=-4)
     return result | {"cpu_s": round(time.process_time() - begun_s, 2)}
 
@@ -193,7 +194,7 @@ def _sail_ship(run: SimulatedRun, watched: Watched) -> None:
 
 
 def _once_a_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
-    """Stamps of the INS samples that an attitude is asked for: the first of each second whose truth is known."""
+    """Return the stamps of INS samples at which an attitude is requested: the first of each second with known truth."""
     first: dict[int, int] = {}
     for time_ns in sorted(rows):
         first.setdefault((time_ns - run.start_ns) // SECOND_NS, time_ns)
@@ -238,7 +239,7 @@ def _look(
 
 
 def by_kind(results: list[Result]) -> Iterator[tuple[str, list[Result]]]:
-    """The results of each kind that is there."""
+    """Yield the results of each kind present."""
     for kind in (TWO, THREE, THEODOLITE):
         if found := [result for result in results if result["kind"] == kind]:
             yield kind, found

@@ -1,20 +1,20 @@
-"""What became of the faults of a voyage: was each told, who was named, and what was claimed then.
+"""Evaluation of a voyage's faults: was each detected, which source was named, and what was published meanwhile.
 
-The judge reads outputs alone (:mod:`ship_replay.trials.voyage_told`). What the same voyage says without faults is no
-sign of one, so that it is taken off. A fault counts from the first message that it changed.
+Only outputs are evaluated (:mod:`ship_replay.trials.voyage_outputs`). Indications that also occur in the same voyage
+without faults are ignored. A fault counts from the first message that it changed.
 
-**Who was named** is what a watch officer was told first:
+**The named source** is the first one reported to a watch officer:
 
-1. A source that is excluded; or one that is refused again and again for what it is by itself: its form, its stamps, its
-   own stream of values. The earlier of the two names. After an exclusion, every other source that is excluded must be
-   the faulty one, too. What is refused first by itself, and others set aside after that in doubt, names the first.
-2. Without these, the source that was first refused again and again in comparison with others.
+1. A source that is excluded, or one that is repeatedly rejected for its own form, stamps or sequence of values. The
+earlier of the two is the named source. After an exclusion, every other excluded source must also be the faulty one. If
+a source is first rejected for itself and others are excluded later, the first is the named one.
+2. Otherwise, the source that was first repeatedly rejected in comparison with others.
 
-A refusal in comparison accuses nobody while somebody is excluded: a light or a star that is right is refused all the
-same where the encoders or the position are wrong.
+A rejection in comparison does not name a source while another is excluded: correct lights or stars are also rejected if
+encoders or position are wrong.
 
-A name is right where the source that it means (:mod:`ship_estimation.protection`) holds the fault: see
-:func:`is_source`.
+A name is correct if the source it refers to (:mod:`ship_estimation.protection`) contains the fault: see
+:func:`is_faulty_source`.
 """
 
 from collections import Counter
@@ -31,37 +31,36 @@ from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 
 SETTLING_S = 3.0
-"""What a fault leaves behind is told within this after its end."""
+"""Time after the end of a fault within which its effects are still reported, s."""
 
 _BESIDE_NS = NS_PER_S // 2
-"""So near to a moment at which the voyage without faults was not VALID either, a status is no sign of a fault."""
+"""Maximum time to a non-VALID status of the fault-free voyage for a status to be ignored, ns."""
 
 _LEAST_REFUSALS = 2
 BEYOND = 5.0
-"""An error beyond so many sigmas is a wrong claim."""
+"""Error of a VALID output, in sigmas, above which it is wrong."""
 
 _PERIOD_S = 0.1
-"""From one moment of the truth to the next."""
+"""Period of the truth, s."""
 
 _ONE_LIGHT_KINDS = ("swap", "false_lights", "hide", "wrong_id")
 
 
 @dataclass(frozen=True)
 class FaultVerdict:
-    """What became of one fault.
+    """Outcome of one fault.
 
     Attributes:
-        changed: how many messages it changed.
-        detected: a status left VALID, the faulty source was named, or a source, right or wrong, was excluded; a status
-            that an earlier fault has left behind tells nothing of this one.
-        attributed: the source named is the faulty one.
-        alert_s: from the first message that the fault changed to the first sign, or output that is not VALID for
-            whatever reason; NaN without one.
-        named: source → signs of it.
-        worst_sigmas: largest error of an output that was VALID, in sigmas, until the next fault.
-        worst_over_level: the same over its protection level; NaN where there was none.
-        beyond_s: for how long outputs were VALID with errors beyond five sigmas, in all.
-        longest_beyond_s: and without a break.
+        changed: number of messages it changed.
+        detected: True if a status left VALID, the faulty source was named, or any source was excluded; a status caused
+            by an earlier fault does not count.
+        attributed: True if the named source is the faulty one.
+        alert_s: time from the first changed message to the first indication or non-VALID output; NaN without one.
+        named: source → number of indications.
+        worst_sigmas: largest error of a VALID output until the next fault, in sigmas.
+        worst_over_level: the same over its protection level; NaN if there was none.
+        beyond_s: total time with VALID outputs whose errors exceed five sigmas.
+        longest_beyond_s: longest such time without a break.
     """
 
     changed: int
@@ -76,13 +75,13 @@ class FaultVerdict:
 
 
 def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, until_s: float) -> FaultVerdict:
-    """What became of a fault.
+    """Evaluate a fault.
 
     Args:
-        fault: what went wrong.
-        changed_ns: when the messages that it changes arrive without it, in order; one or more.
-        told: by the voyage.
-        clean: the same voyage without faults.
+        fault: the fault.
+        changed_ns: fault-free arrival times of the messages that it changes, in order; at least one.
+        outputs: outputs of the voyage.
+        fault_free: the same voyage without faults.
         until_s: beginning of the next fault, or the end of the voyage.
     """
     start_ns, first_ns = clean.start_ns, int(changed_ns[0])
@@ -115,10 +114,10 @@ def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, unt
 
 
 def first_named(signs: Sequence[Sign]) -> set[str]:
-    """Whom a watch officer was told to be wrong, by the rule of this module; empty without signs.
+    """Return the sources named first, by the rule of this module; empty without indications.
 
     Args:
-        signs: in the order in which they were told.
+        indications: indications in order of time.
     """
     times = Counter(sign.source for sign in signs if sign.is_by_itself)
     for sign in signs:
@@ -132,11 +131,11 @@ def first_named(signs: Sequence[Sign]) -> set[str]:
 
 
 def is_source(name: str, fault: Fault) -> bool:
-    """Whether a name that nodes give is that of a source which holds a fault.
+    """True if a name in the outputs refers to a source that contains the fault.
 
-    A node names the topic, or its source. ``beacon.a`` is a wrong baseline or light of drone a: one light that is wrong
-    in the image is held by it, a telescope that was turned is not. ``ship`` and ``ship_attitude`` are the ship's
-    attitude under the theodolite; a wrong INS is in it.
+    A node names the topic, or its source. ``beacon.a`` is a wrong baseline or light of drone a. It contains the fault
+    of a single light in the image, but not that of a rotated telescope. ``ship`` and ``ship_attitude`` are the ship's
+    attitude in the theodolite's filter, which contains the faults of the INS.
     """
     topic = fault.topic
     kind, _, rest = topic.partition("/")
@@ -160,9 +159,9 @@ def _drone_names(id_: str) -> tuple[str, ...]:
 
 
 def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> tuple[int | None, bool]:
-    """Log time of the first output that is worse than VALID, and worse than in the voyage without faults.
+    """Return log time and novelty of the first output worse than VALID and than in the fault-free voyage.
 
-    And whether it is new, rather than the rest of what an earlier fault has left behind.
+    The second value is True if it is not the remaining effect of an earlier fault.
     """
     usual: dict[tuple[str, int], np.ndarray] = {}
     last_worse_ns: dict[str, int] = {}
@@ -185,7 +184,7 @@ def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> tuple[in
 
 
 def beyond(claims: Sequence[Claim]) -> tuple[float, float]:
-    """How long VALID claims were beyond five sigmas, in all and without a break, s; the worse of the outputs.
+    """Return total and longest time with VALID outputs above five sigmas, s; the worse of the outputs.
 
     An output that was not VALID in between is a break.
     """

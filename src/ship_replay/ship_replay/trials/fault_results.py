@@ -1,4 +1,4 @@
-"""The tables of voyages with faults, and the bounds that they are held to."""
+"""Tables of voyages with faults, and the bounds on them."""
 
 import math
 from collections import defaultdict
@@ -17,13 +17,13 @@ from ship_replay.trials.threats import DATA_LIKE, OVERLAPPING, SINGLE
 Row = tuple[str, ...]
 
 _LARGE_STEP = 8.0
-"""Steps of so many sigmas of one measurement must be told in time."""
+"""Size of a step, in sigmas of one measurement, from which on it must be detected in time."""
 
 _IN_TIME, _NAMED = 0.99, 0.95
-"""Shares of the large steps told in time, and of the detected single faults whose source is named."""
+"""Required shares of large steps detected in time, and of detected single faults attributed to the right source."""
 
 _LONGEST_BEYOND_S = 2.0
-"""With overlapping faults nothing is VALID beyond five sigmas for longer."""
+"""Maximum time for which an output is VALID above five sigmas with overlapping faults, s."""
 
 KIND_HEAD = (
     "threat", "count", "detected", "attributed", "alert s: median", "99 %", "worst σ", "beyond 5σ", "longest s",
@@ -36,10 +36,10 @@ _DATA_LIKE = {threat.label for threat in DATA_LIKE} | set(UNSEEN_ROWS)
 
 
 def results_file(path: Path, fresh: bool = False) -> ResultsFile:
-    """The results of voyages with faults in a file.
+    """Return the file of results of voyages with faults.
 
     Raises:
-        BadInput: a line before the last is no result, or one of another judge.
+        BadInput: a line before the last is no result, or one of another evaluation.
     """
     return ResultsFile(path, _key, fresh)
 
@@ -51,7 +51,7 @@ def _key(result: Result) -> tuple[int, str, str]:
 
 
 def kind_rows(results: Sequence[Result]) -> list[Row]:
-    """One row a threat, and one for all of them."""
+    """Return one row per threat, and one for all of them."""
     by_threat: dict[str, list[Result]] = defaultdict(list)
     for fault in _judged_faults(results):
         by_threat[fault["threat"]].append(fault)
@@ -80,31 +80,31 @@ def _kind_row(threat: str, faults: Sequence[Result]) -> Row:
 
 
 def pair_rows(results: Sequence[Result]) -> list[Row]:
-    """One row a pair of threats that were there at the same time."""
+    """Return one row per pair of threats present at the same time."""
     pairs: dict[tuple[str, str], list[Result]] = defaultdict(list)
     for result in results:
         faults = _judged_faults([result]) if result["mode"] == OVERLAPPING else []
         for first, second in combinations(faults, 2):
             if max(first["start_s"], second["start_s"]) < min(first["end_s"], second["end_s"]):
                 key = tuple(sorted((first["threat"], second["threat"])))
-                # What is claimed after the later beginning is the pair's.
+                # Outputs after the later beginning count for the pair.
                 pairs[key[0], key[1]].append(max(first, second, key=lambda fault: float(fault["start_s"])))
     rows = [
         (f"{pair[0]} + {pair[1]}", len(faults), [_most(faults, name) for name in _PAIR_VALUES])
         for pair, faults in pairs.items()
     ]
-    # The longest wrong claim first, then the largest; no number last.
+    # The longest wrong output first, then the largest; NaN last.
     rows.sort(key=lambda row: (*(1.0 if math.isnan(value) else -value for value in row[2]), row[0]))
     return [(pair, str(count), *map(_number, values)) for pair, count, values in rows]
 
 
 @dataclass(frozen=True)
 class Totals:
-    """What the voyages say together.
+    """Result of all voyages together.
 
     Attributes:
-        lines: for people; each bound, and whether it is met.
-        sound: all bounds are met.
+        lines: each bound and its result, for people.
+        all_met: True if all bounds are met.
     """
 
     lines: list[str]
@@ -112,7 +112,7 @@ class Totals:
 
 
 def totals(results: Sequence[Result]) -> Totals:
-    """The bounds that the voyages are held to, and whether they are met; without a case a bound is met."""
+    """Return the bounds on all voyages and whether they are met; a bound without a case is met."""
     raised = [result for result in results if result["exception"] or result["failures"]]
     overlapping = [result for result in results if result["mode"] == OVERLAPPING and "longest_beyond_s" in result]
     longest_s = max((result["longest_beyond_s"] for result in overlapping), default=0.0)
@@ -140,13 +140,13 @@ def totals(results: Sequence[Result]) -> Totals:
 
 
 def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
-    """Whether each bound of single faults is met, and words for it."""
+    """Return for each bound of single faults True if it is met, and its text."""
     unseen = [fault for fault in single if fault["threat"] in UNSEEN_ROWS]
     seen = [fault for fault in single if fault["threat"] not in UNSEEN_ROWS]
     exceeded, beyond = _above(single, _LEVEL, 1.0), _above(seen, "worst_sigmas", BEYOND)
     all_large = [fault for fault in single if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
     large = [fault for fault in all_large if fault["threat"] not in UNTOLD_ROWS]
-    # Where the source made fewer measurements, its time to be told had not run out.
+    # With fewer measurements the time for detection was not over.
     steps = [fault for fault in large if fault["changed"] >= MEASUREMENTS]
     detected = [fault for fault in single if fault["detected"]]
     data_like = [fault for fault in detected if fault["threat"] in _DATA_LIKE]
@@ -156,22 +156,22 @@ def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
         (
             not beyond,
             (
-                f"  VALID beyond 5σ: {beyond}; bound 0, without the {len(unseen)} that no data can tell "
+                f"  VALID beyond 5σ: {beyond}; bound 0, without the {len(unseen)} undetectable ones "
                 f"({_above(unseen, 'worst_sigmas', BEYOND)} beyond)"
             ),
         ),
         (
             in_time >= _IN_TIME * len(steps),
             (
-                f"  of {len(steps)} steps ≥ {_LARGE_STEP:g}σ told within 1 s or {MEASUREMENTS} measurements: "
-                f"{_share(steps, _in_time)}, at some time {_share(steps, _told)}; bound {_IN_TIME:.0%}; "
-                f"{len(large) - len(steps)} more ended before, {len(all_large) - len(large)} no data can tell"
+                f"  of {len(steps)} steps ≥ {_LARGE_STEP:g}σ detected within 1 s or {MEASUREMENTS} measurements: "
+                f"{_share(steps, _in_time)}, at any time {_share(steps, _told)}; bound {_IN_TIME:.0%}; "
+                f"{len(large) - len(steps)} more ended before, {len(all_large) - len(large)} undetectable"
             ),
         ),
         (
             named >= _NAMED * len(detected),
             (
-                f"  of {len(detected)} detected the right source named: {_share(detected, _attributed)}; "
+                f"  of {len(detected)} detected, attributed to the right source: {_share(detected, _attributed)}; "
                 f"bound {_NAMED:.0%}; of the {len(data_like)} that look like data {_share(data_like, _attributed)}"
             ),
         ),
@@ -179,7 +179,7 @@ def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
 
 
 def _judged_faults(results: Sequence[Result]) -> list[Result]:
-    """The faults of the voyages that ended, with the mode of their voyage."""
+    """Return the faults of completed voyages, with the mode of their voyage."""
     return [
         {**fault, "mode": result["mode"]} for result in results for fault in result["faults"] if "detected" in fault
     ]

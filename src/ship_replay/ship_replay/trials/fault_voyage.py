@@ -1,4 +1,4 @@
-"""One voyage with faults: drawn, injected, replayed through the nodes in this process, and judged."""
+"""One voyage with faults: drawn, injected, replayed through the nodes in this process, and evaluated."""
 
 import dataclasses
 import math
@@ -36,11 +36,11 @@ from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 @dataclass(frozen=True)
 class Voyage:
-    """A voyage to be made.
+    """A voyage to be run.
 
     Attributes:
-        number: of the voyage; its faults are drawn by it.
-        bag: without faults.
+        number: number of the voyage, and seed of its faults.
+        bag: bag without faults.
         mode: SINGLE or OVERLAPPING.
     """
 
@@ -50,19 +50,19 @@ class Voyage:
 
     @property
     def key(self) -> tuple[int, str, str]:
-        """What tells it from others among results."""
+        """Key of the voyage among results."""
         return self.number, self.bag.stem, self.mode
 
 
 def voyages(bags: Sequence[Path], count: int, modes: Sequence[str] = (SINGLE, OVERLAPPING)) -> list[Voyage]:
-    """Voyages over some bags in turn, and with each bag the modes in turn."""
+    """Return voyages over some bags in turn, and with each bag the modes in turn."""
     return [
         Voyage(number, bags[number % len(bags)], modes[number // len(bags) % len(modes)]) for number in range(count)
     ]
 
 
 def make_bag(scenario_path: Path, duration_s: float, seed: int, path: Path) -> Path:
-    """The bag of a scenario, at most so long; one that is there already is taken."""
+    """Create the bag of a scenario with a maximum length; an existing file is used as it is."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         scenario = load_scenario(scenario_path)
@@ -72,11 +72,11 @@ def make_bag(scenario_path: Path, duration_s: float, seed: int, path: Path) -> P
 
 
 def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
-    """Make a voyage; what became of it and of each of its faults, as plain data.
+    """Run a voyage; return its result and the outcome of each fault as plain data.
 
     Args:
-        voyage: to be made.
-        clean: the same without faults.
+        voyage: the voyage.
+        fault_free: the same without faults.
     """
     begun_s = time.monotonic()
     with read_bag(voyage.bag) as bag:
@@ -96,20 +96,20 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
         verdicts, told = fly(voyage.bag, drawn, voyage.number, clean)
         result |= {"failures": told.failures, "faults": verdicts, "longest_beyond_s": round(beyond(told.claims)[1], 4)}
     except Exception:
-        # A defect of the software is what is looked for: it is told, and the others go on.
+        # Software defects are recorded, and the other voyages continue.
         result |= {"exception": traceback.format_exc(limit=-4), "faults": [_described(one) for one in drawn]}
     result["elapsed_s"] = round(time.monotonic() - begun_s, 2)
     return result
 
 
 def taken_topics(bag: Bag) -> dict[str, str]:
-    """Topic → type of what the nodes of a bag take from it."""
+    """Return topic → type of the inputs that the nodes use from a bag."""
     chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
     return {topic.topic: topic.type_name for topic in chain.inputs if topic.topic in bag.topics}
 
 
 def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> tuple[list[dict[str, Any]], Told]:
-    """Replay a bag with faults; what became of each that changed a message, and what was told."""
+    """Replay a bag with faults; return the outcome of each fault that changed a message, and the outputs."""
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
     injection = Injection(path, faults, seed)
     told = replayed(injection)
@@ -127,7 +127,7 @@ def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> t
 
 
 def clean_voyage(path: Path) -> Passage:
-    """A voyage without faults."""
+    """Replay a voyage without faults."""
     arrivals: dict[str, list[int]] = {}
     lights: list[int] = []
     with read_bag(path) as bag:
@@ -150,7 +150,7 @@ def clean_voyage(path: Path) -> Passage:
 
 
 def replayed(injection: Injection) -> Told:
-    """What the nodes put out, in this process, over a bag with faults."""
+    """Return the outputs of the nodes, in this process, for a bag with faults."""
     with read_bag(injection.path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         taken = {topic.topic for topic in chain.inputs}
@@ -164,13 +164,13 @@ def replayed(injection: Injection) -> Told:
 
 
 class _Quiet(AdapterChain):
-    """A chain whose parts are those of another; of an exception it says which topic it came from."""
+    """Copy of a chain that adds the topic to an exception."""
 
     def __init__(self, chain: AdapterChain) -> None:
         super().__init__(chain.adapters, configs=chain.configs)
 
     def handle(self, topic: str, message: Any, receive_ns: int) -> list[Any]:
-        """Take one message of an input topic."""
+        """Process one message of an input topic."""
         try:
             return super().handle(topic, message, receive_ns)
         except Exception as error:
@@ -190,12 +190,12 @@ def _truths_of(path: Path) -> dict[str, Truth]:
 
 
 def _truths(bag: Bag) -> dict[str, Truth]:
-    """The truth of a bag; it is the same with all faults."""
+    """Return the truth of a bag; it is the same with all faults."""
     return _truths_of(bag.path)
 
 
 def _described(one: DrawnFault) -> dict[str, Any]:
-    """A fault as plain data, without the sizes that it does not have."""
+    """Return a fault as plain data, without unused sizes."""
     given = {name: getattr(one.fault, name) for name in one.fault.sizes}
     if one.fault.share < 1.0:
         given["share"] = one.fault.share
@@ -211,7 +211,7 @@ def _described(one: DrawnFault) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON has it: null for what is no number."""
+    """Return a value for JSON: null for NaN."""
     if isinstance(value, float):
         return round(value, 4) if math.isfinite(value) else None if math.isnan(value) else 1e300
     return value

@@ -1,4 +1,4 @@
-"""One kill −9 at a random moment of a recorder or of a node with its black box, and what was left on the disk."""
+"""Kill −9 of a recorder or of a node with a black box at a random time, and the data left on the disk."""
 
 import os
 import random
@@ -35,20 +35,21 @@ _SUITE = "/**/ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n"
 
 @dataclass(frozen=True)
 class KillTrial:
-    """What one kill cost.
+    """Result of one kill.
 
-    A recorder must keep the samples sent to it; a node the attitudes that came out of it, and so what they were made
-    from: samples that still wait in its queue were not used.
+    A recorder must keep the samples sent to it. A node must keep the attitudes that it published, and so the samples
+    they were made from; samples still in its queue were not used.
 
     Attributes:
-        sent: messages before the kill that must be kept.
-        kept: of these, the ones on the disk.
-        lost_s: how much of their time is missing, from the first of them that is not on the disk to the last; 0 where
-            all are. A node that stands still before the kill is not charged with that: the middleware holds it up for
-            hundreds of milliseconds, box and all, while a new subscriber is met, and nothing comes out of it then.
-        has_gap: whether a message is missing before one that is there.
-        recovered: messages of all topics in the recovered file, by ``rosbags``.
-        readable: messages of all topics in the killed file, and in the recovered one by the seeking ``mcap`` reader.
+        sent_count: number of messages before the kill that must be kept.
+        kept_count: number of these on the disk.
+        lost_s: missing time, from the first of them that is not on the disk to the last; 0 if all are. Pauses of the
+            node before the kill do not count: the middleware may block it for hundreds of milliseconds when a
+            subscriber joins.
+        has_gap: True if a message is missing before one that is on the disk.
+        recovered_count: number of messages of all topics in the recovered file, by ``rosbags``.
+        readable_counts: numbers of messages of all topics in the killed file, and in the recovered one by the seeking
+            ``mcap`` reader.
     """
 
     sent: int
@@ -59,7 +60,7 @@ class KillTrial:
     readable: tuple[int, int]
 
     def keeps(self, flush_period_s: float) -> bool:
-        """Whether no more than a flush period is lost and everything left can be read by both readers."""
+        """True if at most a flush period is lost and both readers can read everything left."""
         whole = set(self.readable) == {self.recovered} and self.recovered > 0
         return whole and not self.has_gap and self.lost_s <= flush_period_s
 
@@ -68,9 +69,9 @@ def kill_recorder(folder: Path, seed: int, flush_period_s: float) -> KillTrial:
     """Kill `record`.
 
     Args:
-        folder: takes logs and bags.
-        seed: of the moment.
-        flush_period_s: of the recorder.
+        folder: folder for logs and bags.
+        seed: seed of the time of the kill.
+        flush_period_s: flush period of the recorder.
     """
     path = folder / f"record_{seed}.mcap"
     options = ["--topics", _TOPIC, "--flush-period-s", str(flush_period_s)]
@@ -83,7 +84,7 @@ def kill_node(folder: Path, seed: int) -> KillTrial:
     path = folder / f"box_{seed}.mcap"
     suite = folder / "suite.yaml"
     suite.write_text(_SUITE, encoding="utf-8")
-    # Nothing may be lost on the way: what is missing on the disk must be the box's doing.
+    # Reliable transport: a message missing on the disk must be lost by the black box.
     reliable = ["-p", f"qos_overrides./{_TOPIC}.subscription.reliability:=reliable"]
     arguments = ["--ros-args", "--params-file", str(suite), "-p", f"black_box:={path}", *reliable]
     return _trial([*executable("ship_attitude_star", "ship_attitude"), *arguments], folder, path, seed, _ATTITUDE_TOPIC)
@@ -91,7 +92,7 @@ def kill_node(folder: Path, seed: int) -> KillTrial:
 
 def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_topic: str | None) -> KillTrial:
     killed_after_s = random.Random(seed).uniform(_EARLIEST_S, _LATEST_S)
-    # A packet that is lost on the way would hold back those after it for seconds: that is not the disk's doing.
+    # A packet lost on the way would delay later ones for seconds, which is no effect of the disk.
     use_dds_profile()
     domain_id = free_domain_id()
     environment = live_environment(domain_id, folder / "ros")
@@ -128,11 +129,11 @@ def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_t
 
 
 class _Sender:
-    """Sends INS samples, and listens to what a node makes of them.
+    """Publisher of INS samples, and subscriber to the node's attitudes.
 
     Attributes:
-        sent: stamp in ns and steady time in s of each sample, in order.
-        given_out: the same of each attitude received.
+        samples: stamp in ns and steady time in s of each sample, in order.
+        attitudes: the same of each attitude received.
     """
 
     def __init__(self, graph: GraphObserver, output_topic: str | None) -> None:
@@ -164,18 +165,18 @@ class _Sender:
 
 
 def _shared_memory(pid: int) -> list[Path]:
-    """The files that a process has in shared memory and that stay after a kill; not the ports, which others may use."""
+    """Return the shared-memory files of a process that remain after a kill, without the ports, which others may use."""
     mapped = {line.split(maxsplit=5)[-1] for line in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()}
     segments = [path for path in mapped if path.startswith("/dev/shm/fast") and "fastrtps_port" not in path]
     return [Path(path + suffix) for path in segments for suffix in ("", "_el")]
 
 
 def _wait_for_disk(sender: _Sender, path: Path, process: LiveProcess) -> None:
-    """Send samples until one is on the disk: then both ends of the connection are up."""
+    """Send samples until one is on the disk: then both ends are connected."""
     deadline_s = time.monotonic() + _START_S
     while not _has_samples(path):
         if process.exit_code is not None or time.monotonic() > deadline_s:
-            raise LiveFailure(f"{path}: nothing is written: {process.log()}")
+            raise LiveFailure(f"{path}: no data written: {process.log()}")
         sender.send(_WARM_UP_S)
     sender.sent.clear()
     sender.given_out.clear()

@@ -1,6 +1,6 @@
-"""Executables run as processes of their own, and a look at the live ROS graph that they make.
+"""Executables run as processes, and an observer of their ROS graph.
 
-A process has its log in a file, an end that is waited for, and a DDS domain that stays on this machine.
+A process logs to a file, is terminated at the end, and uses a DDS domain limited to this machine.
 """
 
 import os
@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 # DDS-RTPS: a domain's participant listens at 7410 + 250 * domain + 2 * participant for discovery. Beyond domain 101 the
-# ports run into those that Linux gives to anybody.
+# ports overlap with the ephemeral ports of Linux.
 _FIRST_PORT = 7410
 _PORTS_PER_DOMAIN = 250
 _PARTICIPANTS = 120
@@ -29,12 +29,12 @@ _POLL_S = 0.02
 
 
 def free_domain_id() -> int:
-    """Return a ROS domain in which no program on this machine takes part at the moment.
+    """Return a ROS domain without any participant on this machine.
 
     Raises:
-        OSError: all are taken.
+        OSError: all are in use.
     """
-    # Two runs at the same time begin their search at different domains, and do not step onto each other's next ones.
+    # Parallel runs search in different orders, so that they do not collide.
     for step in range(_LAST_DOMAIN):
         domain = 1 + (os.getpid() + _STEP * step) % _LAST_DOMAIN
         # All ports: the first participant may have left before the others.
@@ -53,7 +53,7 @@ def _is_port_free(port: int) -> bool:
 
 
 def live_environment(domain_id: int, log_folder: Path) -> dict[str, str]:
-    """This process's environment, with a ROS domain that stays on this machine and a folder for ROS's own logs."""
+    """Return this process's environment with a ROS domain limited to this machine and a folder for ROS's own logs."""
     own = {
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -64,11 +64,11 @@ def live_environment(domain_id: int, log_folder: Path) -> dict[str, str]:
 
 
 class LiveProcess:
-    """One running executable; at the end of its ``with`` statement it is gone, by force if it must be.
+    """A running executable; it is terminated at the end of its ``with`` statement, by force if necessary.
 
     Args:
         command: program and arguments.
-        log_path: file that takes its stdout and stderr.
+        log_path: file for its stdout and stderr.
         environment: see :func:`live_environment`.
     """
 
@@ -90,15 +90,15 @@ class LiveProcess:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id."""
         return self._process.pid
 
     def log(self) -> str:
-        """What it has said so far."""
+        """Return its output so far."""
         return self.log_path.read_text(encoding="utf-8", errors="replace")
 
     def wait(self, timeout_s: float) -> int:
-        """Exit code, once it has ended by itself.
+        """Wait for its end and return the exit code.
 
         Raises:
             subprocess.TimeoutExpired: it still runs after `timeout_s`.
@@ -106,7 +106,7 @@ class LiveProcess:
         return self._process.wait(timeout_s)
 
     def end(self, how: signal.Signals = signal.SIGINT) -> int:
-        """Send a signal and wait for the end; returns the exit code.
+        """Send a signal, wait for the end and return the exit code.
 
         Raises:
             subprocess.TimeoutExpired: it did not end.
@@ -129,9 +129,9 @@ class LiveProcess:
 
 
 class GraphObserver:
-    """A node of its own in a domain, for waiting; use it in a ``with`` statement.
+    """A node in a domain for waiting; use it in a ``with`` statement.
 
-    The process's environment must already keep discovery on this machine, as :func:`live_environment` says.
+    The environment of this process must limit discovery to this machine, see :func:`live_environment`.
     """
 
     def __init__(self, domain_id: int) -> None:
@@ -148,13 +148,13 @@ class GraphObserver:
         timeout_s: float = 15.0,
         unless: Callable[[], bool] = lambda: False,
     ) -> bool:
-        """Wait until topics have so many publishers and subscribers at least.
+        """Wait until topics have the given minimum numbers of publishers and subscribers; return False on timeout.
 
         Args:
             publishers: topic → number.
             subscribers: topic → number.
-            timeout_s: steady time to wait at most.
-            unless: gives the wait up when true, e.g. when the process waited for is gone.
+            timeout_s: maximum steady time to wait.
+            unless: stops waiting if true, e.g. if the process waited for has ended.
         """
         deadline_s = time.monotonic() + timeout_s
         while not unless() and time.monotonic() < deadline_s:
@@ -167,7 +167,7 @@ class GraphObserver:
         return False
 
     def spin_until(self, condition: Callable[[], bool], timeout_s: float = 15.0) -> bool:
-        """Serve the node's callbacks until a condition holds; False when it does not in time."""
+        """Process the node's callbacks until a condition holds; return False on timeout."""
         deadline_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() >= deadline_s:
@@ -182,7 +182,7 @@ class GraphObserver:
         self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.executor.shutdown()
-        # The node holds the DDS participant, and two participants of one process can lock each other up for good
-        # while they take note that a third has died.
+        # The node holds the DDS participant, and two participants of one process can deadlock while a third
+        # one disappears.
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)

@@ -1,4 +1,4 @@
-"""A node of the suite over one bag as at sea: node, recorder and player as processes that talk over DDS."""
+"""A node of the suite live over one bag: node, recorder and player as processes that communicate over DDS."""
 
 import contextlib
 import time
@@ -20,36 +20,36 @@ from ship_replay.offline.replay import match_inputs
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 _START_S = 30.0
-# A node that could not keep up has this long to work off its queue.
+# Time for a node that fell behind to process its queue.
 _ANSWER_S = 120.0
 _POLL_S = 0.1
 _LOG_LINES = 15
-# The recording counts as complete when in so long a time it grows by no more than what a node says by itself: after the
-# last /clock it goes on to say INVALID, and what it knows, once a second.
+# The recording is complete if it grows in this time by no more than a node's periodic output: after the last /clock a
+# node continues to publish INVALID and its status once a second.
 _STILL_S = 1.0
 _SAID_BY_ITSELF_BYTES = 20_000
 
 
 class LiveFailure(Exception):
-    """A process of a live run ended or stayed silent; the text holds the end of its log."""
+    """A process of a live run ended or does not respond; the text contains the end of its log."""
 
 
 class LiveRun:
-    """The processes of one run; use it in a ``with`` statement.
+    """Processes of one run; use it in a ``with`` statement.
 
     Args:
         bag_path: bag with inputs and the attached suite configuration; topics without namespace.
         adapter_class: adapter of the node to run.
-        package: package of the node's executable, which is named as the node.
-        folder: takes configuration, logs and the recorded bag; what an earlier run left there is overwritten.
-        parameters: parameters that rule over those of the bag's configuration.
+        package: package of the node's executable, which has the name of the node.
+        folder: folder for configuration, logs and the recorded bag; files of an earlier run are overwritten.
+        parameters: parameters that override those of the bag's configuration.
 
     Attributes:
         recorded_path: the recorded bag.
         played_topics: inputs of the node and truth, as in the bag.
         node: the node's process.
-        environment: of the processes, with the domain that they have to themselves.
-        observer: a node beside them, for services and more.
+        environment: environment of the processes, with a domain of their own.
+        observer: a node in the same domain, for services and waiting.
 
     Raises:
         BadInput: bag or configuration cannot be used, or an executable is not installed.
@@ -75,7 +75,7 @@ class LiveRun:
         with contextlib.ExitStack() as stack:
             self.observer = stack.enter_context(GraphObserver(domain_id))
             own = [item for name, value in (parameters or {}).items() for item in ("-p", f"{name}:={value}")]
-            # Every message is to arrive however busy the machine is: the runs are held against one another.
+            # Reliable transport, so that runs on a busy machine can be compared.
             for topic in self._inputs:
                 own += ["-p", f"qos_overrides./{topic.lstrip('/')}.subscription.reliability:=reliable"]
             arguments = ["--ros-args", "--params-file", str(self._suite_path), "-p", "use_sim_time:=true", *own]
@@ -85,11 +85,11 @@ class LiveRun:
             self._close = stack.pop_all().close
 
     def play(self, rate: float, watch: Callable[[float], None] = lambda elapsed_s: None) -> None:
-        """Play the bag to its end and wait until node and recorder are done with it.
+        """Play the bag to its end and wait until node and recorder have finished.
 
         Args:
             rate: seconds of the bag per second.
-            watch: called now and then with the steady time since the start.
+            report_elapsed: called periodically with the steady time since the start.
 
         Raises:
             LiveFailure: a process failed.
@@ -109,7 +109,7 @@ class LiveRun:
         self._wait_for_recorder()
 
     def _wait_for_node(self) -> None:
-        """Return when the node has handled all that it received: it answers in the order of arrival."""
+        """Wait until the node has processed all its inputs: it answers a request in order of arrival."""
         name = f"/{self._node_name}/get_parameters"
         client = self.observer.node.create_client(GetParameters, name)
         request = GetParameters.Request(names=["use_sim_time"])
@@ -121,7 +121,7 @@ class LiveRun:
         raise LiveFailure(_end_of(self.node, "the node"))
 
     def _wait_for_recorder(self) -> None:
-        """Let the recorder take what is still on its way, and end it."""
+        """Wait until the recording stops growing, then end the recorder."""
         size, still_since_s = 0, time.monotonic()
         while time.monotonic() - still_since_s < _STILL_S:
             self._check_alive()
@@ -140,7 +140,7 @@ class LiveRun:
         self._close()
 
     def _plan(self, bag: Bag, adapter_class: type[Adapter]) -> None:
-        """Note the topics that go in and out, and write the node's configuration."""
+        """Determine the input and output topics, and write the node's configuration."""
         text = suite_text(bag, None)
         self._suite_path = self._folder / "suite.yaml"
         self._suite_path.write_text(text, encoding="utf-8")
@@ -150,14 +150,14 @@ class LiveRun:
         names = relative_topics(bag.topics)
         self._truth = [name for relative, name in names.items() if relative.startswith(TRUTH_PREFIX)]
         self.played_topics = [*self._inputs, *self._truth]
-        # Diagnostics come by wall time, with or without a bag: a recording of them would never be complete.
+        # Diagnostics are published by wall time without end: their recording would never be complete.
         self._outputs = [output.topic for output in adapter.outputs if not output.topic.startswith("/")]
 
     def _start(self, command: Sequence[str], name: str) -> LiveProcess:
         return LiveProcess(command, self._folder / f"{name}.log", self.environment)
 
     def _start_recorder(self, stack: contextlib.ExitStack) -> LiveProcess:
-        """Start the recorder once the node is there; both are connected when this returns."""
+        """Start the recorder once the node is running; both are connected on return."""
         there = {f"/{topic}": 1 for topic in self._outputs}
         if not self.observer.wait_for(there, timeout_s=_START_S, unless=lambda: self.node.exit_code is not None):
             raise LiveFailure(_end_of(self.node, "the node"))
@@ -180,6 +180,6 @@ class LiveRun:
 
 def _end_of(process: LiveProcess, name: str) -> str:
     code = process.exit_code
-    what = f"{name} is silent" if code is None else f"{name} ended with exit code {code}"
+    what = f"{name} does not respond" if code is None else f"{name} ended with exit code {code}"
     tail = "\n".join(process.log().splitlines()[-_LOG_LINES:])
     return f"{what}; its log {process.log_path} ends:\n{tail or '(empty)'}"

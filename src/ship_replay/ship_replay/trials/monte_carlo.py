@@ -1,7 +1,7 @@
-"""Are the filters honest? Simulated runs through their cores, and the errors against the covariances.
+"""Monte Carlo consistency of the filters: simulated runs through their cores, errors compared with covariances.
 
-Of ``ship_attitude`` the error at the end of each run counts, of ``optical_axis`` the errors of a whole session. Errors
-within one run are correlated, those of different seeds are not.
+For ``ship_attitude`` the error at the end of each run counts, for ``optical_axis`` the errors of a whole session.
+Errors within one run are correlated, those of different seeds are not.
 """
 
 from collections.abc import Container, Iterator
@@ -51,7 +51,7 @@ from theodolite_calib.measured.samples import (
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 _JUDGED_AT_ONCE = 256
-"""Samples of the INS at most."""
+"""Maximum number of INS samples per batch."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class FinalError:
     """Error of the fused attitude at the end of one run.
 
     Attributes:
-        seed: of the run.
+        seed: seed of the run.
         angles: error of heading, pitch, roll (true minus estimate), rad, shape (3,).
         sigma: predicted standard deviations of the same, rad, shape (3,).
         nees: normalised error squared, three degrees of freedom.
-        refused: measurements that were not used.
+        rejected_count: number of measurements that were not used.
     """
 
     seed: int
@@ -74,7 +74,7 @@ class FinalError:
 
 
 def final_error(scenario: Scenario, seed: int) -> FinalError:
-    """Simulate a run, filter it, and compare with the truth at the last INS sample."""
+    """Simulate a run, filter it, and return the error at the last INS sample."""
     run = simulate(scenario, seed)
     estimate, refused = feed_attitude(core_for(scenario), run)
     return error_at_end(run, seed, estimate.rotation_nd, estimate.covariance_n, refused)
@@ -83,14 +83,14 @@ def final_error(scenario: Scenario, seed: int) -> FinalError:
 def error_at_end(
     run: SimulatedRun, seed: int, rotation_nd: FloatArray, covariance_n: FloatArray, refused: int = 0
 ) -> FinalError:
-    """Compare an attitude at the last INS sample of a run, whoever found it, with the truth.
+    """Return the error of an attitude at the last INS sample of a run.
 
     Args:
-        run: with its truth.
-        seed: of the run.
+        run: simulated run with its truth.
+        seed: seed of the run.
         rotation_nd: horizon from deck as estimated, shape (3, 3).
-        covariance_n: of its error as claimed, rad², shape (3, 3).
-        refused: measurements that were not used.
+        covariance_n: predicted covariance of its error, rad², shape (3, 3).
+        rejected_count: number of measurements that were not used.
     """
     error_n = log_rotation(run.truth.rotation_nd[-1] @ rotation_nd.T)
     heading, pitch, _ = angles_from_rotation(rotation_nd)
@@ -101,13 +101,13 @@ def error_at_end(
 
 
 def core_for(scenario: Scenario) -> ShipAttitudeCore:
-    """A core with the configuration that fits a scenario, and with the sky where a sensor looks at it."""
+    """Return a core with the configuration of a scenario, and with the sky if a sensor needs it."""
     config = build(ShipAttitudeConfig, suite_configuration(scenario))
     return ShipAttitudeCore(config, installed_sky(config.sky) if scenario.needs_sky else None)
 
 
 def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEstimate, int]:
-    """Feed a whole run into a core, in order of arrival; returns the last estimate and the number of refusals."""
+    """Process a run with a core, in order of arrival; return the last estimate and the number of rejections."""
     estimate, refused = None, 0
     for outcome in attitude_outcomes(core, run, {int(run.ins.time_ns[-1])}):
         refused += (outcome.refusal is not None) + sum(not decision.accepted for decision in outcome.decisions)
@@ -121,7 +121,7 @@ def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEs
 def attitude_outcomes(
     core: ShipAttitudeCore, run: SimulatedRun, wanted_ns: Container[int]
 ) -> Iterator[AttitudeOutcome]:
-    """What a core makes of each arrival of a run; attitudes are asked for at the wanted stamps of INS samples alone."""
+    """Yield the outcome of each arrival of a run; attitudes are requested only at the wanted stamps of INS samples."""
     ins = _InsTurns(core, run, wanted_ns)
     for _, source, index in run.arrivals():
         if source == "ins":
@@ -139,12 +139,12 @@ def attitude_outcomes(
 
 
 class _InsTurns:
-    """The samples of the INS, judged in blocks before their turn as a replay judges them, up to one that is wanted.
+    """INS samples, checked in batches as in a replay, up to the next wanted stamp.
 
     Args:
-        core: takes them.
-        run: whose samples they are.
-        wanted_ns: stamps at which an attitude is asked for.
+        core: the core.
+        run: the run.
+        wanted_ns: stamps at which an attitude is requested.
     """
 
     def __init__(self, core: ShipAttitudeCore, run: SimulatedRun, wanted_ns: Container[int]) -> None:
@@ -157,7 +157,7 @@ class _InsTurns:
         self._arrived = 0
 
     def arrive(self, index: int) -> Iterator[AttitudeOutcome]:
-        """A sample has arrived."""
+        """Add a sample that arrived."""
         if self._ahead is None:
             next_wanted = int(self._wanted[np.searchsorted(self._wanted, index)])
             block = self._block.some(slice(index, min(next_wanted, index + _JUDGED_AT_ONCE)))
@@ -174,7 +174,7 @@ class _InsTurns:
                 yield last
 
     def take_turns(self) -> Iterator[AttitudeOutcome]:
-        """Those that have arrived have their turn."""
+        """Commit the samples that have arrived."""
         if self._ahead is not None:
             self._core.take_ahead(self._ahead, min(self._arrived, self._ahead.followed.usual))
             yield from (outcome for _, outcome in self._ahead.told)
@@ -182,7 +182,7 @@ class _InsTurns:
 
 
 def deflection_reading(run: SimulatedRun, index: int) -> DeflectionReading:
-    """What a topic tells of the deflection of the vertical."""
+    """Return a reading of the deflection of the vertical."""
     told = run.deflections
     assert told is not None
     covariance = told.covariance if told.covariance.any() else None
@@ -190,14 +190,14 @@ def deflection_reading(run: SimulatedRun, index: int) -> DeflectionReading:
 
 
 def baseline_measurement(run: SimulatedRun, index: int) -> BaselineMeasurement:
-    """What satellite positioning tells of the two antennas aboard."""
+    """Return a satellite baseline between the two antennas on board."""
     told = run.ship_baseline
     assert told is not None
     return BaselineMeasurement(int(told.time_ns[index]), told.baseline_n[index], told.covariance_n[index])
 
 
 def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:
-    """A fix, or a reading of the weather station."""
+    """Return a fix, or a reading of the weather station."""
     if source == "fix":
         fixes = run.fixes
         return PositionFix(int(fixes.time_ns[index]), fixes.position(index), fixes.covariance_m2)
@@ -211,7 +211,7 @@ def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:
 
 
 def measurement_of(run: SimulatedRun, source: str, index: int) -> Measurement:
-    """What a star sensor or another attitude system tells, as the estimator takes it."""
+    """Return a measurement of a star sensor or another attitude system in the estimator's form."""
     kind, _, name = source.partition(".")
     device = run.stars[name] if kind == "star" else run.references[name]
     if isinstance(device, StarSightings):
@@ -223,7 +223,7 @@ def measurement_of(run: SimulatedRun, source: str, index: int) -> Measurement:
 
 
 def star_exposure(run: SimulatedRun, sensor_id: str, index: int) -> StarExposure:
-    """One exposure of a sensor that gives single stars, as the estimator takes it."""
+    """Return one exposure of a sensor with single stars in the estimator's form."""
     sightings = run.stars[sensor_id]
     assert isinstance(sightings, StarSightings)
     return _seen_stars(f"star.{sensor_id}", run.scenario.star_sensors[sensor_id], sightings, index)
@@ -247,17 +247,17 @@ def _seen_stars(source: str, config: StarImaging, sightings: StarSightings, inde
 
 @dataclass(frozen=True)
 class PointingErrors:
-    """Errors of one session at the stamps of the truth where a pointing is claimed.
+    """Errors of one session at the stamps of the truth with a valid pointing.
 
     Attributes:
-        time_s: after the start, shape (k,).
+        time_s: time after the start, shape (k,).
         error_n: rotation vectors, R_true = exp(error) R_estimate, rad, shape (k, 3).
-        covariance_n: as claimed, rad², shape (k, 3, 3).
-        axis_n: where the main axis truly points, shape (k, 3).
-        mode: how each was found, shape (k,).
-        ins_encoder: error of the axis by INS and encoders alone, axis errors as configured, rad, shape (k,).
-        sightings: exposures with lights or stars that were used.
-        refused: inputs and exposures that were not.
+        covariance_n: predicted covariance, rad², shape (k, 3, 3).
+        axis_n: true direction of the main axis, shape (k, 3).
+        mode: pointing mode, shape (k,).
+        ins_encoder: error of the axis by INS and encoders alone, with the configured axis errors, rad, shape (k,).
+        sightings: number of exposures with lights or stars that were used.
+        rejected_count: number of inputs and exposures that were not used.
     """
 
     time_s: FloatArray
@@ -277,14 +277,14 @@ class PointingErrors:
 
     @property
     def sigma_on_sky(self) -> FloatArray:
-        """The claimed standard deviation of that angle (root mean square over directions), rad, shape (k,)."""
+        """Predicted standard deviation of that angle (root mean square over directions), rad, shape (k,)."""
         along = np.einsum("ki,kij,kj->k", self.axis_n, self.covariance_n, self.axis_n)
         sigma: FloatArray = np.sqrt(np.trace(self.covariance_n, axis1=-2, axis2=-1) - along)
         return sigma
 
 
 def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
-    """Simulate a session, filter it, and compare with the truth wherever a pointing is claimed."""
+    """Simulate a session, filter it, and return the errors wherever a pointing is valid."""
     run = simulate(scenario, seed)
     core = pointing_core_for(scenario)
     estimates, sightings, refused = feed_pointing(core, run)
@@ -308,16 +308,16 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
 
 
 def pointing_core_for(scenario: Scenario) -> OpticalAxisCore:
-    """A core with the configuration that fits a scenario, and with the sky where a camera looks at it."""
+    """Return a core with the configuration of a scenario, and with the sky if a camera needs it."""
     config = build(OpticalAxisConfig, optical_axis_configuration(scenario))
     return OpticalAxisCore(config, installed_sky(config.sky) if config.telescopes else None)
 
 
 def theodolite_of(run: SimulatedRun) -> TheodoliteRun:
-    """The theodolite's part of a run.
+    """Return the theodolite's part of a run.
 
     Raises:
-        ValueError: its scenario has none.
+        ValueError: the scenario has no theodolite.
     """
     if run.theodolite is None:
         raise ValueError("the scenario has no theodolite")
@@ -325,7 +325,7 @@ def theodolite_of(run: SimulatedRun) -> TheodoliteRun:
 
 
 def _ins_encoder(run: SimulatedRun) -> FloatArray:
-    """Error of the axis by INS and encoders alone at the stamps of the truth, rad; noise of the INS left out."""
+    """Return the error of the axis by INS and encoders alone at the stamps of the truth, rad, without INS noise."""
     theodolite, ins = theodolite_of(run), run.truth.ins
     index, mount = theodolite.truth.encoder_index, theodolite.truth.mount
     time_ns = theodolite.encoder.time_ns[index]
@@ -338,7 +338,7 @@ def _ins_encoder(run: SimulatedRun) -> FloatArray:
 
 
 def feed_pointing(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[PointingEstimate], int, int]:
-    """Feed a whole run into a core, in order of arrival; returns pointings, exposures used, and number of refusals."""
+    """Process a run with a core, in order of arrival; return pointings, exposures used, and number of rejections."""
     estimates: list[PointingEstimate] = []
     sightings = refused = 0
     for outcome in pointing_outcomes(core, run):
@@ -350,13 +350,13 @@ def feed_pointing(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[Pointi
 
 
 def pointing_outcomes(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:
-    """What a core makes of each arrival of a run."""
+    """Yield the outcome of each arrival of a run."""
     for _, source, index in run.pointing_arrivals():
         yield give_pointing(core, run, source, index)
 
 
 def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> PointingOutcome:
-    """Give a core one arrival of a run, as :meth:`SimulatedRun.pointing_arrivals` names it."""
+    """Process one arrival of a run, named as in :meth:`SimulatedRun.pointing_arrivals`."""
     kind, _, name = source.partition(".")
     if kind == "fused" and run.fused is not None:
         return core.add_ship(_ship_sample(run, run.fused, index))
@@ -382,7 +382,7 @@ def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: 
         return core.add_stars(_seen_stars(source, run.scenario.telescopes[name], theodolite.stars[name], index))
     if kind in SKY_SOURCES:
         return core.add_surroundings(sky_input(run, source, index))
-    # ins: the fused attitude holds what it says; target: its direction changes no pointing.
+    # ins: contained in the fused attitude; target: its direction changes no pointing.
     return PointingOutcome()
 
 

@@ -1,4 +1,4 @@
-"""The filters with one estimate alone: what those beside it, without each source, cost, and that they do not move it.
+"""The filters with the main filter only: cost of the subfilters, and proof that they do not change the output.
 
 ``make bench`` measures the cost. On a voyage without faults the outputs are the same.
 """
@@ -21,7 +21,7 @@ from theodolite_calib.measured.samples import ExposureDecision
 
 
 class WithoutIntegrity(ShipFilter):
-    """The ship's step with one estimate alone, which uses whatever can be compared with it."""
+    """The ship's filter step without subfilters; it uses every measurement that can be evaluated."""
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         super().__init__(config)
@@ -39,7 +39,7 @@ class WithoutIntegrity(ShipFilter):
 
 
 class _NoAlternatives:
-    """The rows of a theodolite's filter, of which none is carried on."""
+    """Subfilters of a theodolite's filter that are never propagated."""
 
     def __init__(self, rows: SourceRows) -> None:
         self._rows = rows
@@ -48,14 +48,14 @@ class _NoAlternatives:
         return getattr(self._rows, name)
 
     def predicted(self, rows: Alternatives, *_: object) -> Alternatives:
-        """As they were."""
+        """Return the subfilters unchanged."""
         return rows
 
     unknown = predicted
 
 
 class WithoutAlternatives(SightingStep):
-    """The theodolite's step with one estimate alone, its gate and its light checks."""
+    """The theodolite's filter step without subfilters, with its gate and its light checks."""
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
         super().__init__(config, filter_)

@@ -1,4 +1,4 @@
-"""One fault looked at closely: what was claimed when, who was named when, and how wrong it was."""
+"""Detailed report on one fault: outputs over time, sources named, and errors."""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -21,12 +21,12 @@ _MOST_LINES = 40
 
 
 def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
-    """A report for people on one fault in a bag.
+    """Return a report on one fault in a bag, line by line.
 
     Args:
         path: bag without faults.
         words: the fault, as ``topic: ins/imu, kind: bias, start_s: 20, up_arcsec: 30``.
-        seed: of what the fault draws.
+        seed: seed of the fault.
 
     Raises:
         BadInput: the words are no fault, or the bag cannot be used.
@@ -46,7 +46,7 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
     return [
         f"{path.name}: {fault.kind} on {fault.topic} from {fault.start_s:g} s to {min(fault.end_s, until_s):g} s",
         f"changed {verdict.changed} messages, the first at {_seconds(int(changed_ns[0]), start_ns).strip()}",
-        *([f"what no data can tell: {unseen}"] if unseen else []),
+        *([f"undetectable: {unseen}"] if unseen else []),
         f"detected {verdict.detected} after {verdict.alert_s:.2f} s, attributed {verdict.attributed}",
         f"while VALID: {worst}; {beyond}; failures {told.failures}",
         *_worst_by_time(told, start_ns),
@@ -60,7 +60,7 @@ def _seconds(time_ns: int, start_ns: int) -> str:
 
 
 def _worst_by_time(told: Told, start_ns: int) -> Iterator[str]:
-    """The worst claim of each ten seconds."""
+    """Yield the worst VALID output of each ten seconds."""
     for topic in sorted({claim.topic for claim in told.claims}):
         yield f"worst error of {topic} while VALID, in each ten seconds (σ; share of the level):"
         claims = sorted((claim for claim in told.claims if claim.topic == topic), key=lambda claim: claim.stamp_ns)
@@ -73,7 +73,7 @@ def _worst_by_time(told: Told, start_ns: int) -> Iterator[str]:
 
 
 def _statuses(told: Told, start_ns: int) -> Iterator[str]:
-    """The spans in which an output was not VALID."""
+    """Yield the spans in which an output was not VALID."""
     for topic in sorted({entry[0] for entry in told.not_valid}):
         yield f"{topic} not VALID (by stamps):"
         entries = sorted(entry for entry in told.not_valid if entry[0] == topic)
@@ -88,8 +88,8 @@ def _statuses(told: Told, start_ns: int) -> Iterator[str]:
 
 
 def _named(told: Told, fault: Fault, start_ns: int) -> Iterator[str]:
-    """Who was named for what: first and last time, and how often."""
-    yield "named (log time of the first and the last sign):"
+    """Yield the named sources with reason, first and last time, and count."""
+    yield "named sources (log time of the first and the last indication):"
     kinds: dict[tuple[str, str], list[int]] = {}
     for source, log_ns, _, reason in told.signs:
         kinds.setdefault((source, reason), []).append(log_ns)

@@ -1,7 +1,7 @@
-"""A voyage without faults: what a fault on it is compared with, and which faults on it no data can tell.
+"""Replay of a voyage without faults: reference for faults on it, and which of them are undetectable.
 
-The rows of what no data can tell are those of ``docs/explanation/integrity.md``. Where one has a limit, the page says
-it in the same words, and what was measured on both sides of it.
+The undetectable cases are those of ``docs/explanation/integrity.md``. Their limits are documented there, with
+measurements on both sides of each limit.
 """
 
 from collections.abc import Callable
@@ -16,40 +16,40 @@ from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
 
 MEASUREMENTS = 3
-"""A step is told within so many measurements of its source, or within a second."""
+"""Maximum number of measurements of its source until a step is detected, if longer than a second."""
 
 _KNOCK_SEEN_ARCSEC = 13.0
-"""A knock on the telescope by more is told by the next lights: three times what one sighting of them scatters."""
+"""Mounting shift of the telescope detected by the next lights, arcsec: three times the scatter of one sighting."""
 
 _SLIP_SEEN_SIGMAS = 13.0
-"""A slip of more sigmas of a reading shows in the readings themselves
+"""Encoder slip, in sigmas of a reading, detected from the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
 _INS_CREEPS_ARCSEC_PER_MIN, _STARS_CREEP_ARCSEC_PER_MIN, _AZIMUTH_CREEPS_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
-"""What creeps by less is found before an output is beyond five sigmas."""
+"""Drift rates below which the drift is detected before an output exceeds five sigmas, arcsec/min."""
 
 _SMALL_STEP_SIGMAS = 11.0
-"""A step of the INS by fewer sigmas of a sample may need some samples until it is seen
+"""INS step, in sigmas of a sample, below which several samples may be needed for detection
 (:mod:`ship_estimation.integrated_rates`)."""
 
 _CHECK_EACH_OTHER = 3
-"""So many star sensors tell which of them, or the INS, is wrong."""
+"""Minimum number of star sensors to isolate a faulty sensor or a faulty INS."""
 
 _STARS, _INS = "star/", "ins/imu"
 
 
 @dataclass
 class Passage:
-    """One voyage through the nodes without faults, and what of its bag the judge has to know.
+    """Replay of one voyage without faults, and properties of its bag needed for the evaluation.
 
     Attributes:
-        told: what it put out.
-        arrivals_ns: input topic → when its messages arrived, in order.
-        lights_ns: when the images arrived that show a light, in order.
+        outputs: outputs of the nodes.
+        arrivals_ns: input topic → arrival times of its messages, in order.
+        beacon_times_ns: arrival times of the images with a light, in order.
         encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN without one.
         ins_sigma_arcsec: noise of a sample of the INS; NaN without ``ship_attitude``.
         start_ns: beginning of the bag.
-        end_ns: its end.
+        end_ns: end of the bag.
     """
 
     told: Told
@@ -62,24 +62,24 @@ class Passage:
 
     @property
     def length_s(self) -> float:
-        """How long the bag is."""
+        """Length of the bag, s."""
         return (self.end_ns - self.start_ns) / NS_PER_S
 
     def alert_limit_s(self, fault: Fault) -> float:
-        """Within this a large step must be told: a second, or three measurements of the source."""
+        """Return the maximum time to detection of a large step: a second, or three measurements of the source."""
         return max(1.0, MEASUREMENTS * self._period_s(fault.topic))
 
     def unseen(self, fault: Fault, first_ns: int) -> str:
-        """The row of what no data can tell that a fault belongs to; empty where the data can tell it.
+        """Return the undetectable case that a fault belongs to; empty if it is detectable.
 
         Args:
-            fault: it changed a message.
-            first_ns: when the first of these arrived.
+            fault: the fault; it changes at least one message.
+            first_ns: arrival time of the first of these.
         """
         return next((row for row, holds in _UNSEEN.items() if holds(self, fault, first_ns)), "")
 
     def _slips_without_lights(self, fault: Fault, first_ns: int) -> bool:
-        """Encoders that slip by less than their own readings tell, while no light is in view."""
+        """True for an encoder slip too small for the readings themselves while no light is in view."""
         if fault.kind != "slip":
             return False
         size_arcsec = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec))
@@ -88,20 +88,26 @@ class Passage:
         return not in_view.any() and size_arcsec < _SLIP_SEEN_SIGMAS * self.encoder_sigma_arcsec
 
     def _encoders_creep(self, fault: Fault, first_ns: int) -> bool:
-        """Encoders that creep in azimuth: lights and axis errors take it up until the rows tell."""
+        """True for an azimuth drift of the encoders: lights and axis errors absorb it until the subfilters separate."""
         is_drift = fault.kind == "drift" and fault.topic == ENCODER_TOPIC
         return is_drift and abs(fault.azimuth_arcsec_per_min) > _AZIMUTH_CREEPS_ARCSEC_PER_MIN
 
     def _ins_creeps(self, fault: Fault, first_ns: int) -> bool:
-        """An INS that creeps, with two star sensors: its slow error takes it up until its rates, or the rows, tell."""
+        """True for an INS drift with two star sensors.
+
+        The correlated error of the INS absorbs it until its rates or the subfilters show it.
+        """
         return fault.topic == _INS and self._creeps_beside_two(fault, _INS_CREEPS_ARCSEC_PER_MIN)
 
     def _stars_creep(self, fault: Fault, first_ns: int) -> bool:
-        """One of two star sensors that creeps: the INS nearly explains it, and about one axis none knows better."""
+        """True for a drift of one of two star sensors.
+
+        The INS nearly explains it, and about one axis the sensor is the best source.
+        """
         return fault.topic.startswith(_STARS) and self._creeps_beside_two(fault, _STARS_CREEP_ARCSEC_PER_MIN)
 
     def _creeps_beside_two(self, fault: Fault, arcsec_per_min: float) -> bool:
-        """Whether a fault is a drift by more than that about an axis, beside two star sensors."""
+        """True if a fault is a faster drift than this about an axis, with fewer than three star sensors."""
         if fault.kind != "drift":
             return False
         rates = fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min
@@ -109,17 +115,17 @@ class Passage:
         return max(map(abs, rates)) > arcsec_per_min and len(sensors) < _CHECK_EACH_OTHER
 
     def _ins_steps_a_little(self, fault: Fault, first_ns: int) -> bool:
-        """An INS that steps by less than a sample of it tells."""
+        """True for an INS step too small for a single sample."""
         size_arcsec = max(abs(fault.north_arcsec), abs(fault.up_arcsec), abs(fault.east_arcsec))
         return fault.kind == "bias" and fault.topic == _INS and size_arcsec < _SMALL_STEP_SIGMAS * self.ins_sigma_arcsec
 
     def _knocks_within_scatter(self, fault: Fault, first_ns: int) -> bool:
-        """A telescope turned by no more than its lights scatter."""
+        """True for a telescope shift within the scatter of its lights."""
         size_arcsec = max(abs(fault.forward_arcsec), abs(fault.up_arcsec), abs(fault.right_arcsec))
         return fault.kind == "knock" and fault.topic == IMAGE_TOPIC and size_arcsec < _KNOCK_SEEN_ARCSEC
 
     def _knocked_unseen(self, fault: Fault, first_ns: int) -> bool:
-        """A star sensor knocked while no star was seen: what the INS has done meanwhile is as unknown."""
+        """True for a shift of a star sensor while no star was visible: the INS's drift meanwhile is as uncertain."""
         if fault.kind != "knock" or not fault.topic.startswith(_STARS):
             return False
         by_stars = [arrivals_ns for topic, arrivals_ns in self.arrivals_ns.items() if topic.startswith(_STARS)]
@@ -127,23 +133,23 @@ class Passage:
         return not ((stars_ns >= first_ns - HEARD_NS) & (stars_ns < first_ns)).any()
 
     def _period_s(self, topic: str) -> float:
-        """From one message of a topic to the next."""
+        """Return the median period of a topic, s."""
         periods_ns = np.diff(self.arrivals_ns.get(topic, np.zeros(0)))
         return float(np.median(periods_ns)) / NS_PER_S if periods_ns.size else 0.0
 
 
 _UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
     "encoder slip, no lights": Passage._slips_without_lights,
-    "encoder drift, told late": Passage._encoders_creep,
-    "ins drift, told late": Passage._ins_creeps,
+    "encoder drift, detected late": Passage._encoders_creep,
+    "ins drift, detected late": Passage._ins_creeps,
     "ins step, small": Passage._ins_steps_a_little,
-    "star drift, told late": Passage._stars_creep,
+    "star drift, detected late": Passage._stars_creep,
     "telescope knock, small": Passage._knocks_within_scatter,
     "star knock, no stars": Passage._knocked_unseen,
 }
 
 UNSEEN_ROWS = tuple(_UNSEEN)
-"""What no data can tell, as ``docs/explanation/integrity.md`` lists it; each has a row of its own in the table."""
+"""Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table."""
 
 UNTOLD_ROWS = ("encoder slip, no lights", "telescope knock, small", "star knock, no stars")
-"""Those of them that nothing has to tell; the others are told, but an output may be VALID and wrong before."""
+"""Undetectable cases that need not be reported; in the others an output may be VALID and wrong before detection."""

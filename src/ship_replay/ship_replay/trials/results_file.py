@@ -1,4 +1,4 @@
-"""Results of voyages: a line of JSON a voyage, in a file that outlives a kill."""
+"""Results of voyages: one line of JSON per voyage, in a file that survives a kill."""
 
 import json
 import os
@@ -11,16 +11,16 @@ from ship_bags.errors import BadInput
 from ship_bags.progress import with_count
 
 Result = dict[str, Any]
-"""What became of a voyage, as plain data; ``voyage`` is its number."""
+"""Result of a voyage as plain data; ``voyage`` is its number."""
 
 
 class ResultsFile:
-    """A file of results, to which each voyage is added as soon as it is made.
+    """A file of results; each result is appended when its voyage is completed.
 
     Args:
-        path: of the file; what a killed run left of its last line is cut off.
-        key: what tells the voyage of a result from others; raises KeyError or TypeError on what is no result.
-        fresh: forget what is there.
+        path: path of the file; an incomplete last line of a killed run is removed.
+        key: returns the key of a result; raises KeyError or TypeError if it is no result.
+        fresh: discard existing results.
 
     Raises:
         BadInput: a line before the last is no result.
@@ -35,15 +35,15 @@ class ResultsFile:
         self._known = {self._key(result) for result in self._results}
 
     def holds(self, key: Hashable) -> bool:
-        """Whether a voyage was made."""
+        """True if there is a result with this key."""
         return key in self._known
 
     def all(self) -> list[Result]:
-        """The results, by the numbers of their voyages."""
+        """Return the results, by the numbers of their voyages."""
         return sorted(self._results, key=lambda result: int(result["voyage"]))
 
     def add(self, result: Result) -> None:
-        """Write a result; it is on the disk when this returns."""
+        """Append a result; it is on the disk on return."""
         with open(self.path, "a", encoding="utf-8") as file:
             file.write(json.dumps(result) + "\n")
             file.flush()
@@ -68,12 +68,12 @@ class ResultsFile:
 
 
 def add_as_made(results: ResultsFile, processes: int, submit: Callable[[Executor], list[Future[Result]]]) -> None:
-    """Make voyages in worker processes, each result written when it is there, with progress on stderr.
+    """Run voyages in worker processes and append each result, with progress on stderr.
 
     Args:
-        results: to which they are added.
-        processes: how many workers.
-        submit: gives the workers what is to be made; an interruption takes back what has not begun.
+        results: file of the results.
+        processes: number of workers.
+        submit: submits the voyages to the workers; an interruption cancels those not started.
     """
     with ProcessPoolExecutor(processes) as pool:
         try:

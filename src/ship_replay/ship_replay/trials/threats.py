@@ -1,7 +1,7 @@
-"""What may go wrong on a voyage, drawn by seed: the threats, their sizes, and when each begins and ends.
+"""Random faults of a voyage: the threats, their sizes, and when each begins and ends.
 
-A threat is a kind of fault of one sort of topic, with sizes as they happen on ships. Faults that look like data come
-first; then input that is wrong by its form, which every topic may send.
+A threat is a kind of fault of one sort of topic, with realistic sizes. Faults that look like data come first; then
+input that is malformed, which is possible on every topic.
 """
 
 import re
@@ -21,7 +21,7 @@ Draw = Callable[[np.random.Generator], Sizes]
 SINGLE, OVERLAPPING = "single", "overlapping"
 
 FIRST_START_S = 15.0
-"""No fault begins earlier: a filter that has just begun to learn is another trial."""
+"""Earliest beginning of a fault, s: the filter has converged."""
 
 SHORTEST_S, LONGEST_S = 6.0, 25.0
 _MOST_FAULTS = 5
@@ -37,12 +37,12 @@ class Threat:
     """One row of the table of threats.
 
     Attributes:
-        label: as tables name it.
-        topics: pattern of the topics that it may hit.
-        kind: of the fault.
-        draw: its sizes.
-        sigma: of one measurement, by the name of the size that it belongs to: how many sigmas a step has.
-        weight: how often it is drawn.
+        label: name in tables.
+        topics: pattern of the topics it may affect.
+        kind: kind of the fault.
+        draw: draws its sizes.
+        sigma: standard deviation of one measurement, by the name of the size, to express a step in sigmas.
+        weight: relative frequency.
     """
 
     label: str
@@ -53,14 +53,14 @@ class Threat:
     weight: float = 1.0
 
     def sigmas(self, sizes: Sizes) -> float | None:
-        """The largest size in sigmas of one measurement; None where the threat is no step."""
+        """Return the largest size in sigmas of one measurement; None if the threat is no step."""
         if self.sigma is None:
             return None
         return max(float(abs(sizes[name])) / sigma for name, sigma in self.sigma.items() if name in sizes)
 
 
 def _size(names: tuple[str, ...], least: float, most: float) -> Draw:
-    """One of some sizes, its magnitude even in its logarithm, its sign by chance."""
+    """Return a function that draws one of some sizes, log-uniform in magnitude, with random sign."""
 
     def draw(rng: np.random.Generator) -> Sizes:
         magnitude = float(np.exp(rng.uniform(np.log(least), np.log(most))))
@@ -145,14 +145,14 @@ BY_FORM = (
     Threat("flood", _ANY, "flood", _one_of(times=(5, 20), spread_s=(2.0, 10.0))),
     Threat("wrong id", _ANY, "wrong_id"),
 )
-"""Input that is wrong by its form, or in time."""
+"""Input that is malformed, or wrong in time."""
 
 _SHARE_BY_FORM = 0.35
 
 
 @dataclass(frozen=True)
 class DrawnFault:
-    """A fault of a voyage with the row of the table that it comes from."""
+    """A fault of a voyage with its row in the table of threats."""
 
     threat: Threat
     fault: Fault
@@ -161,14 +161,14 @@ class DrawnFault:
 def draw_faults(
     topics: Mapping[str, str], length_s: float, mode: str, return_after_s: float, rng: np.random.Generator
 ) -> list[DrawnFault]:
-    """One to five faults of a voyage, by their beginnings.
+    """Draw one to five faults of a voyage, in order of their beginnings.
 
     Args:
-        topics: topic → type of the inputs that the nodes of the voyage take.
-        length_s: of the voyage.
-        mode: SINGLE: the next begins ``return_after_s`` after the end of the one before; OVERLAPPING: whenever.
-        return_after_s: after this an excluded source is used again.
-        rng: source of randomness.
+        topics: topic → type of the inputs that the nodes of the voyage use.
+        length_s: length of the voyage.
+        mode: SINGLE: the next begins ``return_after_s`` after the end of the previous one; OVERLAPPING: at any time.
+        return_after_s: time after which an excluded source is reinstated.
+        rng: random generator.
     """
     drawn: list[DrawnFault] = []
     start_s = FIRST_START_S + float(rng.uniform(0.0, 10.0))
@@ -184,7 +184,7 @@ def draw_faults(
 
 
 def _drawn(topics: Mapping[str, str], start_s: float, end_s: float, rng: np.random.Generator) -> DrawnFault:
-    """A threat that may happen to one of the topics: first the threat, then which topic it hits."""
+    """Draw a fault: first the threat, among those possible with the topics, then the affected topic."""
     table = BY_FORM if rng.random() < _SHARE_BY_FORM else DATA_LIKE
     possible = [(threat, fitting) for threat in table if (fitting := _fitting(threat, topics))]
     weights = np.array([threat.weight for threat, _ in possible])
@@ -197,7 +197,7 @@ def _drawn(topics: Mapping[str, str], start_s: float, end_s: float, rng: np.rand
 
 
 def _drawn_field(kind: str, type_name: str, rng: np.random.Generator) -> Sizes:
-    """Any number of a message, and a value that it can hold."""
+    """Draw a numeric field of a message, and a value it can hold."""
     fields = numeric_fields(type_name)
     floats = [path for path, base in fields.items() if base.startswith("float")]
     path = str(rng.choice(list(fields) if kind == "corrupt" else floats))

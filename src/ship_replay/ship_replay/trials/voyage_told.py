@@ -1,7 +1,7 @@
-"""What a voyage with faults told: statuses, errors against the truth, and whom it named, gathered from its outputs.
+"""Outputs of a voyage with faults: statuses, errors against the truth, and named sources.
 
-Three messages carry names: the innovations, the exclusions in ``ship/integrity`` and ``theodolite/integrity``, and
-``input_health``, which counts the refusals of a topic by their reasons and tells that one is silent.
+Three messages name sources: the innovations, the exclusions in ``ship/integrity`` and ``theodolite/integrity``, and
+``input_health``, which counts the rejections of a topic by reason and reports missing messages.
 """
 
 from collections import Counter
@@ -32,12 +32,11 @@ _IN_COMPARISON = frozenset(
         Reason.NO_FIX,
     )
 )
-"""Reasons for which a measurement may be refused although it is right: what it was compared with was wrong, or
-missing."""
+"""Reasons for which a correct measurement may be rejected: the values it was compared with were wrong or missing."""
 
 _COMPARED = ("star", "reference", "light", "telescope", "beacon", "baseline", "drone", "theodolite/beacons")
-"""How names of what is compared with an estimate begin. INS, encoders, fix and weather lead: whatever they are refused
-for, it is their own stream that they are held against."""
+"""Prefixes of the names of sources that are compared with an estimate. INS, encoders, fix and weather are not: their
+rejections refer to their own sequence of values."""
 
 _CONSEQUENCES = (EXCLUSION, Reason.EXCLUDED.word, Reason.REVISED.word)
 
@@ -48,13 +47,13 @@ _VALID = 0
 
 
 class Sign(NamedTuple):
-    """A source was named: refused, excluded, or silent.
+    """A source was named: rejected, excluded, or without data.
 
     Attributes:
-        source: as the nodes name it; of ``input_health``, the topic.
-        log_ns: when it was told.
-        stamp_ns: of the measurement, or of the report.
-        reason: a word of :class:`ship_estimation.refusals.Reason`, EXCLUSION or SILENT.
+        source: name used by the nodes; for ``input_health`` the topic.
+        log_ns: time of the report.
+        stamp_ns: stamp of the measurement, or of the report.
+        reason: a word of :class:`ship_estimation.refusals.Reason`, EXCLUSION or NO_DATA.
     """
 
     source: str
@@ -64,21 +63,21 @@ class Sign(NamedTuple):
 
     @property
     def is_by_itself(self) -> bool:
-        """Whether the source is refused, or silent, for what it is by itself."""
+        """True if the source is rejected, or without data, for its own fault."""
         if self.reason in _CONSEQUENCES:
             return False
         return self.reason not in _IN_COMPARISON or not self.source.startswith(_COMPARED)
 
 
 class Claim(NamedTuple):
-    """An output that was VALID, at a moment of the truth.
+    """A VALID output at a stamp of the truth.
 
     Attributes:
-        topic: of the output.
-        stamp_ns: its moment.
-        log_ns: when it came.
+        topic: topic of the output.
+        stamp_ns: its stamp.
+        log_ns: its log time.
         sigmas: largest error in sigmas.
-        over_level: largest error over its protection level; NaN where there is none.
+        level_ratio: largest error over its protection level; NaN if there is none.
     """
 
     topic: str
@@ -90,15 +89,15 @@ class Claim(NamedTuple):
 
 @dataclass
 class Told:
-    """What a voyage put out.
+    """Outputs of a voyage.
 
     Attributes:
-        claims: VALID outputs at moments of the truth.
+        valid_outputs: VALID outputs at stamps of the truth.
         not_valid: (topic, stamp, log time, status) of the other outputs.
-        signs: each refusal, each exclusion at its beginning, and each report on an input that is silent or has new
-            refusals for what it is by itself.
-        failures: refusals because the software failed.
-        outputs: number of statuses.
+        indications: each rejection, the beginning of each exclusion, and each report of an input without data or with
+            new rejections for its own fault.
+        failure_count: number of rejections because of a software failure.
+        output_count: number of statuses.
     """
 
     claims: list[Claim] = field(default_factory=list)
@@ -109,7 +108,7 @@ class Told:
 
 
 class VoyageSink:
-    """Takes what a replay gives, and keeps what is judged.
+    """Sink that collects the outputs needed for the evaluation.
 
     Args:
         truths: topic of an orientation → its truth.
@@ -124,10 +123,10 @@ class VoyageSink:
         self._health = HealthBook()
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Take the truth, which is known."""
+        """Ignore the truth, which is known."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take an output."""
+        """Add an output."""
         if topic in _INNOVATIONS:
             self._innovation(message, log_time_ns)
         elif topic in INTEGRITY.values():
@@ -167,16 +166,16 @@ class VoyageSink:
         sigma = orientation.scale(angles) * np.sqrt(np.diagonal(np.asarray(message.covariance).reshape(3, 3)))
         level = self._levels.get(INTEGRITY[orientation.topic], np.full(3, np.nan))
         over_level = error / level if np.all(np.isfinite(level)) else np.full(3, np.nan)
-        # An error that is no number is a wrong claim, too.
+        # A NaN error counts as wrong.
         sigmas = float(np.max(np.nan_to_num(error / sigma, nan=np.inf)))
         self.told.claims.append(Claim(orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level))))
 
 
 class HealthBook:
-    """What is new in reports on inputs, each compared with the one before of the same node and topic.
+    """New entries in reports on inputs, each compared with the previous one of the same node and topic.
 
-    A report does not say which node it is of. Nodes report at the same moments in the same order, so that the place of
-    a report among those of its topic and stamp tells it.
+    A report does not name its node. Nodes report at the same times in the same order, so the position of a report among
+    those of its topic and stamp identifies the node.
     """
 
     def __init__(self) -> None:
@@ -184,9 +183,9 @@ class HealthBook:
         self._before: dict[tuple[str, int], tuple[int, Counter[str]]] = {}
 
     def signs(self, report: Any, log_time_ns: int) -> list[Sign]:
-        """The signs in a report: that its topic is silent, or why messages were refused for what they are.
+        """Return the indications in a report: no data on its topic, or rejections for the source's own fault.
 
-        Refusals in comparison with others are told by the innovations, one by one.
+        Rejections in comparison with others are contained in the innovations.
         """
         topic, stamp_ns = report.topic, ns_from_stamp(report.header.stamp)
         last_ns, place = self._place.get(topic, (stamp_ns, -1))
