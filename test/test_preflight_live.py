@@ -143,13 +143,13 @@ def test_faults_come_together_and_all_are_told(tmp_path, domain):
         r"security: machine.require_security demands it, and no DDS security: .* built without it",
         r"security: machine.require_security demands it, and ROS_SECURITY_ENABLE is not set",
         r"keystore: .*: is no keystore",
-        r"domain: ship/attitude, which the suite gives, is published by /observer",
+        r"domain: ship/attitude, an output of the suite, is published by /observer",
         r"disk: .*/proc/boxes is not there yet: .* in /proc, ",
-        r"files: --box /proc/boxes: user \w+ cannot make it",
-        r"files: .*suite.yaml:\d+: alignment_file /nowhere/alignment.yaml: user \w+ cannot make it",
+        r"files: --box /proc/boxes: user \w+ cannot create it",
+        r"files: .*suite.yaml:\d+: alignment_file /nowhere/alignment.yaml: user \w+ cannot create it",
         r"sensors: ins/imu: .* Hz from /observer, stamps (99|100|101)\.\d+ s old",
-        r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, asked for by qos_overrides in the ",
-        r"sensors: star/starboard/horizon_attitude: nobody publishes it",
+        r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, required by qos_overrides in the ",
+        r"sensors: star/starboard/horizon_attitude: no publisher",
     ):
         assert any(re.match(expected, line) for line in lines), (expected, lines)
 
@@ -173,7 +173,7 @@ def test_an_ins_that_nobody_has_heard_is_not_ready_though_nmea_in_will_read_it(t
         code, rows, _ = preflight(observer, environment, path, "--namespace", "demo", "--listen", "1")
         by_hand.destroy_node()
     assert ("parameters", "OK", f"{path}: good for ship_attitude, nmea_in") in rows
-    unheard = "sensors: ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+    unheard = "sensors: ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
     assert (code, failed(rows)) == (1, [unheard])
     assert ("domain", "WARN", "/demo/nmea_in is running already") in rows
 
@@ -186,7 +186,7 @@ def test_a_domain_that_dds_would_not_take_is_told_and_nothing_is_heard(tmp_path,
     assert code == 1
     assert ("domain", "FAIL", wrong) in rows
     assert ("domain", "not checked", wrong) in rows
-    assert ("sensors", "FAIL", f"nothing could be heard: {wrong}") in rows
+    assert ("sensors", "FAIL", f"nothing could be received: {wrong}") in rows
 
 
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path, domain):

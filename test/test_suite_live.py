@@ -278,7 +278,7 @@ def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         valid = "[ship_attitude]: attitude: VALID"
         wait_for(lambda: valid in process.log() and has_reserve(process.pid, "ship_attitude"), process)
-        time.sleep(2.0)  # the reserve's own sign of life
+        time.sleep(2.0)  # the reserve's own heartbeat
         pids = processes_of(process.pid, "ship_attitude")
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
@@ -286,8 +286,8 @@ def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
         assert not set(pids) & set(processes_of(process.pid, "ship_attitude"))
         assert process.end(signal.SIGTERM) == 0
         log = process.log()
-    assert re.search(r"\[suite\] ship_attitude is frozen: no sign of life for \d+ s", log)
-    assert re.search(r"\[suite\] ship_attitude sent no sign of life for \d+ s: killed", log)
+    assert re.search(r"\[suite\] ship_attitude is frozen: no heartbeat for \d+ s", log)
+    assert re.search(r"\[suite\] ship_attitude sent no heartbeat for \d+ s: killed", log)
     assert log.count("[suite] ship_attitude ended") == 1, log
 
 

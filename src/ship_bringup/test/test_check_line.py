@@ -7,7 +7,7 @@ UNCHECKED = CheckLine("c", Result.NOT_CHECKED, "")
 
 
 def test_the_verdict_counts_what_is_not_good():
-    assert verdict([OK, OK]) == "READY: all is good"
+    assert verdict([OK, OK]) == "READY: all checks passed"
     assert verdict([OK, WARN, UNCHECKED]) == "READY: 1 warning, 1 not checked"
     assert verdict([FAIL, OK, WARN, WARN, FAIL]) == "NOT READY: 2 failed, 2 warnings"
 

@@ -77,7 +77,7 @@ def test_chrony_as_printed():
     assert state.bound_s == pytest.approx(1.501e-6 + 0.024780 + 0.5 * 0.373169)
     row = judge_clock(state, Limits())
     assert row.result is Result.OK
-    assert row.found.startswith('chrony: 0.0015 ms off, 0.027" at 5 deg/s (its source vouches for 211 ms, 3805")')
+    assert row.found.startswith('chrony: 0.0015 ms off, 0.027" at 5 deg/s (error bound 211 ms, 3805")')
 
 
 def test_the_sign_of_the_offset_is_not_asked_for():
@@ -136,7 +136,7 @@ def program(folder: Path, name: str, text: str, code: int = 0):
 
 
 def test_chrony_is_asked_first_then_ptp_neither_is_a_warning_and_a_dead_one_fails(tmp_path, monkeypatch):
-    # Nothing of this computer but what the programs here need: it may have chrony itself.
+    # Only what the programs here need is in PATH: this computer may have chrony itself.
     (tmp_path / "cat").symlink_to(shutil.which("cat"))
     monkeypatch.setenv("PATH", str(tmp_path))
     row = judge_clock(look_at_clock(), Limits())
@@ -144,7 +144,7 @@ def test_chrony_is_asked_first_then_ptp_neither_is_a_warning_and_a_dead_one_fail
     assert row.advice.startswith("set up chrony")
     program(tmp_path, "chronyc", "506 Cannot talk to daemon\n", 1)
     row = judge_clock(look_at_clock(), Limits())
-    found = "nothing keeps the clock: chronyc says: 506 Cannot talk to daemon, no pmc"
+    found = "no program synchronises the clock: chronyc reports: 506 Cannot talk to daemon, no pmc"
     assert (row.result, row.found) == (Result.FAIL, found)
     program(tmp_path, "pmc", PTP)
     assert look_at_clock().source == "PTP"

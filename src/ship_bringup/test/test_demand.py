@@ -127,7 +127,7 @@ def test_a_secured_suite_needs_the_enclave_of_each_program_and_the_ships_authori
     store = keystore_for_now(tmp_path / "keystore", locked=True)
     set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    assert len(programs()[1]) == 1  # of the file that the node has not
+    assert len(programs()[1]) == 1  # the warning that no file is configured
     limits = tmp_path / "ship.yaml"
     limits.write_text(f"machine: {{authority_sha256: '{'0' * 64}'}}\n")
     with pytest.raises(BadInput, match=r"an authority of another ship: .*: not started"):

@@ -59,13 +59,13 @@ def test_nmea_nodes_started_by_hand_are_no_strangers_and_must_end_before_the_sui
 
 def test_somebody_else_who_gives_what_the_suite_gives_fails():
     rows = found(NetworkState("rmw", ("/x", "/demo/ins"), (INS,), {"ship/attitude": ("/x",)}))
-    assert (Result.FAIL, "ship/attitude, which the suite gives, is published by /x") in rows
+    assert (Result.FAIL, "ship/attitude, an output of the suite, is published by /x") in rows
 
 
 def test_strangers_namesakes_and_a_clock_are_warnings():
     rows = found(NetworkState("rmw", ("/demo/ins", "/rviz", "/rviz"), (INS,), has_clock=True))
     assert [text for result, text in rows if result is Result.WARN] == [
-        "somebody publishes a clock, as for a bag", "2 nodes are called /rviz", "no part of the suite: /rviz"
+        "/clock is published, as by the player of a bag", "2 nodes are called /rviz", "not part of the suite: /rviz"
     ]  # fmt: skip
 
 

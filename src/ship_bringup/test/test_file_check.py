@@ -45,7 +45,7 @@ def test_a_file_that_is_not_there_yet_in_a_folder_that_is(tmp_path):
 def test_a_file_without_its_folder(tmp_path, name):
     ((result, found),) = rows(look(tmp_path, **{name: tmp_path / "none" / "file"}))
     assert result is Result.FAIL
-    assert "cannot make it" in found
+    assert "cannot create it" in found
 
 
 def test_a_file_in_a_folder_that_takes_no_other_cannot_be_replaced(tmp_path):

@@ -105,7 +105,7 @@ def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch, tmp_path):
     assert code == 137
     said = [line for line in lines if line.startswith("[node]")]
     assert said == ["[node] from the start", "[node] in reserve"]
-    # It counts from when it was told to begin, and is no death of its own before.
+    # Its run time counts from begin(), and its wait in reserve is no run of its own.
     assert [line.partition(": ")[2] for line in lines if "ended" in line] == [
         "signal 9, SIGKILL; started again at once (restart 1 in a row)",
         "signal 9, SIGKILL; started again in 1 s (restart 2 in a row)",
@@ -186,7 +186,7 @@ def test_bad_input_of_one_program_at_the_start_is_tried_again_and_the_others_go_
         until="wrong ended",
         count=3,
     )
-    assert code == 2  # of the first that was down at the end
+    assert code == 2  # of the first program that was down at the end
     assert any(re.fullmatch(r".*page ended .*: exit code 2; started again at once .*", line) for line in lines)
     assert "[right] ends" in lines
 
@@ -224,7 +224,7 @@ def test_bad_input_of_a_node_that_has_run_before_ends_nothing():
 
 def killed_after_s(line: str) -> int:
     """Return the time without a sign of life in the line that says so; a machine with other work looks later."""
-    killed = re.fullmatch(r"\[suite\] node(?: in reserve)? sent no sign of life for (\d) s: killed", line)
+    killed = re.fullmatch(r"\[suite\] node(?: in reserve)? sent no heartbeat for (\d) s: killed", line)
     assert killed, line
     return int(killed[1])
 
@@ -240,9 +240,9 @@ def test_a_frozen_program_is_reported_killed_and_started_again(how):
     assert code == 0  # it ran when the user ended the suite
     assert time.monotonic() - started_s < FAR_S
     own = [line for line in lines if line.startswith("[suite]")]
-    times = re.fullmatch(r"\[suite\] node is frozen: no sign of life for (\d) s, .*started again in (\d) s", own[0])
+    times = re.fullmatch(r"\[suite\] node is frozen: no heartbeat for (\d) s, .*started again in (\d) s", own[0])
     assert times, own
-    # A machine with other work looks later; both times are of one look.
+    # A busy machine checks later; both times are of one look.
     silent_s, left_s = map(int, times.groups())
     assert silent_s in (2, 3)
     assert silent_s + left_s == 4
@@ -256,7 +256,7 @@ def test_a_program_that_works_again_in_time_is_left_alone():
     code, lines = kept(program("node", text), until="works again", frozen_report_s=2.0, frozen_restart_s=10.0)
     assert code == 0
     assert [line for line in lines if "ended" in line] == []
-    assert re.search(r"node works again after [3-5] s without a sign of life", "\n".join(lines))
+    assert re.search(r"node works again after [3-5] s without a heartbeat", "\n".join(lines))
 
 
 @pytest.mark.slow
@@ -338,7 +338,7 @@ def test_a_program_that_gets_no_processor_is_not_frozen():
         for hog in hogs:
             hog.kill()
             hog.wait()
-    assert not re.search(r"sent no sign of life for \d+ s: killed", said), said
+    assert not re.search(r"sent no heartbeat for \d+ s: killed", said), said
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN])
@@ -457,5 +457,5 @@ def test_a_second_signal_ends_at_once_what_does_not_want_to():
     started_s = time.monotonic()
     keeper.send_signal(signal.SIGINT)
     keeper.wait(FAR_S)
-    assert time.monotonic() - started_s < 5.0  # not the ten seconds of patience
+    assert time.monotonic() - started_s < 5.0  # not the timeout of ten seconds
     assert is_gone(pids[0])

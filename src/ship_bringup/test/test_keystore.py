@@ -151,7 +151,7 @@ def test_a_missing_enclave_of_a_node_and_of_a_tool(tmp_path):
     fault = only(keystore_faults(without_node.path, use()))
     assert "/demo/ship_attitude: has no identity_ca.cert.pem" in fault.text
     assert fault.advice == "ros2 security create_enclave KEYSTORE /demo/ship_attitude"
-    # Tools and drivers may be on other computers, and their keys with them.
+    # Tools and drivers, with their keys, may be on other computers.
     assert keystore_faults(Keystore(tmp_path / "b", AUTHORITY, DOMAIN).add([OF_NODE]).path, use()) == []
 
 
@@ -170,7 +170,7 @@ def test_dates_of_certificates_and_permissions(keystore, later, told, is_error):
     if told is None:
         assert faults == []
         return
-    # Of both enclaves: certificate and permissions; their authority once.
+    # Certificate and permissions of both enclaves, and their authority once.
     assert len(faults) == 5
     assert all(told in fault.text and fault.is_error == is_error for fault in faults)
 

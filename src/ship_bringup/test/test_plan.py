@@ -50,7 +50,7 @@ def test_with_a_bag_no_instrument_is_read_and_what_goes_out_is_warned_of(suite):
     assert roles(plan) == {"ship_attitude": Role.NODE, "nmea_out": Role.WATCHER, "play": Role.PLAYER}
     (command,) = [program.command for program in plan.programs if program.name == "nmea_out"]
     assert "use_sim_time:=true" in command
-    assert any("by THS alone, which says S (simulator)" in warning for warning in plan.warnings)
+    assert any("only as THS, with mode S (simulator)" in warning for warning in plan.warnings)
 
 
 def test_a_bad_key_of_theirs_is_told_before_anything_starts(suite):

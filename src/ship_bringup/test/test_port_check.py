@@ -42,8 +42,8 @@ def test_a_port_is_free_and_then_another_program_has_it(look, what):
     node, key, kind, text = HELD[what]
     port = free_port(kind)
     text, name = text.replace("PORT", str(port)), f"{'TCP' if kind is STREAM else 'UDP'} port {port}"
-    for _ in range(2):  # tried, and given back
-        assert look(node, text) == [(Result.OK, f"suite.yaml:4: {key}: {name} can be had", "")]
+    for _ in range(2):  # bound, and released
+        assert look(node, text) == [(Result.OK, f"suite.yaml:4: {key}: {name} is available", "")]
     with socket.socket(socket.AF_INET, kind) as other:
         other.bind(("", port))
         if kind is STREAM:
@@ -52,7 +52,7 @@ def test_a_port_is_free_and_then_another_program_has_it(look, what):
         assert (result, advice) == (Result.FAIL, "end that one, or give another port")
         assert found.startswith(f"suite.yaml:4: {key}: {name} is in use by ")
         assert found.endswith(f"(process {os.getpid()})")
-        # Started by hand, to hear the instruments.
+        # Started by hand, to check the instruments.
         ((result, found, _),) = look(node, text, "demo", [f"/demo/{node}"])
         assert (result, found) == (Result.NOT_CHECKED, f"suite.yaml:4: {key}: {name} is in use while /demo/{node} runs")
 
@@ -78,11 +78,11 @@ def test_a_program_that_cannot_be_seen_may_be_the_suite_itself():
     ("node", "text", "rows"),
     [
         ("nmea_out", "kind: tcp_server, address: 203.0.113.7, port: 10110",
-         ["port: TCP port 10110 of 203.0.113.7 cannot be had: this machine has no such address"]),
+         ["port: TCP port 10110 of 203.0.113.7 is not available: this machine has no such address"]),
         ("nmea_out", "kind: udp, address: 239.192.0.4, port: 1, interface: 203.0.113.7",
-         ["interface: 203.0.113.7 cannot be had: this machine has no such address"]),
+         ["interface: 203.0.113.7 is not available: this machine has no such address"]),
         ("nmea_in", "kind: udp, becomes: ins, address: 203.0.113.7, port: 10110",
-         ["port: UDP port 10110 of 203.0.113.7 cannot be had: this machine has no such address"]),
+         ["port: UDP port 10110 of 203.0.113.7 is not available: this machine has no such address"]),
         ("nmea_out", "kind: udp, address: 239.192.0.4, port: 1, interface: 127.0.0.1",
          ["interface: 127.0.0.1 is an address of this machine"]),
         ("nmea_in", "kind: tcp, becomes: ins, address: 203.0.113.7, port: 10110", []),
@@ -93,7 +93,7 @@ def test_a_program_that_cannot_be_seen_may_be_the_suite_itself():
 def test_own_addresses_are_those_of_this_machine(look, node, text, rows):
     found = look(node, text)
     assert [words.partition(".a.")[2] for _, words, _ in found] == rows
-    assert all((result is Result.FAIL) is ("cannot" in words) for result, words, _ in found)
+    assert all((result is Result.FAIL) is ("not available" in words) for result, words, _ in found)
 
 
 def test_a_device_that_another_program_has_open(look):

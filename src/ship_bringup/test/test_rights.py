@@ -66,7 +66,7 @@ def test_parameters_of_an_estimator_are_set_by_param_alone_and_by_nobody_when_lo
             topic = f"rq/demo/{node}/{service}Request"
             asking = {name for name, rights in every.items() if may(rights, "publish", topic)}
             assert asking == ({"/demo/param"} if service.endswith("atomically") and not locked else set())
-        # Its own permission to answer stays: without it, ROS could not start the node.
+        # Its own permission to respond remains: without it, ROS could not start the node.
         assert may(every[f"/demo/{node}"], "subscribe", f"rq/demo/{node}/set_parametersRequest")
     assert may(every["/demo/param"], "publish", "rq/demo/ship_attitude/get_parametersRequest")
 
@@ -103,7 +103,7 @@ def test_nmea_out_hears_what_it_tells_and_nmea_in_gives_what_its_sources_say(tmp
     given = {topic for topic in into.publishes if topic.startswith("/demo/")}
     assert given == {f"/demo/{topic}" for topic in ("ins/imu", "gnss/fix", "reference/s330/imu")}
     assert set(heard_by_nmea(companions)) == {"ins/imu", "gnss/fix", "reference/s330/imu"}
-    # Nobody else may give them; with nmea_in left out, a driver of the INS may.
+    # No other node may publish them; without nmea_in, a driver of the INS may.
     assert [name for name, rights in every.items() if "/demo/ins/imu" in rights.publishes] == ["/demo/nmea_in"]
     assert "/demo/sensors/ins" in rights_of("two_sensors")
     assert {"/demo/sensors/star_fore", "/demo/sensors/ins"} & set(every) == {"/demo/sensors/star_fore"}
@@ -205,8 +205,8 @@ def test_the_same_command_gives_the_same_bytes_and_writes_over_nothing(tmp_path,
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
-    [(["--domain", "233"], "233 is no domain of ROS"), (["--valid-from", "1.5.26"], "expected one as 2026-05-01"),
-     (["--valid-days", "0"], "0 is no number of days")],
+    [(["--domain", "233"], "233 is not a domain of ROS"), (["--valid-from", "1.5.26"], "expected one as 2026-05-01"),
+     (["--valid-days", "0"], "0 is not a number of days")],
 )  # fmt: skip
 def test_bad_arguments_are_one_line(arguments, told, tmp_path, capsys):
     with pytest.raises(SystemExit) as left:

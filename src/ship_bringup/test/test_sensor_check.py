@@ -32,9 +32,9 @@ def test_a_good_sensor():
 
 @pytest.mark.parametrize(
     ("changes", "told"),
-    [({"publishers": ()}, "nobody publishes it"),
+    [({"publishers": ()}, "no publisher"),
      ({"publishers": (Publisher("/d", "std_msgs/msg/String"),)}, "/d publishes std_msgs/msg/String, expected " + IMU),
-     ({"count": 0}, "/ins_driver publishes it, and no message came"),
+     ({"count": 0}, "/ins_driver publishes it, but no message arrived"),
      ({"rate_hz": 89.9}, "expected 90 Hz at least"),
      ({"count": 1, "rate_hz": 0.0}, "one message from /ins_driver: expected 90 Hz at least"),
      ({"rate_hz": float("nan")}, "expected 90 Hz at least"),
@@ -108,7 +108,7 @@ def test_nothing_comes_where_more_is_asked_for_than_is_offered(quality):
     setting = "qos_overrides in the suite file"
     result, found = judged(publishers=weak, asked={"ins/imu": {quality: setting}})
     assert result is Result.FAIL
-    assert f"does not offer {quality}, asked for by {setting}: nothing will come" in found
+    assert f"does not offer {quality}, required by {setting}: no message will arrive" in found
 
 
 def test_the_advice_names_the_setting_that_asks_for_more_than_is_offered(tmp_path):
@@ -130,7 +130,7 @@ def test_a_required_input_of_the_suites_own_nmea_in_fails_until_it_is_heard():
     silent = NetworkState("rmw", heard=(dataclasses.replace(GOOD, publishers=()),))
     (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
     assert row.result is Result.FAIL
-    assert row.found == "ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+    assert row.found == "ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
     assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"
     spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
     (row,) = judge_sensors(NetworkState("rmw", heard=(spare,)), LIMITS, {}, {}, ["ins/imu"])
@@ -146,7 +146,7 @@ def test_two_publishers_of_one_sensor_are_a_warning():
 
 def test_a_suite_whose_sensors_could_not_be_heard_fails():
     (row,) = judge_sensors(NetworkState(failure="no rmw"), LIMITS, {}, {})
-    assert (row.result, row.found) == (Result.FAIL, "nothing could be heard: no rmw")
+    assert (row.result, row.found) == (Result.FAIL, "nothing could be received: no rmw")
 
 
 def test_what_a_suite_file_asks_of_the_quality_of_service(tmp_path):

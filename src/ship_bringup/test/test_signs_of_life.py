@@ -29,8 +29,8 @@ class Schedstat:
     ("waited_s", "time_s"),
     [
         ((20.0, 20.0, 20.0), 1.5),
-        ((20.0, 20.4, 25.0), 0.1),  # the last step was all waiting
-        ((20.0, MISSING, 20.0), 1.5),  # the keeper had no file descriptor left
+        ((20.0, 20.4, 25.0), 0.1),  # waiting during the whole last step
+        ((20.0, MISSING, 20.0), 1.5),  # the supervisor had no file descriptor left
         ((20.0, MISSING, MISSING), 1.5),
         ((20.0, MISSING, 20.3), 1.2),
         ((MISSING, 20.0, 20.3), 1.2),

@@ -35,7 +35,7 @@ def test_without_a_reader_lines_go_to_the_file(tmp_path, pipe):
     for line in ("one", "two"):
         log.write(line)
     kept = (tmp_path / "logs" / "suite.log").read_text().splitlines()
-    assert kept == ["[suite] lines go on here, because stdout does not take them: Broken pipe", "one", "two"]
+    assert kept == ["[suite] lines continue here, because stdout does not accept them: Broken pipe", "one", "two"]
 
 
 def test_on_a_full_disk_lines_go_to_the_file(tmp_path):
@@ -68,7 +68,7 @@ def test_a_reader_that_does_not_read_holds_up_nothing_and_gets_the_next_lines_wh
     missed = int(notice.split()[1])
     kept = (tmp_path / "suite.log").read_text().splitlines()[1:]
     assert [int(line) for line in [*lines, *kept]] == list(range(3000))
-    assert notice == f"[suite] {missed} lines that were not taken here are in {tmp_path}/suite.log"
+    assert notice == f"[suite] {missed} lines that were not accepted here are in {tmp_path}/suite.log"
     assert (len(kept), last) == (missed, "last")
 
 

@@ -178,7 +178,7 @@ def _check_place(name: str, source: NmeaSourceConfig) -> None:
     for key, value in given.items():
         means = _MEANT[source.kind]
         if value and key not in means:
-            raise _error(f"{name}.{key}", value, f"does not apply to kind {source.kind}, which takes {', '.join(means)}")
+            raise _error(f"{name}.{key}", value, f"does not apply to kind {source.kind}, only {', '.join(means)}")
     if source.interface and not is_ipv4(source.interface):
         raise _error(f"{name}.interface", source.interface, "expected an IPv4 address of this machine")
     for address in source.from_:
