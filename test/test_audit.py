@@ -59,5 +59,5 @@ def test_a_vulnerability_is_told_with_what_mends_it_and_silence_is_no_health() -
     flaw = {"id": "PYSEC-2026-1", "fix_versions": ["3"], "aliases": [], "description": ""}
     left_out = {"name": "b", "skip_reason": "not found"}
     report = {"dependencies": [{"name": "a", "version": "1", "vulns": [flaw]}, left_out]}
-    assert judged(repr(report)) == "(['a==1: PYSEC-2026-1, mended in 3'], ['b==2'])"
+    assert judged(repr(report)) == "(['a==1: PYSEC-2026-1, fixed in 3'], ['b==2'])"
     assert judged("{'dependencies': []}") == "([], ['a==1', 'b==2'])"

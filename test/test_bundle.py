@@ -198,7 +198,7 @@ def test_wheels_for_another_lock_are_refused(aboard: Path) -> None:
 @needs_git
 @pytest.mark.parametrize(
     ("keep", "complaint"),
-    [(0, "is missing or does not begin with requirements.lock"), (2, "names no wheel of Tiny.Part==1.0")],
+    [(0, "is missing or does not begin with requirements.lock"), (2, "has no wheel of Tiny.Part==1.0")],
 )
 def test_sums_cut_short_are_refused(aboard: Path, keep: int, complaint: str) -> None:
     path = aboard / "wheels" / own_target() / SUMS
@@ -248,8 +248,8 @@ def test_a_lock_is_read_by_its_sections() -> None:
 @pytest.mark.parametrize(
     ("lock", "complaint"),
     [
-        ("a==1\n# [ros]\n", "line 1: 'a==1' stands before the first section"),
-        ("# [ros]\na==1\n# [most]\n", r"line 3: section \[most\] is none of ros, build, python, all"),
+        ("a==1\n# [ros]\n", "line 1: 'a==1' is before the first section"),
+        ("# [ros]\na==1\n# [most]\n", r"line 3: section \[most\] is not one of ros, build, python, all"),
     ],
 )
 def test_a_lock_whose_sections_are_wrong_is_refused(lock: str, complaint: str) -> None:

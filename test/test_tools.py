@@ -42,7 +42,7 @@ def test_the_page_of_speed_tells_value_bound_and_circumstances(tmp_path: Path) -
     script = f"import json, bench_page; print(bench_page.page(json.load(open({str(path)!r}))))"
     command = [sys.executable, "-c", script]
     text = subprocess.run(command, cwd=TOOLS, capture_output=True, text=True, check=True, timeout=60).stdout
-    assert "Measured on 2026-11-23: one of 1 GHz, 1 core, Python 3.11.7, numpy 2.4.6;\nload 0.5 in" in text
+    assert "Measured on 2026-11-23: one of 1 GHz, 1 core, Python 3.11.7, numpy 2.4.6;\nload 0.5, mean" in text
     assert "## star solution\n" in text
     assert "| fast | 1.5 | x | at most 2: met |" in text
     assert "| odd | nan | x | at most 2: NOT MET |" in text
