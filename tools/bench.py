@@ -63,7 +63,7 @@ def main() -> int:
     parser = CommandParser(prog="bench", description=__doc__)
     choices = sorted(BENCHMARKS)
     parser.add_argument("--only", action="append", choices=choices, help="a benchmark, may be repeated (all)")
-    parser.add_argument("--json", type=Path, default=JSON_FILE, metavar="FILE", help="file of the rows (out/bench.json)")
+    parser.add_argument("--json", type=Path, default=JSON_FILE, metavar="FILE", help="the rows (out/bench.json)")
     return run_command(parser, _bench, None)
 
 
