@@ -1,4 +1,4 @@
-"""``preflight`` over real DDS: a ship that is ready, and one where much is wrong at the same time."""
+"""``preflight`` over real DDS: a ship that is ready, and one with many faults at the same time."""
 
 import re
 import subprocess
@@ -31,7 +31,7 @@ def domain(monkeypatch):
 
 
 def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
-    """A publisher of messages of a kind, stamped by the clock or so far ahead of it; silent for a while once linked."""
+    """Publish messages of a type, stamped by the clock or ahead of it; optionally silent for a time after discovery."""
     publisher = node.create_publisher(kind, topic, qos)
 
     def send():
@@ -51,7 +51,7 @@ def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
 
 
 def after_link(node, publisher, delay_s, act):
-    """Call `act` once, `delay_s` after the first subscription was linked to the publisher."""
+    """Call `act` once, `delay_s` after the first subscription was matched with the publisher."""
     linked_s = []
 
     def look():
@@ -65,7 +65,7 @@ def after_link(node, publisher, delay_s, act):
 
 
 def preflight(observer, environment, *arguments):
-    """Exit code, rows as (check, result, found) and stderr, while the observer's timers run."""
+    """Return exit code, rows as (check, result, found) and stderr, while the observer's timers run."""
     command = [*executable("ship_bringup", "preflight"), *map(str, arguments)]
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=environment, cwd=environment["ROS_LOG_DIR"], **piped) as process:
@@ -77,7 +77,7 @@ def preflight(observer, environment, *arguments):
 
 
 def failed(rows):
-    """The checks that failed, and what each found."""
+    """Return the failed checks and their findings."""
     return [f"{check}: {found}" for check, result, found in rows if result == "FAIL"]
 
 
@@ -102,7 +102,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
 
 
 @pytest.mark.parametrize("are_there", [True, False])
-def test_sensors_that_speak_late_or_come_late_are_waited_for(are_there, tmp_path, domain):
+def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
     """They speak, or are there at all, only after discovery (4 s) and listening (1 s) are over."""
     environment, late_s = live_environment(domain, tmp_path), 5.5
     with GraphObserver(domain) as observer:
@@ -119,7 +119,7 @@ def test_sensors_that_speak_late_or_come_late_are_waited_for(are_there, tmp_path
     assert len([found for check, result, found in rows if (check, result) == ("sensors", "OK")]) == 3
 
 
-def test_faults_come_together_and_all_are_told(tmp_path, domain):
+def test_simultaneous_faults_are_all_reported(tmp_path, domain):
     environment = live_environment(domain, tmp_path) | {"ROS_SECURITY_KEYSTORE": str(tmp_path)}
     path = tmp_path / "suite.yaml"
     head = "/**/ship_attitude:\n  ros__parameters:\n"
@@ -162,7 +162,7 @@ NMEA = """
 """
 
 
-def test_an_ins_that_nobody_has_heard_is_not_ready_though_nmea_in_will_read_it(tmp_path, domain):
+def test_an_ins_that_nmea_in_will_read_is_not_ready_before_it_is_received(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     path = tmp_path / "the suite.yaml"
     path.write_text(EXAMPLE.read_text() + NMEA)
@@ -178,7 +178,7 @@ def test_an_ins_that_nobody_has_heard_is_not_ready_though_nmea_in_will_read_it(t
     assert ("domain", "WARN", "/demo/nmea_in is running already") in rows
 
 
-def test_a_domain_that_dds_would_not_take_is_told_and_nothing_is_heard(tmp_path, domain):
+def test_an_invalid_domain_is_reported_and_nothing_is_received(tmp_path, domain):
     environment = live_environment(domain, tmp_path) | {"ROS_DOMAIN_ID": "300"}
     with GraphObserver(domain) as observer:
         code, rows, _ = preflight(observer, environment, EXAMPLE)

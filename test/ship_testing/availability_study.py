@@ -131,7 +131,7 @@ def draw_scene(seed: int) -> Scene:
 
 
 def _scenario(rng: np.random.Generator) -> Scenario:
-    """``paper_stars`` for one second of some night, on some heading; one exposure of each sensor at its start."""
+    """Return ``paper_stars`` for one second of some night, on some heading; one exposure of each sensor at start."""
     whole = _whole_scenario()
     midnight = datetime(2014, 1, 1, 16, tzinfo=timezone.utc) + timedelta(days=int(rng.integers(365)))
     start = midnight + timedelta(seconds=float(rng.uniform(-7200.0, 7200.0)))

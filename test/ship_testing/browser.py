@@ -57,7 +57,7 @@ class Browser:
 
     def open(self, address: str, width: int = 1280, height: int = 800) -> None:
         """Open a page in a window of this size, and wait until it has loaded."""
-        # The page before may still complain, of a server that has ended, until it has gone.
+        # The previous page may still log errors, of a server that has ended, until it is unloaded.
         self.call("Page.navigate", url="about:blank")
         self.problems.clear()
         self.addresses.clear()

@@ -118,9 +118,9 @@ def _on_the_same_pixels(scenario: Scenario) -> Scenario:
 CASES = {
     # Two sensors at right angles.
     "paper": Case("paper", Short(60.0, 20.0, 2.0)),
-    # What is about its boresight it tells badly: the ellipsoid of the error is long.
+    # The error about its boresight is large: the error ellipsoid is long.
     "one_sensor": Case("one_sensor", Short(60.0, 20.0, 2.0)),
-    # It tells the INS's error from that of the installation.
+    # It separates the INS's error from that of the installation.
     "turn": Case("turn", Short(280.0, 5.0, 1.0)),
     # Thirty minutes of clouds: the covariance grows as the INS's errors do.
     "outage": Case("outage", Short(1860.0, 10.0, 1.0, clouds_s=60.0)),
@@ -134,7 +134,7 @@ CASES = {
     ),
     # How far off the INS's clock is shows in a ship that rolls, beyond what is linear in it.
     "poor_clock": Case("paper", Short(60.0, 20.0, 2.0), _rolling_by_a_poor_clock),
-    # What comes late goes back over what the other sensor has told meanwhile.
+    # A late exposure rewinds the filter over exposures of the other sensor.
     "two_rates_late": Case("paper", Short(25.0, 20.0, None), _late_at_two_rates),
     # Single stars of the real sky, eight an exposure.
     "paper_stars": Case("paper_stars", Short(30.0, 10.0, 1.0)),

@@ -98,7 +98,7 @@ class FoxgloveClient:
         self._loop.close()
 
     async def _leave(self) -> None:
-        # Within the loop of this client: that of the thread may be gone with another test.
+        # In the loop of this client: that of the thread may have been closed by another test.
         self._socket.close()
 
     async def _take(self, limit_s: float) -> None:

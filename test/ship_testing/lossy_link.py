@@ -83,7 +83,7 @@ class LossyLink:
         return time.time_ns()
 
     def _started(self, command: Sequence[str], name: str) -> LiveProcess:
-        # What is asked of the link must not depend on other work of this machine: its processes go first.
+        # The link must not depend on other load of this machine: its processes have priority.
         urgent = [*(_FIRST if self._may_go_first else ()), *command]
         return self._running.enter_context(LiveProcess(urgent, self._folder / f"{name}.log", self._environment))
 

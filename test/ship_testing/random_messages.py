@@ -51,7 +51,7 @@ def random_base(rng, base):
         special = FLOATS if kind.itemsize == 8 else FLOATS_32
         if rng.random() < 0.5:
             return float(kind.type(rng.choice(special)))
-        # Any bits at all, but the many kinds of NaN, which texts cannot tell apart.
+        # Any bits except the many kinds of NaN, which are the same in a text.
         value = float(np.frombuffer(rng.bytes(kind.itemsize), kind)[0])
         return float("nan") if value != value else value
     limits = np.iinfo(kind)
