@@ -148,7 +148,7 @@ def test_a_wheel_that_is_not_available_is_one_line_and_no_tar(ashore: Path, tmp_
 @pytest.mark.slow
 @needs_git
 def test_setup_installs_only_from_the_wheels(aboard: Path) -> None:
-    """With any configuration of pip: an index without a server is never requested.
+    """The configuration of pip has no effect: an index without a server is never requested.
 
     The build after it needs colcon and fails, which ends the installations in progress; but both wheels are in the
     group for which the build waits.

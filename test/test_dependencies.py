@@ -43,4 +43,4 @@ def test_a_library_has_a_key_or_a_reason() -> None:
         assert not library.key.endswith("-pip"), library
     used = set().union(*(imported(SRC / package) for package in packages()))
     by_name_alone = {"serial", "cryptography", "pyarrow", "gtsam"}
-    assert LIBRARIES.keys() - used - by_name_alone == set(), "nobody imports it any more"
+    assert LIBRARIES.keys() - used - by_name_alone == set(), "no package imports it"

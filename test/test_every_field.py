@@ -1,6 +1,6 @@
 """Eight values in every field of every message of the theodolite: no exception, and consistent outputs.
 
-A voyage runs for three seconds; from there on, in a copy of the node for each case, one field of one topic has a bad
+A voyage runs for three seconds. From there on, in a copy of the node for each case, one field of one topic has a bad
 value: with two lights in all messages that follow, with one light in one message.
 """
 

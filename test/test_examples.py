@@ -112,7 +112,7 @@ def in_namespace(bag_path: Path, path: Path, namespace: str) -> Path:
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_parameter_is_below_a_comment_or_in_a_commented_group(path: Path) -> None:
-    """Of a parameter that comes more than once, the first has the comment; the group of a later one refers to it."""
+    """The first of several equal parameters has the comment; the group of a later one refers to it."""
     lines = path.read_text(encoding="utf-8").splitlines()
     commented: set[str] = set()
     _, sections = read_sections(path)

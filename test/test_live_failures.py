@@ -19,7 +19,7 @@ def stay_on_this_machine(monkeypatch):
 
 
 def test_live_tests_run_on_a_separate_worker(request):
-    """In a group unknown to xdist, nodes of many tests would share the machine, and sometimes fail."""
+    """Nodes of tests in a group unknown to xdist would share the machine, and sometimes fail."""
     if not hasattr(request.config, "workerinput"):
         pytest.skip("all tests run one after another here: no xdist")
     assert request.node.nodeid.rpartition("@")[2] == "live"

@@ -41,7 +41,7 @@ SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
     ],
 )
 def test_a_step_of_the_ship_attitude_is_detected_by_its_rates(seed, arcsec_n, until_s):
-    """At 20 Hz with white noise of 1" its rates tell steps of 20" and more at the sample."""
+    """At 20 Hz with white noise of 1" its rates show steps of 20" and more at the sample."""
     found = claims(ship_turned(clean_session(seed), arcsec_n, until_s))
     assert found.worst(Status.VALID) < 4.0
     assert found.worst(Status.DEGRADED) < 4.0
@@ -149,7 +149,7 @@ def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("knock_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
 def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
-    """Before: the encoders were excluded, or the ship's attitude; to the lights the three are much alike."""
+    """Before: the encoders were excluded, or the ship's attitude; all three have similar effects on the lights."""
     found = claims(telescope_knocked(clean_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
     assert found.named == {"telescope"}
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
@@ -226,7 +226,7 @@ def test_no_valid_error_exceeds_its_level(arcsec_n, moved_a, moved_b):
 
 
 def test_a_small_wrong_fix_is_excluded_by_its_hypothesis():
-    """0.15 m are 15", too little for its own continuity: the angle to the other light tells it, and who is wrong."""
+    """0.15 m are 15", too little for its continuity check; the angle to the other light shows it."""
     found = claims(baseline_moved(clean_session(1), "a", (0.15, 0.0, 0.0)))
     assert found.named == {"beacon.a"}
     assert found.worst(Status.VALID) < 5.0

@@ -1,4 +1,4 @@
-"""In trouble a second estimator of the pointing processes the same inputs, and replaces the first one if it is right.
+"""A second estimator of the pointing processes the same inputs in trouble, and replaces the first one if it is right.
 
 The bag is that of the return matrix: two lights all the time, at low rates.
 """

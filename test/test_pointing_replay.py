@@ -75,7 +75,7 @@ def reasons(path: Path) -> set[str]:
 
 CASES = {
     "lights swapped": (with_fault(IMAGE, "swap"), IMAGE, "light_conflict"),
-    "a light that nobody knows": (with_fault(IMAGE, "wrong_id"), IMAGE, "unknown_sensor"),
+    "an unknown light": (with_fault(IMAGE, "wrong_id"), IMAGE, "unknown_sensor"),
     "another drone's baseline": (with_fault(BASELINE, "wrong_id"), BASELINE, "unknown_sensor"),
     "a baseline stamped 1 s late": (with_fault(BASELINE, "stamp_late", delay_s=1.0), BASELINE, "future"),
     "FLOAT": (with_windows("float_times"), BASELINE, "not_fixed"),

@@ -164,7 +164,7 @@ def test_outputs_are_bit_equal_to_those_without_the_rejected_messages(node: str,
     ],
 )
 def test_current_values_with_old_stamps_have_no_effect(node: str, topic: str) -> None:
-    """By 0.3 s: if ship or mount has moved meanwhile, the neighbouring samples show it, and it is rejected."""
+    """Stamps are 0.3 s old: if ship or mount has moved, the neighbouring samples show it, and it is rejected."""
     arrivals = voyage(node).arrivals
     back = stamped(lambda arrival: arrival.stamp_ns - 3 * SECOND_NS // 10 - 1)
     moved = [a for a in arrivals if a.topic == topic and a.stamp_ns > arrivals[0].stamp_ns + 2 * SECOND_NS]

@@ -24,7 +24,7 @@ from ship_testing.campaign_cases import case_in_short
 from ship_testing.paper_stars import paper_stars, with_sensor
 
 LARGE = {"field_spatial_sigma_px": 0.3, "pixel_spatial_sigma_px": 0.2}
-"""7″ and 5″ beside a noise of 3″."""
+"""7″ and 5″, with a noise of 3″."""
 
 def solved(run: SimulatedRun):
     """Return the attitude of the sensor by the first exposure of a run, and the true one (horizon from sensor)."""

@@ -1,8 +1,8 @@
 """Monitoring of a voyage with faults names the right source, soon, and no others.
 
-Times are seconds after the first message of the bag. The faults are an INS whose heading steps by 100″, a star sensor
-displaced by 50″, an RTK baseline that is only FLOAT, lights with each other's names, a silent instrument;
-one after another, ending, and two at a time.
+Times are seconds after the first message of the bag. The faults occur one after another, ending, and two at a time: an
+INS whose heading steps by 100″, a star sensor displaced by 50″, an RTK baseline that is only FLOAT, lights with each
+other's names, a silent instrument.
 """
 
 import math

@@ -1,8 +1,9 @@
-"""How accurate is the theodolite's axis, and is its covariance consistent, over many seeds of one scenario?
+"""Campaign of the theodolite's axis: accuracy, and consistency of its covariance, over many seeds of one scenario.
 
 The scenario is bags/scenarios/theodolite_sweep. Prints one line per time span: with lights, the first half minute
-without, the end. Exits with 1 if RMS/sigma is outside its band, or the axis worse than its bound: 8.5" in the first
-half minute, 31" after ten minutes, 9 and 2.4 times better than INS and encoders with unmodelled axis errors.
+without, the end. Exits with 1 if RMS/sigma is outside its band, or the axis worse than its bound. The bounds are 8.5"
+in the first half minute, 31" after ten minutes, and 9 and 2.4 times better than INS and encoders with unmodelled axis
+errors.
 """
 
 import argparse

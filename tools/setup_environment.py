@@ -1,8 +1,9 @@
 """Set up this checkout: virtual environment, pinned wheels, compiled modules, messages, packages.
 
 Each step writes a stamp when it is done. A second run therefore takes a moment, a change repeats only the steps that
-depend on it, and an interrupted run is completed by running it again. If the user must act, one line says how, with
-exit code 2. ``--all`` also installs the wheels that few people use (section ``[all]`` of requirements.lock).
+depend on it, and an interrupted run is completed by running it again. If an action of the user is needed, it prints one
+line and exits with code 2. ``--all`` also installs the wheels that few people use (section ``[all]`` of
+requirements.lock).
 
 ROS 2 Jazzy is installed as wheels into the virtual environment. If a Jazzy installation is sourced, it is used instead,
 and the virtual environment on top of it has only the other wheels.

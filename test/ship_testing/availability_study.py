@@ -69,12 +69,12 @@ class Scene:
     Attributes:
         exposures: by sensor, up to eight stars each.
         config: of ``star_attitude``.
-        watch: the sky as it knows it.
-        told: the sky as ERFA gives it for what the ship is told.
+        watch: sky model of the configuration.
+        told: sky by ERFA from the ship's input of time, place and air.
         rotation_nd: true attitude, shape (3, 3).
         ins: attitude of the deck by the INS.
-        order: of each sensor's stars, in which they are taken where only some are.
-        clouds: one standard normal number a star, all sensors in a row.
+        order: of each sensor's stars, for cases with only some of them.
+        clouds: one standard normal number per star, all sensors in a row.
     """
 
     exposures: dict[str, StarExposure]

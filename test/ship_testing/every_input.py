@@ -1,9 +1,9 @@
 """Short simulated voyages with every input of the nodes, for tests of unusable messages.
 
 ``ship_attitude`` has the INS, a star sensor of each kind, another attitude system, two antennas, the fix and the
-weather; ``star_attitude`` the same voyage, of which it uses the camera; ``optical_axis`` lights, baselines, drones and
-images of targets, with the ship's attitude from ``ship/attitude`` or, as ``optical_axis by ins``, from ``ins/imu`` and
-with positions advised to the drones; ``triangulation`` directions of three theodolites to a buoy.
+weather; ``star_attitude`` the same voyage, of which it uses the camera. ``optical_axis`` has lights, baselines, drones
+and images of targets. Its ship's attitude is from ``ship/attitude`` or, as ``optical_axis by ins``, from ``ins/imu``,
+then with positions advised to the drones. ``triangulation`` has directions of three theodolites to a buoy.
 """
 
 import functools

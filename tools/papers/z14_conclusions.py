@@ -2,8 +2,8 @@
 
 They are tested at the paper's operating point, over the sweeps of its six figures, and a conclusion about one layout at
 that layout. Sizes of errors count, without their signs. In the figures of one error (1 to 3) a trend must be monotonic.
-In those of all six (4 to 6) the four small errors, 3" + 3" + 1" + 1", are added with their signs to the two that cause
-the trend: it may reverse by at most their sum.
+In those of all six (4 to 6) the trend is caused by two. The four small errors, 3" + 3" + 1" + 1", are added with their
+signs: the trend may reverse by at most their sum.
 """
 
 from collections.abc import Callable

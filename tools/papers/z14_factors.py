@@ -1,7 +1,7 @@
 """[Z14] (8)-(38): the paper's closed-form factors as printed, and their exact values by our exact Jacobian.
 
 The factors are elements of the ship's rotation R = R(As, Es, γs) R(A0, E0, γ0), the paper's reading, and derivatives of
-them: heading K = atan2(N_K, D_K) with N_K = R31, D_K = R11; pitch asin(S) with S = R21; roll atan2(N_θ, D_θ) with
+them. Heading K = atan2(N_K, D_K) with N_K = R31, D_K = R11; pitch asin(S) with S = R21; roll atan2(N_θ, D_θ) with
 N_θ = -R23, D_θ = R22. Angles are (As, Es, γs, A0, E0, γ0), shape (..., 6), rad.
 """
 
