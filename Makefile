@@ -1,12 +1,12 @@
-# What a person does with this checkout. `make` alone lists it.
+# Commands of this checkout. `make` without a target lists them.
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
 
-# Tests and demonstrations stay on this machine unless told otherwise.
+# Tests and demonstrations stay on this machine unless this variable is set.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-# What is compiled is kept for the many processes that tests start, whatever the user's environment says.
+# Byte code is kept for the many processes that tests start, regardless of the user's environment.
 export PYTHONDONTWRITEBYTECODE :=
 
 RUN := source tools/env.sh &&
@@ -29,19 +29,19 @@ PORT ?= 5006
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
 
-setup: ## environment and build; takes minutes once, then a moment
+setup: ## environment and build; minutes the first time, seconds afterwards
 	@tools/setup
 
-setup-all: ## the same with the wheels that few people use: Parquet, GTSAM, style and types
+setup-all: ## the same with optional wheels: Parquet, GTSAM, style and types
 	@tools/setup --all
 
-test: setup-all ## the tests that one runs while working, in minutes; PYTEST_ARGS="-k name" for some of them
+test: setup-all ## tests for daily work, in minutes; PYTEST_ARGS="-k name" for some of them
 	@$(RUN) $(PYTEST) -m "not ($(SLOW))" $(PYTEST_ARGS)
 
-test-all: setup-all ## the tests that make test leaves out: statistics, the slow ones, all other live ones
+test-all: setup-all ## the remaining tests: statistics, slow tests, live tests
 	@$(RUN) $(PYTEST) -m "$(SLOW)" $(PYTEST_ARGS)
 
-lint: setup-all ## style, types, directions of imports
+lint: setup-all ## style, types, import rules
 	@$(RUN) ruff check . && mypy && lint-imports --no-logo
 
 quick: setup ## the ship's attitude from a recorded voyage, offline: table and figure in seconds
@@ -50,7 +50,7 @@ quick: setup ## the ship's attitude from a recorded voyage, offline: table and f
 demo: setup ## a simulated voyage from bag to report
 	@$(RUN) python tools/demo.py
 
-watch: setup ## a simulated voyage again and again, live, and its page in the browser; PORT=5007 for another port
+watch: setup ## a simulated voyage in a loop, live, and its page in the browser; PORT=5007 for another port
 	@$(RUN) exec python tools/watch.py --port $(PORT)
 
 bags: setup ## the bags in bags/, from their scenarios
@@ -76,10 +76,10 @@ campaign: setup-all ## 2000 seeds of each case (ten hours on two cores), long vo
 	@$(RUN) python tools/long_bags.py --hours $(BAG_HOURS)
 	@$(RUN) python tools/live_memory.py --hours $(LIVE_HOURS)
 
-faults: setup ## voyages with faults: told, attributed, within the protection level; VOYAGES=40 for few
+faults: setup ## voyages with faults: detection, isolation, errors within the protection level; VOYAGES=40 for few
 	@$(RUN) python tools/faults.py --voyages $(VOYAGES) $(FAULT_ARGS)
 
-returns: setup ## after every fault of every input all outputs are VALID again in time; CELLS=50 for some
+returns: setup ## time until all outputs are VALID after every fault of every input; CELLS=50 for some
 	@$(RUN) python tools/returns.py --cells $(CELLS)
 
 hours: setup ## a hundred hours without faults: false exclusions, availability, levels; HOURS=5 for few
@@ -88,17 +88,17 @@ hours: setup ## a hundred hours without faults: false exclusions, availability, 
 stanford: setup ## errors against protection levels, a million epochs: docs/figures/stanford*.png
 	@$(RUN) python tools/stanford.py
 
-availability: setup ## stars under clouds beside other methods, and stars minus INS alongside: docs/explanation/availability.md
+availability: setup ## star vectors and other methods under clouds, and stars minus INS alongside: docs/explanation/availability.md
 	@$(RUN) python tools/availability.py
 	@$(RUN) python tools/mooring.py
 
-reproduction: setup ## what the papers print and what comes out here: docs/reproduction.md and its pictures
+reproduction: setup ## values printed in the papers and those computed here: docs/reproduction.md and its figures
 	@$(RUN) PYTHONPATH=test:$$PYTHONPATH python -m tools.reproduction
 
-kills: setup ## kill -9 of recorder and node at random moments: what is lost
+kills: setup ## kill -9 of recorder and node at random times: lost messages
 	@$(RUN) python tools/kill_campaign.py
 
-wheels: setup ## prebuilt wheels of our own packages, in prebuilt/: a checkout that has them is set up without a compiler
+wheels: setup ## prebuilt wheels of our own packages, in prebuilt/, for set-up without a compiler
 	@$(RUN) python tools/make_wheels.py
 
 bundle: setup ## one tar of this commit with all wheels, to set up without a network; FOR=3.12 for another Python
@@ -107,11 +107,11 @@ bundle: setup ## one tar of this commit with all wheels, to set up without a net
 release: setup ## one tar of this commit with the C that Cython generates: colcon builds it without Cython
 	@$(RUN) python tools/bundle.py --no-wheels
 
-audit: setup-all ## known vulnerabilities of the pinned packages, and their licences; asks the network
+audit: setup-all ## known vulnerabilities of the pinned packages, and their licences; needs the network
 	@$(RUN) python tools/licences.py --check
 	@$(RUN) python tools/audit.py
 
-clean: ## remove what was built; out/ with your files stays, and the wheels (rm -r .venv removes them)
+clean: ## remove built files; out/ with your files and the wheels in .venv stay
 	@rm -rf build install log .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	@find src -name 'compiled_*.c' -delete -o -name 'compiled_*.so' -delete -o -name 'compiled_sources.sha256' -delete
 	@find src test tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

@@ -1,4 +1,4 @@
-"""What is said of vulnerabilities and licences: silence is no health, and no licence is unknown."""
+"""Reports of vulnerabilities and licences: versions without a result are reported, and every licence is known."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ def test_the_page_of_licences_is_current() -> None:
 
 
 @over_ros
-def test_every_wheel_may_be_distributed_beside_the_suite() -> None:
+def test_every_wheel_may_be_distributed_with_the_suite() -> None:
     assert unfit() == []
     assert STATED_ELSEWHERE.keys() <= set(distributions())
 
@@ -41,12 +41,12 @@ def test_of_licences_that_may_be_chosen_one_must_fit(expression: str, may: bool)
     assert fits(expression) is may
 
 
-def test_a_wheel_that_is_not_there_has_no_licence() -> None:
+def test_a_missing_wheel_has_no_licence() -> None:
     assert licence("no-such-wheel") == ("", "not installed")
 
 
 def judged(report: str) -> str:
-    """What tools/audit.py makes of a report, for pins of two wheels."""
+    """Return the result of tools/audit.py for a report about pins of two wheels."""
     code = f"import audit; print(audit.judge({report}, ['a==1', 'b==2']))"
     answer = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT / "tools", capture_output=True, text=True, check=True, env={**os.environ}
@@ -54,10 +54,10 @@ def judged(report: str) -> str:
     return answer.stdout.strip()
 
 
-def test_a_vulnerability_is_told_with_what_mends_it_and_silence_is_no_health() -> None:
+def test_a_vulnerability_is_listed_with_its_fix_and_a_missing_result_is_listed() -> None:
     """The form of a report is that of pip-audit 2.10, whose entries of what it left out have no ``vulns``."""
     flaw = {"id": "PYSEC-2026-1", "fix_versions": ["3"], "aliases": [], "description": ""}
     left_out = {"name": "b", "skip_reason": "not found"}
     report = {"dependencies": [{"name": "a", "version": "1", "vulns": [flaw]}, left_out]}
-    assert judged(repr(report)) == "(['a==1: PYSEC-2026-1, mended in 3'], ['b==2'])"
+    assert judged(repr(report)) == "(['a==1: PYSEC-2026-1, fixed in 3'], ['b==2'])"
     assert judged("{'dependencies': []}") == "([], ['a==1', 'b==2'])"

@@ -1,4 +1,4 @@
-"""Availability beside the methods of [P15]'s §1: where theirs fail and star vectors do not; the table in the docs."""
+"""Availability compared with the methods of [P15]'s §1, which need more stars; the table in the docs."""
 
 import functools
 import re
@@ -58,9 +58,11 @@ def test_the_peers_fail_with_fewer_than_four_stars_in_a_sensor_where_star_vector
         assert trials.joint_solution(scene, rows, with_ins=True).status is SolutionStatus.VALID
 
 
-def test_one_star_in_each_of_two_sensors_gives_an_attitude_that_only_the_ins_makes_valid() -> None:
-    """Sigmas of models.md §2 for stars at the boresights of a level ship: 4.08, 3.08, 3.07″; here the stars stand
-    anywhere in the field and she rolls, so 10 % are allowed. The INS verifies and does not enter."""
+def test_one_star_in_each_of_two_sensors_is_valid_only_with_the_ins() -> None:
+    """Sigmas of models.md §2 for stars at the boresights of a level ship: 4.08, 3.08, 3.07″.
+
+    Here the stars are anywhere in the field and the ship rolls, so 10 % are allowed. The INS only verifies.
+    """
     variances, alone_status = [], set()
     for scene in scenes():
         rows = trials.some_stars(scene, (1, 1))
@@ -75,7 +77,7 @@ def test_one_star_in_each_of_two_sensors_gives_an_attitude_that_only_the_ins_mak
     np.testing.assert_allclose(sigma_arcsec, [4.08, 3.08, 3.07], rtol=0.1)
 
 
-def test_two_stars_with_swapped_names_are_never_valid_alone_and_are_found_out_by_the_ins() -> None:
+def test_two_stars_with_swapped_names_are_never_valid_alone_and_are_detected_by_the_ins() -> None:
     for scene in scenes()[:8]:
         rows = trials.some_stars(scene, (2, 0))
         exposure = scene.exposures["fore"][rows["fore"]]
@@ -91,7 +93,7 @@ def test_two_stars_with_swapped_names_are_never_valid_alone_and_are_found_out_by
 
 
 def without_errors(scene: trials.Scene) -> tuple[list[SensorView], list[FloatArray]]:
-    """What sensors would see without any error, by ERFA's sky, and their attitudes."""
+    """Return observations without errors, by ERFA's sky, and their attitudes."""
     seen, truths = [], []
     for view in trials.views(scene, trials.some_stars(scene, (8, 8))):
         rotation_ns = scene.rotation_nd @ view.rotation_ds
@@ -100,7 +102,7 @@ def without_errors(scene: trials.Scene) -> tuple[list[SensorView], list[FloatArr
     return seen, truths
 
 
-def test_the_peers_are_exact_without_errors_and_refraction_comes_to_rest_in_few_rounds() -> None:
+def test_the_peers_are_exact_without_errors_and_refraction_converges_in_few_rounds() -> None:
     for scene in scenes()[:6]:
         seen, truths = without_errors(scene)
         for view, truth in zip(seen, truths, strict=True):
@@ -148,7 +150,7 @@ def test_two_stars_suffice_for_a_boresight_by_geometry_and_one_does_not() -> Non
 
 @pytest.mark.parametrize("patch_deg", trials.PATCHES_DEG)
 def test_a_star_is_hidden_with_the_probability_of_the_cover(patch_deg: float) -> None:
-    """Each star by itself: the first of the first sensor over many skies."""
+    """Each star separately: the first of the first sensor over many skies."""
     scene, rng, count = scenes()[0], np.random.default_rng(7), 2000
     hidden = 0
     for _ in range(count):
@@ -176,7 +178,7 @@ def test_clouds_in_patches_hide_the_stars_of_a_field_together() -> None:
 
 
 def table_of(name: str) -> str:
-    """What stands between the marks of a name in the page."""
+    """Return the table between the marks of a name in the page."""
     text = availability.PAGE.read_text(encoding="utf-8")
     begin, end = (mark.format(name=name) for mark in (availability.BEGIN, availability.END))
     assert text.count(begin) == text.count(end) == 1
@@ -184,7 +186,7 @@ def table_of(name: str) -> str:
 
 
 def cells(table: str) -> dict[tuple[str, str], tuple[float, float]]:
-    """(case, method) → per cent better than the limit, and given at all."""
+    """Return (case, method) → per cent with an attitude better than the limit, and with an attitude."""
     head, _, *rows = [[one.strip() for one in row.strip("|").split("|")] for row in table.splitlines()]
     found = {}
     for case, *values in rows:
@@ -209,8 +211,8 @@ def test_the_small_part_of_the_table_is_what_the_command_computes() -> None:
     assert np.max(apart, initial=0.0) <= one_exposure + 1e-9, "run python tools/availability.py"
 
 
-def test_the_whole_table_is_of_the_same_kind_as_the_small_part() -> None:
-    """Each cell: the small part is one that the whole table's shares make likely."""
+def test_the_whole_table_agrees_with_the_small_part() -> None:
+    """Each cell of the small part is likely with the share of the whole table."""
     whole = cells(table_of("stars")) | cells(table_of("clouds"))
     assert len(whole) == (len(trials.COUNTS) + 2 * (len(trials.COVERS) - 1)) * len(trials.METHODS)
     n = availability.SMALL_PART
@@ -222,8 +224,8 @@ def test_the_whole_table_is_of_the_same_kind_as_the_small_part() -> None:
             assert low <= round(found * n) <= high, (key, share, found)
 
 
-def test_what_the_page_tells_of_valid_attitudes_is_honest() -> None:
-    """One in a thousand beyond the covariance, and mean NEES in its 99.9 % band, each case by itself."""
+def test_the_pages_valid_attitudes_are_consistent() -> None:
+    """One in a thousand beyond the covariance, and mean NEES in its 99.9 % band, each case separately."""
     _, _, *rows = [[one.strip() for one in row.strip("|").split("|")] for row in table_of("honesty").splitlines()]
     assert len(rows) == 2 * len(trials.COUNTS) - 1  # one star in each is not VALID without the INS
     for _, _, valid, beyond, nees in rows:
@@ -232,7 +234,7 @@ def test_what_the_page_tells_of_valid_attitudes_is_honest() -> None:
         assert int(beyond) <= binom.ppf(0.999, int(valid), trials.BEYOND_PROBABILITY)
 
 
-def test_marks_that_a_page_does_not_have_are_named(tmp_path: Path, capsys) -> None:
+def test_missing_marks_of_a_page_are_named(tmp_path: Path, capsys) -> None:
     with pytest.raises(ValueError, match="no marks <!-- stars"):
         availability.put("a page", "stars", "a table")
     assert availability.main(["--exposures", "0"]) == 2
@@ -244,7 +246,7 @@ def test_marks_that_a_page_does_not_have_are_named(tmp_path: Path, capsys) -> No
 # -- alongside --------------------------------------------------------------------------------------------------
 
 
-def test_stars_minus_ins_alongside_is_the_error_of_the_ins_as_far_as_the_stars_can_tell(tmp_path: Path, capsys) -> None:
+def test_stars_minus_ins_alongside_is_the_error_of_the_ins_within_the_stars_noise(tmp_path: Path, capsys) -> None:
     bag, replayed, figure = (tmp_path / name for name in ("in_40s_1.mcap", "out_in_40s_1.mcap", "mooring.png"))
     arguments = ["--length-s", "40", "--seed", "1", "--out", str(tmp_path), "--figure", str(figure)]
     assert mooring.main(arguments) == 0
@@ -260,8 +262,8 @@ def test_stars_minus_ins_alongside_is_the_error_of_the_ins_as_far_as_the_stars_c
         mooring.stars_minus_ins(bag, bag)
 
 
-def test_the_moored_ship_lies_where_the_paper_says_and_sees_its_star() -> None:
-    """β Lyrae at azimuth 71.9528°, elevation 42.2207° and 59.34″ of refraction ([P15] §5.3; 24″ off, docs/errata)."""
+def test_the_moored_ship_is_at_the_papers_place_and_sees_its_star() -> None:
+    """β Lyrae at azimuth 71.9528°, elevation 42.2207°, 59.34″ of refraction ([P15] §5.3; 24″ off, docs/errata)."""
     scenario = load_scenario(mooring.SCENARIO)
     run = simulate(replace(scenario, duration_s=2.0), 1)
     assert [sensor.most_stars for sensor in scenario.star_sensors.values()] == [5, 3]

@@ -1,4 +1,4 @@
-"""The bags in bags/: where they come from, that they can be made again, and what a run over them is worth."""
+"""Bags in bags/: their scenarios, their reproducibility, and the bounds of a replay of them."""
 
 import hashlib
 import subprocess
@@ -30,7 +30,7 @@ every_bag = pytest.mark.parametrize("path", BAGS, ids=lambda path: path.stem)
 
 
 def sums() -> dict[str, str]:
-    """File name → sha256 of bags/SHA256SUMS."""
+    """Return file name → sha256 of bags/SHA256SUMS."""
     lines = (ROOT / "bags" / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
     return {name: value for value, name in (line.split("  ") for line in lines)}
 
@@ -45,7 +45,7 @@ def test_there_is_a_bag_of_the_ship_and_one_of_the_theodolite_and_a_sum_for_each
 
 
 @every_bag
-def test_a_bag_is_small_and_what_its_sum_and_scenario_say(path):
+def test_a_bag_is_small_and_fits_its_sum_and_scenario(path):
     assert path.stat().st_size < SIZE_LIMIT_BYTES
     assert sha256(path) == sums()[path.name]
     with read_bag(path) as bag:
@@ -58,7 +58,7 @@ def test_a_bag_is_small_and_what_its_sum_and_scenario_say(path):
 
 @pytest.fixture(scope="module", params=BAGS, ids=lambda path: path.stem)
 def replayed(request, tmp_path_factory) -> tuple[Path, Path, list[str]]:
-    """A bag, what became of it offline, and the problems that its replay told."""
+    """Return a bag, its outputs of an offline replay, and the problems that the replay reported."""
     out = tmp_path_factory.mktemp("replayed") / "out.mcap"
     return request.param, out, replay(request.param, out, ADAPTERS).problems
 
@@ -74,7 +74,7 @@ def test_an_offline_replay_meets_the_bounds(replayed):
 
 
 @pytest.mark.slow
-def test_clean_data_raise_no_verdict(replayed):
+def test_clean_data_cause_no_exclusion(replayed):
     path, out, _ = replayed
     told: dict[str, list[tuple[int, str]]] = {}
     with read_bag(out) as bag:
@@ -103,7 +103,7 @@ def test_the_bags_can_be_made_again(tmp_path):
 
 
 def largest_difference(first: Path, second: Path) -> float:
-    """Largest difference of two bags' numbers, relative to 1; infinite where anything else differs."""
+    """Return the largest relative difference of two bags' numbers; infinite if anything else differs."""
     largest = 0.0
     with read_bag(first) as one, read_bag(second) as other:
         if one.attachments != other.attachments or one.metadata != other.metadata:
@@ -117,7 +117,7 @@ def largest_difference(first: Path, second: Path) -> float:
 
 
 def difference(left, right) -> float:
-    """Largest difference of two messages' numbers, relative to 1 below and to themselves above."""
+    """Return the largest difference of two messages' numbers, relative to 1 below and to themselves above."""
     if hasattr(left, "__dataclass_fields__"):
         return max((difference(getattr(left, n), getattr(right, n)) for n in left.__dataclass_fields__), default=0.0)
     if isinstance(left, list | tuple) and len(left) == len(right):

@@ -1,4 +1,4 @@
-"""The live node's black box: equal to the last bit after all that a watch may do, after a restart, after kill -9.
+"""The live node's black box: bit-exact after all operations of a watch, after a restart, after kill -9.
 
 ``tools/black_box_run.py`` does the same for ten minutes.
 """
@@ -26,7 +26,7 @@ DEMO = ROOT / "bags" / "demo.mcap"
 
 @pytest.fixture(scope="module")
 def boxes(tmp_path_factory):
-    """Boxes of a voyage of 30 s with changes, save, reset and load, and of one more from its alignment."""
+    """Return boxes of a voyage of 30 s with changes, save, reset and load, and of a second one from its alignment."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         return eventful_runs(tmp_path_factory.mktemp("black_box"), duration_s=30.0, rate=3.0)
@@ -42,7 +42,7 @@ def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(boxes):
     assert re.search(r"^equal: .*ship/imu 3001", outcome.stdout, re.MULTILINE)
 
 
-def test_so_is_the_run_after_it_that_starts_from_its_alignment(boxes):
+def test_a_run_from_the_saved_alignment_is_equal_to_the_last_bit(boxes):
     assert [box.name for box in boxes] == ["ship_attitude.mcap", "ship_attitude_2.mcap"]
     with read_bag(boxes[1]) as bag:
         read_at_start = bag.attachments["files/0001/alignment.yaml"]
@@ -56,7 +56,7 @@ def test_so_is_the_run_after_it_that_starts_from_its_alignment(boxes):
 
 @pytest.fixture(scope="module")
 def killed_box(tmp_path_factory):
-    """Box of a node killed in the middle of a voyage."""
+    """Return the box of a node killed in the middle of a voyage."""
     folder = tmp_path_factory.mktemp("killed")
     box = folder / "box.mcap"
 
@@ -83,7 +83,7 @@ def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_box):
     assert "outputs are equal to the last bit" in outcome.stdout
 
 
-def test_so_is_what_was_recovered_of_it(killed_box):
+def test_a_recovered_box_is_verified(killed_box):
     command = [*executable("ship_bags", "record"), "--recover", str(killed_box)]
     recovery = subprocess.run(command, capture_output=True, text=True, check=False)
     assert recovery.returncode == 0, recovery.stdout + recovery.stderr
@@ -99,5 +99,5 @@ def test_so_is_what_was_recovered_of_it(killed_box):
 
 
 def counts(outcome):
-    """What a verification says was used and was equal."""
+    """Return the numbers of used and equal messages in a verification."""
     return [line for line in outcome.stdout.splitlines() if line.startswith(("used:", "equal:"))]

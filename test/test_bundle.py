@@ -1,6 +1,6 @@
-"""``make bundle`` and set-up from what it wrote: in a small checkout with a lock of two wheels, which are built here.
+"""``make bundle`` and the setup from its tar: in a small checkout with a lock of two wheels, which are built here.
 
-That the whole suite comes up from its bundle without a network is tried by hand, as docs/how-to/install.md tells.
+The setup of the whole suite from its bundle without a network is tested by hand (docs/how-to/install.md).
 """
 
 import os
@@ -30,7 +30,7 @@ def run(*command: str | Path, cwd: Path, **variables: str) -> "subprocess.Comple
 
 
 def build_wheel(path: Path) -> None:
-    """A wheel with one module, as PEP 427 has it; RECORD may be empty of hashes."""
+    """Build a wheel with one module, in the format of PEP 427; RECORD may have no hashes."""
     name = path.name.partition("-")[0]
     info = f"{name}-1.0.dist-info"
     files = {
@@ -46,7 +46,7 @@ def build_wheel(path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def ashore(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A git checkout with the tools and a lock; beside it index/ with the wheels."""
+    """Return a git checkout with the tools and a lock; next to it is index/ with the wheels."""
     folder = tmp_path_factory.mktemp("ashore") / "suite"
     (folder / "tools").mkdir(parents=True)
     for name in TOOLS:
@@ -84,7 +84,7 @@ def tar(ashore: Path) -> Path:
 
 @pytest.fixture
 def aboard(tar: Path, tmp_path: Path) -> Path:
-    """The bundle, unpacked."""
+    """Return the unpacked bundle."""
     assert run("tar", "--extract", "--file", tar, cwd=tmp_path).returncode == 0
     (folder,) = tmp_path.iterdir()
     return folder
@@ -95,7 +95,7 @@ def setup(aboard: Path) -> "subprocess.CompletedProcess[str]":
 
 
 def refusal(aboard: Path) -> str:
-    """The one line with which set-up refuses, having made nothing."""
+    """Return the one-line error of a setup that created nothing."""
     answer = setup(aboard)
     assert answer.returncode == 2
     assert not (aboard / ".venv").exists()
@@ -133,7 +133,7 @@ def test_a_bundle_for_another_python_takes_the_pins_of_that_one(ashore: Path) ->
 
 
 @needs_git
-def test_a_wheel_that_cannot_be_had_is_one_line_and_no_tar(ashore: Path, tmp_path: Path) -> None:
+def test_a_wheel_that_is_not_available_is_one_line_and_no_tar(ashore: Path, tmp_path: Path) -> None:
     folder = tmp_path / "suite"
     shutil.copytree(ashore, folder, ignore=shutil.ignore_patterns("out"))
     shutil.copytree(ashore.parent / "index", tmp_path / "index")
@@ -147,10 +147,10 @@ def test_a_wheel_that_cannot_be_had_is_one_line_and_no_tar(ashore: Path, tmp_pat
 
 @pytest.mark.slow
 @needs_git
-def test_set_up_installs_from_the_wheels_alone(aboard: Path) -> None:
-    """Whatever pip's configuration says: an index without a server is never asked.
+def test_setup_installs_only_from_the_wheels(aboard: Path) -> None:
+    """The configuration of pip has no effect: an index without a server is never requested.
 
-    The build that follows needs colcon and fails; that ends what is still being installed, but both wheels are in the
+    The build after it needs colcon and fails, which ends the installations in progress; but both wheels are in the
     group for which the build waits.
     """
     answer = setup(aboard)
@@ -163,7 +163,7 @@ def test_set_up_installs_from_the_wheels_alone(aboard: Path) -> None:
 
 
 @needs_git
-def test_over_a_ros_installation_its_own_are_left_out(aboard: Path) -> None:
+def test_over_a_ros_installation_its_wheels_are_left_out(aboard: Path) -> None:
     code = (
         "from setup_wheels import lines_to_install; from wheelhouse import locked;"
         "lock = locked(open('../requirements.lock').read());"
@@ -198,7 +198,7 @@ def test_wheels_for_another_lock_are_refused(aboard: Path) -> None:
 @needs_git
 @pytest.mark.parametrize(
     ("keep", "complaint"),
-    [(0, "is missing or does not begin with requirements.lock"), (2, "names no wheel of Tiny.Part==1.0")],
+    [(0, "is missing or does not begin with requirements.lock"), (2, "has no wheel of Tiny.Part==1.0")],
 )
 def test_sums_cut_short_are_refused(aboard: Path, keep: int, complaint: str) -> None:
     path = aboard / "wheels" / own_target() / SUMS
@@ -214,7 +214,7 @@ def test_a_line_of_the_sums_that_names_a_file_elsewhere_is_refused(aboard: Path)
 
 
 @needs_git
-def test_wheels_for_another_python_are_told(aboard: Path) -> None:
+def test_wheels_for_another_python_are_refused(aboard: Path) -> None:
     (aboard / "wheels" / own_target()).rename(aboard / "wheels" / target("3.9", "riscv64"))
     line = refusal(aboard)
     assert "are for python3.9-riscv64" in line
@@ -223,7 +223,7 @@ def test_wheels_for_another_python_are_told(aboard: Path) -> None:
 
 @pytest.mark.parametrize(("given", "chosen"), [({}, "python3.12"), ({"PYTHON": "python3.10"}, "python3.10")])
 def test_the_python_of_the_wheels_comes_first(tmp_path: Path, given: dict[str, str], chosen: str) -> None:
-    """Of several; PYTHON goes before it. These say their names and fit."""
+    """Among several; PYTHON has priority over it. These print their names and fit."""
     (tmp_path / "wheels" / target("3.12", "x86_64")).mkdir(parents=True)
     (tmp_path / "tools").mkdir()
     shutil.copy(ROOT / "tools" / "setup", tmp_path / "tools")
@@ -235,7 +235,7 @@ def test_the_python_of_the_wheels_comes_first(tmp_path: Path, given: dict[str, s
 
 
 def test_pins_and_wheels_are_compared_by_the_names_of_an_index() -> None:
-    """Names as PEP 503 normalises them, file names as PEP 427 escapes them."""
+    """Names normalised by PEP 503, file names escaped by PEP 427."""
     assert pinned("Ruamel.Yaml==0.19.1 ; python_version < '3.11'") == "ruamel-yaml==0.19.1"
     assert pinned_by("ruamel_yaml-0.19.1-py3-none-any.whl") == "ruamel-yaml==0.19.1"
 
@@ -248,8 +248,8 @@ def test_a_lock_is_read_by_its_sections() -> None:
 @pytest.mark.parametrize(
     ("lock", "complaint"),
     [
-        ("a==1\n# [ros]\n", "line 1: 'a==1' stands before the first section"),
-        ("# [ros]\na==1\n# [most]\n", r"line 3: section \[most\] is none of ros, build, python, all"),
+        ("a==1\n# [ros]\n", "line 1: 'a==1' is before the first section"),
+        ("# [ros]\na==1\n# [most]\n", r"line 3: section \[most\] is not one of ros, build, python, all"),
     ],
 )
 def test_a_lock_whose_sections_are_wrong_is_refused(lock: str, complaint: str) -> None:

@@ -1,4 +1,4 @@
-"""``call`` and ``param`` against a real node and the alerts: done, refused, and names that are not there."""
+"""``call`` and ``param`` with a real node and the alerts: accepted, rejected, and unknown names."""
 
 import re
 import subprocess
@@ -19,7 +19,7 @@ NODE = "/alpha/ship_attitude"
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory):
-    """A suite of one node in the namespace alpha, and the alert node."""
+    """Return the environment of a suite of one node in the namespace alpha, and of the alert node."""
     folder = tmp_path_factory.mktemp("asked")
     domain = free_domain_id()
     with pytest.MonkeyPatch.context() as patch:
@@ -39,7 +39,7 @@ def environment(tmp_path_factory):
 
 
 def asked(environment, command, *arguments):
-    """(exit code, stdout, stderr)."""
+    """Return (exit code, stdout, stderr)."""
     ended = subprocess.run(
         [*executable("ship_bringup", command), *arguments, "--timeout", "15"],
         env=environment, capture_output=True, text=True, timeout=60, check=False,
@@ -68,7 +68,7 @@ def test_an_alert_is_acknowledged_by_its_id_and_instance(environment):
     assert (code, told) == (2, "call: field 'instance' of service 'acknowledge': 'one' is no uint32\n")
 
 
-def test_a_name_that_is_not_there_is_answered_with_the_nearest(environment):
+def test_an_unknown_name_is_answered_with_the_nearest(environment):
     code, _, told = asked(environment, "call", "/alpha/ship_atitude", "reset")
     assert (code, told.count("\n")) == (2, 1)
     assert told.startswith(f"call: no node '/alpha/ship_atitude': did you mean '{NODE}'? There are ")
@@ -89,7 +89,7 @@ def test_parameters_are_listed_with_units_read_and_set(environment):
     assert re.match(r"  gate\.probability\* +0\.999 ", asked(environment, "param", NODE, "gate.probability")[1])
 
 
-def test_a_source_is_taken_out_and_back(environment):
+def test_a_source_is_removed_and_added_again(environment):
     assert asked(environment, "param", NODE, "sources_off", "star.fore") == (0, "sources_off = star.fore, was []\n", "")
     assert asked(environment, "param", NODE, "sources_off", "[]") == (0, "sources_off = [], was star.fore\n", "")
     code, _, told = asked(environment, "param", NODE, "sources_off", "fore")
@@ -99,7 +99,7 @@ def test_a_source_is_taken_out_and_back(environment):
     assert (code, "stop what publishes ins/imu" in told) == (1, True)
 
 
-def test_what_the_node_refuses_is_said_in_its_words(environment):
+def test_a_rejection_has_the_reason_of_the_node(environment):
     code, _, told = asked(environment, "param", NODE, "gate.probability", "7")
     assert (code, told.count("\n")) == (1, 1)
     assert told.startswith("param: refused: parameter 'gate.probability' = 7.0 is out of its range [0.5, ")

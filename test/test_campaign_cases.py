@@ -1,6 +1,6 @@
-"""Fifty seeds of each case of ``make campaign``, in short: is the covariance of the fused attitude honest?
+"""Fifty seeds of each case of ``make campaign``, in short: is the covariance of the fused attitude consistent?
 
-One error a seed, at the end of its run. The bands are of 99.9 %, from chi-square, by the number of seeds.
+One error per seed, at the end of its run. The bands are of 99.9 %, from chi-square, for the number of seeds.
 """
 
 import numpy as np
@@ -30,14 +30,14 @@ def test_errors_fit_their_covariance(name: str) -> None:
     assert np.all((low <= ratio) & (ratio <= high))
 
 
-def test_the_suite_is_told_what_a_case_changes() -> None:
+def test_the_configuration_of_the_suite_follows_a_cases_changes() -> None:
     bent, clock = (suite_configuration(case_in_short(name)) for name in ("flexure", "poor_clock"))
     for sensor in bent["star_sensors"].values():
         assert (sensor["flexure_sigma_arcsec"], sensor["flexure_time_s"]) == (5.0, 10.0)
     assert clock["ins"]["time_offset_sigma_s"] == 0.02
 
 
-def test_half_an_hour_of_clouds_leaves_what_the_ins_has_done_meanwhile() -> None:
+def test_half_an_hour_of_clouds_leaves_the_ins_drift() -> None:
     # Tilt of 10" with 30 min: sqrt(1 - exp(-2 1800/1800)) 10" = 9.30" of new error; 1" is the last sample's noise, and
     # of the 1.3" of before exp(-1) is left.
     scenario = case_in_short("outage")

@@ -1,7 +1,7 @@
-"""An error that all star sensors share from some time on: what is VALID, and what is excluded.
+"""An error shared by all star sensors from some time on: which outputs are VALID, and which sources are excluded.
 
-A position, UTC or the air may be wrong, or the deck may have turned: all stars then contradict the INS alike. Before,
-in brackets: the largest error while VALID, in standard deviations and as a share of the protection level.
+A position, UTC or the air may be wrong, or the deck may have turned: all stars then contradict the INS equally. Former
+results are in brackets: the largest error while VALID, in standard deviations and relative to the protection level.
 """
 
 from itertools import product
@@ -32,7 +32,7 @@ def found_with(turn_n: FloatArray, from_s: float, seed: int):
         (10.0 * EAST, 15.0, 2),  # [6.7, 0.83, INS excluded]
     ],
 )
-def test_all_stars_turned_alike_are_not_laid_to_the_ins(turn_n: FloatArray, from_s: float, seed: int) -> None:
+def test_equally_rotated_stars_do_not_exclude_the_ins(turn_n: FloatArray, from_s: float, seed: int) -> None:
     found = found_with(turn_n, from_s, seed)
     assert found.worst() < 5.0
     assert found.worst_of_level() < 1.0
@@ -50,7 +50,7 @@ def test_no_common_error_of_any_size_axis_and_time_is_valid_beyond_five_sigmas_o
         found = found_with(turn_n, from_s, seed)
         assert found.worst_of_level() < 1.0
         assert "ins" not in found.excluded()
-        # About Up the INS wanders by 1 arcsec in a second: 10 arcsec are five standard deviations of what it tells.
+        # About Up the INS drifts by 1 arcsec in a second: 10 arcsec are five of its standard deviations.
         if abs(turn_n[1]) != 10.0 * ARCSEC:
             assert found.worst() < 5.0
 
@@ -60,7 +60,7 @@ def test_no_common_error_of_any_size_axis_and_time_is_valid_beyond_five_sigmas_o
 
 @pytest.mark.slow
 def test_after_a_common_error_has_ended_the_attitude_is_valid_within_two_minutes() -> None:
-    """An error of 30 s, as the node publishes. The first estimator alone returns stars only from 40″ in tilt on."""
+    """An error of 30 s, with the node's outputs. The first estimator alone returns stars only from 40″ of tilt."""
 
     def check(turn_n: FloatArray) -> None:
         run = drive(new_adapter(), turned(small_voyage(120.0), turn_n, 20.0, 50.0))

@@ -1,4 +1,4 @@
-"""The covariance of the fused attitude against an independent bound; would Monte Carlo show one that is too small?
+"""Covariance of the fused attitude compared with an independent bound; and whether Monte Carlo detects a too small one.
 
 The Monte Carlo itself: ``test_campaign_cases.py`` and ``make campaign``.
 """
@@ -28,16 +28,16 @@ SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 
 
 def scenario(name: str, duration_s: float, ins_rate_hz: float = 20.0) -> Scenario:
-    """A scenario cut short, with fewer INS samples: none of it changes what is tested."""
+    """Return a shortened scenario with fewer INS samples, which does not change what is tested."""
     whole = load_scenario(SCENARIOS / f"{name}.yaml")
     return replace(whole, duration_s=duration_s, ins=replace(whole.ins, rate_hz=ins_rate_hz))
 
 
 def information_bound(run: SimulatedRun) -> np.ndarray:
-    """Covariance of the final total attitude error by one large information matrix, horizon frame, rad².
+    """Return the covariance of the final total attitude error by one large information matrix, horizon frame, rad².
 
     Unknowns: INS error a at each star epoch and at the end, installation errors, tau. No filter, no recursion:
-    priors, Gauss-Markov steps and measurements each add their block; the inverse holds the covariance.
+    priors, Gauss-Markov steps and measurements each add their block; the inverse has the covariance.
     """
     s, ins = run.scenario, run.scenario.ins
     stars = list(run.stars.values())
@@ -107,14 +107,14 @@ def information_bound(run: SimulatedRun) -> np.ndarray:
 
 
 def angle_sigmas(covariance_n: np.ndarray, rotation_nd: np.ndarray) -> np.ndarray:
-    """Standard deviations of heading, pitch, roll, arcsec."""
+    """Return standard deviations of heading, pitch, roll, arcsec."""
     heading, pitch, _ = angles_from_rotation(rotation_nd)
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
     return np.sqrt(np.diagonal(to_angles @ covariance_n @ to_angles.T)) / ARCSEC
 
 
 def arriving_within(run: SimulatedRun, longest_s: float, seed: int) -> SimulatedRun:
-    """The same run with every sample of every source delayed by its own random time."""
+    """Return the same run with every sample of every source delayed by a random time."""
     rng = np.random.default_rng(seed)
 
     def delayed(samples: InsSamples | DeviceSamples) -> InsSamples | DeviceSamples:
@@ -141,8 +141,8 @@ def test_sigma_is_the_bound(name: str, expected_arcsec: list[float]) -> None:
 
 
 @pytest.mark.statistics
-def test_a_filter_that_believes_too_much_is_found_out() -> None:
-    """The bands can fail: installation errors five times what the filter is told."""
+def test_a_too_small_covariance_is_detected() -> None:
+    """The test can fail: installation errors five times the configured sigma."""
     short = scenario("paper", 60.0)
     worse = {
         id_: replace(sensor, installation_sigma_up_arcsec=5.0, installation_sigma_right_arcsec=5.0)
@@ -161,7 +161,7 @@ def test_a_filter_that_believes_too_much_is_found_out() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper", "turn"])
 def test_any_order_of_arrival_ends_in_the_same_state(name: str) -> None:
-    """Every message within the lag; the issue asks for 1e-9 rad, the log gives the same bits."""
+    """Every message within the lag; the requirement is 1e-9 rad, the log gives the same bits."""
     short = scenario(name, 8.0, ins_rate_hz=25.0)
     run = simulate(short, seed=5)
     configuration = build(ShipAttitudeConfig, suite_configuration(short))

@@ -1,7 +1,7 @@
-"""The deflection of the vertical: an INS follows gravity, stars know the ellipsoid; through clouds, alongside, by both.
+"""Deflection of the vertical: an INS follows gravity, stars refer to the ellipsoid; under clouds, alongside, with both.
 
-The scenario is ``deflection.yaml``, without waves and with fewer samples: none of that changes what is tested. The
-bands are of 99.9 %, from chi-square, by the number of seeds.
+The scenario is ``deflection.yaml``, without waves and with fewer samples, which does not change what is tested. The
+bands are of 99.9 %, from chi-square, for the number of seeds.
 """
 
 from dataclasses import replace
@@ -33,7 +33,7 @@ STILL = CarrierMotion(
 
 
 def voyage(gravity: Gravity | None = None, **changes: Any) -> Scenario:
-    """The scenario with fewer samples, and with other things changed."""
+    """Return the scenario with fewer samples, and other changes."""
     whole = load_scenario(SCENARIO)
     sensors = {id_: replace(one, rate_hz=0.1, phase_s=0.0) for id_, one in whole.star_sensors.items()}
     ins = replace(whole.ins, rate_hz=1.0, time_offset_sigma_s=0.0)
@@ -63,14 +63,14 @@ def error_n(run: SimulatedRun, estimate: AttitudeEstimate) -> np.ndarray:
 
 
 def cleared(scenario: Scenario) -> Scenario:
-    """The same without clouds."""
+    """Return the same without clouds."""
     return replace(scenario, star_sensors={id_: replace(one, outages={}) for id_, one in scenario.star_sensors.items()})
 
 
 @pytest.mark.statistics
 def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> None:
     # Issue: the tilt's RMS with the table at most 3 arcseconds more, in squares, than the same seed without deflection.
-    # What comes more is the error of the one less that of the other: what the table does not know.
+    # The additional error is the difference of both errors: the unknown part of the table.
     more = []
     for seed in range(SEEDS):
         errors = []
@@ -85,8 +85,8 @@ def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> 
 
 
 @pytest.mark.statistics
-def test_what_is_said_of_the_attitude_is_honest_without_the_table() -> None:
-    # Drawn as the filter takes it to be: 20 arcseconds over 30 km. With the table: test_campaign_cases.py.
+def test_the_attitude_is_consistent_without_the_table() -> None:
+    # Drawn by the filter's model: 20 arcseconds over 30 km. With the table: test_campaign_cases.py.
     gravity = Gravity(sigma_arcsec=20.0, told="unknown", told_unknown_sigma_arcsec=20.0)
     nees = []
     for seed in range(SEEDS):
@@ -99,7 +99,7 @@ def test_what_is_said_of_the_attitude_is_honest_without_the_table() -> None:
 
 
 @pytest.mark.slow
-def test_alongside_an_hour_of_stars_tells_the_deflection() -> None:
+def test_alongside_an_hour_of_stars_determines_the_deflection() -> None:
     # Issue: at most 1.5 arcseconds in an hour where the INS's tilt is 1 arcsecond.
     squares = []
     for seed in range(SEEDS):
@@ -117,7 +117,7 @@ def test_alongside_an_hour_of_stars_tells_the_deflection() -> None:
 
 
 @pytest.mark.statistics
-def test_gravitys_horizon_differs_by_the_deflection_and_is_as_honest() -> None:
+def test_gravitys_horizon_differs_by_the_deflection_and_is_consistent() -> None:
     nees = []
     for seed in range(SEEDS):
         scenario = cleared(voyage(duration_s=2400.0))
@@ -131,7 +131,7 @@ def test_gravitys_horizon_differs_by_the_deflection_and_is_as_honest() -> None:
         true_nd = exp_rotation(-turn_n) @ run.truth.rotation_nd[-1]
         error = log_rotation(true_nd @ gravity.rotation_nd.T)
         nees.append(float(normalized_error_squared(error, gravity.covariance_n)))
-        # The deflection itself, but for the arcsecond that the table does not know.
+        # The deflection itself, except the arcsecond that is not in the table.
         between_n = log_rotation(geodetic.rotation_nd @ gravity.rotation_nd.T)
         np.testing.assert_allclose(between_n[[0, 2]], turn_n[[0, 2]], atol=4.0 * ARCSEC)
         np.testing.assert_allclose(gravity.covariance_parts_n.sum(axis=0), gravity.covariance_n, rtol=1e-9)
@@ -139,7 +139,7 @@ def test_gravitys_horizon_differs_by_the_deflection_and_is_as_honest() -> None:
     assert low < np.mean(nees) < high
 
 
-def test_a_topic_tells_what_the_table_does() -> None:
+def test_a_topic_gives_the_same_as_the_table() -> None:
     scenario = cleared(voyage(duration_s=2400.0))
     by_topic = replace(scenario, gravity=replace(scenario.gravity, told="topic"))
     table, topic = (
@@ -217,7 +217,7 @@ def test_fixes_in_another_order_end_in_the_same() -> None:
 
 
 class _Rearranged:
-    """A run whose inputs arrive in another order."""
+    """Run whose inputs arrive in another order."""
 
     def __init__(self, run: SimulatedRun, arrivals: list[tuple[int, str, int]]) -> None:
         self._run, self._arrivals = run, arrivals

@@ -1,4 +1,4 @@
-"""What a package imports is what its package.xml and its setup.py ask for; what only PyPI has is told."""
+"""Imports of a package are declared in its package.xml and setup.py; libraries only on PyPI have a reason."""
 
 import pytest
 
@@ -13,7 +13,7 @@ def test_the_page_is_current() -> None:
 
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
 def test_every_import_of_a_package_is_declared(package: str) -> None:
-    """Libraries by their rosdep key, where there is one, and in setup.py; packages of ROS and of the suite by name."""
+    """Libraries by their rosdep key, if any, and in setup.py; packages of ROS and of the suite by name."""
     keys, distributions = declared(package, "depend", "exec_depend"), required(package)
     wanted = imported(SRC / package / package) - {package}
     assert {LIBRARIES[name].key for name in wanted if name in LIBRARIES} - {""} - keys == set(), "package.xml"
@@ -30,8 +30,8 @@ def test_no_library_is_declared_that_is_not_imported(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
-def test_every_library_that_tests_import_is_known_and_declared(package: str) -> None:
-    """Packages of ROS and of the suite are not asked for here: tests go across packages, and all are built."""
+def test_every_library_that_tests_import_is_listed_and_declared(package: str) -> None:
+    """Without packages of ROS and of the suite: tests use all of them, and all are built."""
     keys = declared(package, "depend", "exec_depend", "test_depend")
     wanted = imported(SRC / package / "test") & LIBRARIES.keys()
     assert {LIBRARIES[name].key for name in wanted} - {""} - keys == set()
@@ -43,4 +43,4 @@ def test_a_library_has_a_key_or_a_reason() -> None:
         assert not library.key.endswith("-pip"), library
     used = set().union(*(imported(SRC / package) for package in packages()))
     by_name_alone = {"serial", "cryptography", "pyarrow", "gtsam"}
-    assert LIBRARIES.keys() - used - by_name_alone == set(), "nobody imports it any more"
+    assert LIBRARIES.keys() - used - by_name_alone == set(), "no package imports it"

@@ -1,4 +1,4 @@
-"""What the documentation says is what the code does."""
+"""The documentation agrees with the code."""
 
 import re
 from pathlib import Path
@@ -21,7 +21,7 @@ def test_a_reference_page_is_current(name: str) -> None:
 
 
 def anchors(path: Path) -> set[str]:
-    """What the headings of a page are called in links, as GitHub does it."""
+    """Return the names of a page's headings in links, as GitHub makes them."""
     headings = HEADING.findall(re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL))
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -37,7 +37,7 @@ def test_every_link_of_a_page_leads_somewhere(path: Path) -> None:
         assert not anchor or anchor in anchors(target), link
 
 
-def test_every_page_that_code_names_is_there() -> None:
+def test_every_page_that_code_names_exists() -> None:
     named = {
         (path, page)
         for folder in ("src", "tools", "examples", "test")

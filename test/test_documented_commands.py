@@ -2,8 +2,8 @@
 
 A block of the language ``bash`` is run, with those above it on the page, in a folder like the checkout, with the first
 seconds of each bag. Blocks marked ``live`` need nodes: those of a page's terminals are run together. Of blocks marked
-``shown``, which need hours or files of one's own, all that they name is there. The lines of a block ``text printed``
-are lines that the page's commands print with the whole bags.
+``shown``, which need hours or the user's files, all named files must exist. The lines of a block ``text printed``
+must be printed by the page's commands with the whole bags.
 """
 
 import re
@@ -33,13 +33,13 @@ WRITTEN = re.compile(
 
 
 def blocks(page: Path, mark: str, language: str = "bash") -> list[str]:
-    """The blocks of a page in a language that bear a mark; an empty one for bash blocks that are run."""
+    """Return the blocks of a page in a language with a mark; an empty mark for bash blocks that are run."""
     found = BLOCK.findall(page.read_text(encoding="utf-8"))
     return [body for written_in, marked, body in found if written_in == language and marked == mark]
 
 
 def printed_lines(page: Path) -> list[str]:
-    """Lines that the commands of a page print, as the page states them."""
+    """Return lines that the commands of a page print, as stated on the page."""
     return [line for body in blocks(page, "printed", "text") for line in body.splitlines()]
 
 
@@ -49,7 +49,7 @@ def name(page: Path) -> str:
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A folder that looks like this one, with short bags."""
+    """Return a folder that looks like this one, with short bags."""
     folder = linked_checkout(tmp_path, "bags")
     (folder / "bags").mkdir()
     for path in (ROOT / "bags").glob("*.mcap"):
@@ -58,7 +58,7 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def linked_checkout(tmp_path: Path, *left_out: str) -> Path:
-    """Return a folder with links to what is in this one, results and `left_out` excepted."""
+    """Return a folder with links to the files of this one, except results and `left_out`."""
     folder = tmp_path / "checkout"
     folder.mkdir()
     for path in ROOT.iterdir():
@@ -68,7 +68,7 @@ def linked_checkout(tmp_path: Path, *left_out: str) -> Path:
 
 
 def test_no_two_pages_write_the_same_file() -> None:
-    """Whoever follows one page after another in one checkout meets no file that already exists."""
+    """Commands of several pages in one checkout never write to an existing file."""
     pages: dict[str, set[str]] = {}
     for page in PAGES:
         for path in WRITTEN.findall("".join(blocks(page, "") + blocks(page, "live") + blocks(page, "shown"))):
@@ -96,7 +96,7 @@ def test_the_commands_of_a_page_run_as_printed(page: Path, checkout: Path) -> No
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "live") + blocks(page, "shown")], ids=name)
-def test_what_the_other_commands_of_a_page_name_is_there(page: Path) -> None:
+def test_files_named_by_the_other_commands_of_a_page_exist(page: Path) -> None:
     shown = (ROOT / "docs" / "reference" / "executables.md").read_text(encoding="utf-8")
     helps = dict(re.findall(r"^## `(\w+)`\n(.*?)(?=^## |\Z)", shown, re.MULTILINE | re.DOTALL))
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
@@ -115,7 +115,7 @@ def test_what_the_other_commands_of_a_page_name_is_there(page: Path) -> None:
 
 
 def wait_until_it_listens(process: LiveProcess) -> None:
-    """Return when a node or a recorder has said its first line."""
+    """Return when a node or a recorder has printed its first line."""
     end_s = time.monotonic() + START_S
     while not process.log().strip():
         assert time.monotonic() < end_s, process.log()
@@ -129,7 +129,7 @@ def wait_until_it_listens(process: LiveProcess) -> None:
     ids=name,
 )
 def test_the_three_terminals_of_a_page(page: Path, checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Node, recorder, and the bag in place of the instruments, as printed; then what is done with what they leave."""
+    """Run node, recorder, and the bag instead of the instruments, as printed; then the commands on their files."""
     monkeypatch.chdir(checkout)
     script = "set -eu\n" + "\n".join(re.findall(PREPARATION, "".join(blocks(page, "")), re.MULTILINE | re.DOTALL))
     script = script.replace("duration_s: 30.0", f"duration_s: {VOYAGE_S}.0")

@@ -1,4 +1,4 @@
-"""The advice for the drones in a replayed bag: when it is told, within its limits, and without a trace in the rest."""
+"""Advised positions for the drones in a replayed bag: their times, within limits, without effect on other outputs."""
 
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ PERIOD_S, DURATION_S = 2.0, 10.0
 
 @pytest.fixture(scope="module", name="voyage")
 def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """A folder with a bag, and the suite file as a dict."""
+    """Return a folder with a bag, and the suite file as a dict."""
     folder, scenario = tmp_path_factory.mktemp("escort"), bag_scenario(duration_s=DURATION_S)
     write_bag(scenario, 3, folder / "in.mcap", b"")
     return folder, yaml.safe_load(suite_yaml(scenario))
@@ -46,7 +46,7 @@ def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, A
 def entries(
     voyage: tuple[Path, dict[str, Any]], name: str, escort: dict[str, Any], *, one_by_one: bool = False, **others: Any
 ) -> list[tuple[str, bytes, int, Any]]:
-    """What a replay with parameters puts out: topic, bytes, log time, and how to decode it."""
+    """Return the outputs of a replay with parameters: topic, bytes, log time, and their decoder."""
     folder, suite = voyage
     (node,) = (name for name in suite if name.endswith("optical_axis"))
     parameters = suite[node]["ros__parameters"] | others | {"escort": escort}
@@ -70,7 +70,7 @@ def messages(told: list[tuple[str, bytes, int, Any]], topic: str) -> list[Any]:
     return [message for name, _, _, message in told if name == topic]
 
 
-def test_told_once_in_a_period_with_places_within_the_limits(advised, voyage) -> None:
+def test_published_once_in_a_period_with_places_within_the_limits(advised, voyage) -> None:
     told, pointings = messages(advised, ESCORT), messages(advised, POINTING)
     stamps = [ns_from_stamp(message.header.stamp) for message in told]
     assert DURATION_S / PERIOD_S - 2 <= len(told) <= DURATION_S / PERIOD_S + 1
@@ -95,7 +95,7 @@ def test_told_once_in_a_period_with_places_within_the_limits(advised, voyage) ->
                 pointing.telescope_azimuth, pointing.telescope_elevation, pointing.telescope_rotation
             )[:, 0]
         )
-        # The lever of some metres stands off the ship's antenna: that much is open here.
+        # The lever of some metres from the ship's antenna is not included here.
         slack_m = float(np.linalg.norm(list(lever_m.values())))
         range_m = np.linalg.norm(places, axis=1)
         assert np.all(range_m >= LIMITS["range_min_m"] - slack_m)
@@ -121,14 +121,14 @@ def test_a_replay_in_blocks_gives_what_one_by_one_gives(advised, voyage) -> None
     assert [entry[:3] for entry in singly] == [entry[:3] for entry in advised]
 
 
-def test_the_rest_is_what_it_is_without_advice(advised, voyage) -> None:
+def test_other_outputs_are_those_without_advice(advised, voyage) -> None:
     without = entries(voyage, "without", LIMITS)
     assert messages(without, ESCORT) == []
     assert [entry[:3] for entry in without] == [entry[:3] for entry in advised if entry[0] != ESCORT]
 
 
 @pytest.mark.slow
-def test_a_drone_taken_out_has_no_part(voyage) -> None:
+def test_a_removed_drone_has_no_position(voyage) -> None:
     escort = {"enabled": True, "period_s": 4.0, **LIMITS}
     first, second = sorted(parameters_of(voyage)["beacons"])
     told = messages(entries(voyage, "one", escort, sources_off=[f"baseline.{first}"]), ESCORT)

@@ -1,4 +1,4 @@
-"""The loop over cases that stands for a parametrisation: it tries every case, and names those that fail."""
+"""The loop over cases that replaces a parametrisation: it runs every case, and names those that fail."""
 
 import pytest
 
@@ -29,5 +29,5 @@ def test_no_case_at_all_is_a_failure() -> None:
         check_every_case([], lambda: None)
 
 
-def test_cases_that_hold_pass() -> None:
+def test_cases_without_failure_pass() -> None:
     check_every_case([(1, 1), (2, 2)], lambda left, right: None)

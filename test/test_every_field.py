@@ -1,6 +1,6 @@
-"""Eight values in every field of every message of the theodolite: nothing is raised, and what is claimed is honest.
+"""Eight values in every field of every message of the theodolite: no exception, and consistent outputs.
 
-A voyage runs for three seconds; from there on, in a copy of the node for each case, one field of one topic has a bad
+A voyage runs for three seconds. From there on, in a copy of the node for each case, one field of one topic has a bad
 value: with two lights in all messages that follow, with one light in one message.
 """
 
@@ -32,7 +32,7 @@ FROZEN = (EncoderSample, ShipSample, BaselineSample, AttitudeSample, Calibration
 
 
 def bad_values(value: Any) -> list[Any]:
-    """Eight values for a field that holds this one: NaN, infinite, zero, negative, huge, tiny, of another unit."""
+    """Return eight values for a field with this one: NaN, infinite, zero, negative, huge, tiny, of another unit."""
     if isinstance(value, str):
         return TEXTS
     if isinstance(value, list):
@@ -48,9 +48,9 @@ def bad_values(value: Any) -> list[Any]:
 
 @functools.cache
 def start(one_light: bool) -> tuple[Adapter, dict[int, Any]]:
-    """The node three seconds after the start, and with one of the lights hidden where asked for.
+    """Return the node three seconds after the start, optionally with one of the lights hidden.
 
-    And, by their id, what nothing changes, so that all copies of the node share it: samples, states, the factory.
+    And, by their id, the objects that all copies of the node share, as nothing changes them: samples, states, factory.
     """
     run = AdapterRun(voyage(NODE).new_adapter())
     hand_over(run, [a for a in arrivals(one_light) if since_start_s(a) < BEFORE_S])
@@ -85,7 +85,7 @@ def put(message: Any, path: Path, value: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("one_light", [False, True], ids=["two lights", "one light"])
-def test_the_voyage_is_honest_where_nothing_is_wrong(one_light: bool) -> None:
+def test_the_voyage_is_consistent_without_faults(one_light: bool) -> None:
     run = voyage(NODE).run(arrivals(one_light))
     assert 0.1 < worst_claim(voyage(NODE), run) < 4.0
     last = run.messages("theodolite/pointing")[-40]
@@ -102,7 +102,7 @@ def cases(topic: str, one_light: bool) -> Iterator[tuple[Path, Any]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("topic", [topic for topic in topics(NODE) if "/b/" not in topic])
 @pytest.mark.parametrize("one_light", [False, True], ids=["two lights", "one light"])
-def test_no_value_of_any_field_raises_or_makes_a_claim_dishonest(topic: str, one_light: bool) -> None:
+def test_no_value_of_any_field_raises_or_makes_an_output_inconsistent(topic: str, one_light: bool) -> None:
     rest = [a for a in arrivals(one_light) if BEFORE_S <= since_start_s(a) < BEFORE_S + AFTER_S]
     concerned = [index for index, arrival in enumerate(rest) if arrival.topic == topic]
     wrong = []

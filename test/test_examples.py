@@ -1,4 +1,4 @@
-"""The suite files of examples/ do what they say."""
+"""The suite files of examples/ agree with their comments."""
 
 import re
 import time
@@ -49,7 +49,7 @@ def theodolite() -> Any:
 
 
 def nbp1406() -> Any:
-    """Two attitude systems on a simulated ship, as good as those of the recorded one."""
+    """Return two attitude systems on a simulated ship, with the accuracy of those of the recorded one."""
     voyage = scenario("demo")
     del voyage["star_sensors"]
     quiet = {"tilt_sigma_arcsec": 1.0, "heading_sigma_arcsec": 1.0, "white_sigma_arcsec": 15.0}
@@ -75,7 +75,7 @@ def test_every_example_is_tested() -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_an_example_is_good_and_its_voyage_ends_well(name: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_an_example_is_valid_and_meets_its_bounds(name: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     voyage, namespace, expected = CASES[name]
     config, bag, out = EXAMPLES / f"{name}.yaml", tmp_path / "voyage.mcap", tmp_path / "out.mcap"
     assert check_config([str(config)]) == 0
@@ -96,14 +96,14 @@ def test_an_example_is_good_and_its_voyage_ends_well(name: str, tmp_path: Path, 
 
 
 def used_sources(config: Path) -> set[str]:
-    """Star sensors and references that the suite file names."""
+    """Return star sensors and references named in the suite file."""
     ship = yaml.safe_load(config.read_text(encoding="utf-8"))["/**/ship_attitude"]["ros__parameters"]
     stars = {f"star.{id_}" for id_ in ship.get("star_sensors", {})}
     return stars | {f"reference.{name}" for name in ship.get("references", {})}
 
 
 def in_namespace(bag_path: Path, path: Path, namespace: str) -> Path:
-    """The bag as a recorder would have written it aboard a ship with a namespace."""
+    """Return the bag as recorded aboard a ship with a namespace."""
     with read_bag(bag_path) as bag, BagWriter(path) as writer:
         for record in bag.records():
             writer.write_raw(f"/{namespace}/{record.topic}", record.type_name, record.data, record.log_time_ns)
@@ -111,8 +111,8 @@ def in_namespace(bag_path: Path, path: Path, namespace: str) -> Path:
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.stem)
-def test_every_parameter_stands_below_a_comment_or_in_a_commented_group(path: Path) -> None:
-    """Of a parameter that comes more than once, the first has the comment; the group of a later one refers to it."""
+def test_every_parameter_is_below_a_comment_or_in_a_commented_group(path: Path) -> None:
+    """The first of several equal parameters has the comment; the group of a later one refers to it."""
     lines = path.read_text(encoding="utf-8").splitlines()
     commented: set[str] = set()
     _, sections = read_sections(path)
@@ -131,7 +131,7 @@ def test_every_parameter_stands_below_a_comment_or_in_a_commented_group(path: Pa
 
 
 def wait_for(text: str, process: LiveProcess) -> None:
-    """Return when a process has said something."""
+    """Return when a process has printed a text."""
     end_s = time.monotonic() + START_S
     while text not in process.log():
         assert time.monotonic() < end_s, process.log()
@@ -149,10 +149,10 @@ def wait_for(text: str, process: LiveProcess) -> None:
         ("theodolite", "theodolite_calib", "optical_axis", []),
     ],
 )
-def test_a_node_starts_with_its_example_and_has_nothing_to_warn_of(
+def test_a_node_starts_with_its_example_without_warnings(
     example: str, package: str, node: str, arguments: list[str], tmp_path: Path
 ) -> None:
-    # A parameter of no topic is told when all else stands: by that line the start is over.
+    # An unknown topic in a parameter is reported last: at that line the start is complete.
     last = ["-p", "qos_overrides./absent.subscription.depth:=1"]
     files = ["--params-file", str(EXAMPLES / f"{example}.yaml")]
     command = [*executable(package, node), "--ros-args", *files, *arguments, *last]
@@ -164,7 +164,7 @@ def test_a_node_starts_with_its_example_and_has_nothing_to_warn_of(
 
 
 @pytest.mark.live
-def test_mend_12_a_node_without_sensors_warns_at_its_start(tmp_path: Path) -> None:
+def test_a_node_without_sensors_warns_at_its_start(tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text("/**/radar: {ros__parameters: {gain: 1.0}}\n", encoding="utf-8")
     command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "--params-file", str(other)]

@@ -1,7 +1,7 @@
-"""A voyage with faults, in the report: the same events as those who watched had, at the times of the faults, by source.
+"""A voyage with faults in the report: the same events as in live monitoring, at the times of the faults, by source.
 
-Faults, and when they could be known, are those of ``test_watched_faults``. Events are told of the outputs alone: they
-are all that ``replay`` writes.
+Faults, and their times of detection, are those of ``test_watched_faults``. Events are derived from the outputs alone,
+which are all that ``replay`` writes.
 """
 
 import base64
@@ -33,14 +33,14 @@ TEXTS = {
     "lights": r"lights IN, names exchanged",
     "encoder": r"encoder OUT, no data",
 }
-# Until when each source was out because of its fault; the INS is believed again with its new bias, and the knock of a
-# sensor that ended is still held against it. A source that is back is told so when it was used often enough.
+# Times of return of each source after its fault; the INS is used again with its new bias, and a displaced sensor stays
+# out after the displacement has ended. The return of a source is reported after enough uses.
 BACK_S = {"star.fore": (44.0, 46.0), "baselines": (14.0, 17.0), "encoder": (36.0, 37.0)}
 
 
 @dataclass(frozen=True)
 class Reported:
-    """A faulty voyage: the time of its first message, what was read of its outputs, and the page that tells it."""
+    """Faulty voyage: the time of its first message, the data read from its outputs, and its page."""
 
     bag: str
     start_ns: int
@@ -48,7 +48,7 @@ class Reported:
     path: Path
 
     def seconds(self, utc_ns: int) -> float:
-        """Seconds since the first message of the bag."""
+        """Return the seconds since the first message of the bag."""
         return (utc_ns - self.start_ns) / NS_PER_S
 
 
@@ -68,7 +68,7 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported
     bag, night, seconds = reported.bag, reported.told.night, reported.seconds
     text = reported.path.read_text()
     known_s = KNOWN_S[bag]
-    # Innocent sources are told with who is to blame, and nobody before the first fault.
+    # Affected sources are reported with the faulty one, and none before the first fault.
     by_source: dict[str, list[Event]] = {}
     for event in night.events:
         if event.kind == "source" and seconds(event.utc_ns) < END_S[bag] and "needs" not in event.text:

@@ -1,6 +1,6 @@
-"""Another attitude system, a star tracker, and the theodolite with one light, under faults: what is claimed is honest.
+"""Another attitude system, a star tracker, and the theodolite with one light, under faults: outputs are consistent.
 
-Faults come from the simulation, last from 6 s to 9 s of a voyage of 12 s, and hit every message of one topic.
+Faults are those of the simulation, last from 6 s to 9 s of a voyage of 12 s, and affect every message of one topic.
 """
 
 from typing import Any
@@ -55,7 +55,7 @@ def test_a_reference_and_a_star_tracker_under_faults(topic: str, kind: str, size
     run = known.run()
     assert worst_claim(known, run) < SIGMAS
     claimed = [message for message in run.messages("ship/attitude") if message.status != Status.INVALID]
-    # A source that contradicted itself is in doubt for ten seconds more.
+    # A source that contradicted itself remains suspect for ten more seconds.
     assert claimed[-1].status == (Status.DEGRADED if kind == "conflict" and "reference" not in topic else Status.VALID)
 
 

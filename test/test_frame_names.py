@@ -1,4 +1,4 @@
-"""``frames.deck``, ``frames.horizon`` and ``publish_tf``: the suite under a URDF, or beside other transforms."""
+"""``frames.deck``, ``frames.horizon`` and ``publish_tf``: the suite with a URDF, or with other transforms."""
 
 import json
 
@@ -20,7 +20,7 @@ FRAMES = {"deck": "base_link", "horizon": "enu"}
 
 
 def frames_of(message):
-    """The frames that a message names: of itself, of its transforms and their children."""
+    """Return the frames named in a message: its own, and those of its transforms and their children."""
     yield message.header.frame_id if hasattr(message, "header") else ""
     for transform in getattr(message, "transforms", ()):
         yield transform.header.frame_id
@@ -52,7 +52,7 @@ def test_transforms_are_left_to_another_node(publish_tf, told):
 
 
 def part_and_suite(tmp_path, publish_tf=True):
-    """The first seconds of the theodolite's bag, and its suite with a ship's attitude and other names of the frames."""
+    """Return the first seconds of the theodolite's bag, and its suite with a ship's attitude and other frame names."""
     part, suite = beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0), tmp_path / "suite.yaml"
     with read_bag(part) as bag:
         values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
@@ -65,7 +65,7 @@ def part_and_suite(tmp_path, publish_tf=True):
 
 
 @pytest.mark.parametrize("publish_tf", [True, False])
-def test_the_theodolite_stands_in_the_frames_as_configured(publish_tf, tmp_path):
+def test_the_theodolite_uses_the_configured_frames(publish_tf, tmp_path):
     (part, suite), out = part_and_suite(tmp_path, publish_tf), tmp_path / "out.mcap"
     replay(part, out, ADAPTERS, suite)
     with read_bag(out) as bag:
@@ -76,7 +76,7 @@ def test_the_theodolite_stands_in_the_frames_as_configured(publish_tf, tmp_path)
     assert {topic for topic, message in ours for frame in frames_of(message) if frame in ("deck", "horizon")} == set()
 
 
-def test_smoothed_attitudes_name_the_frames_as_configured_and_the_theodolite_takes_them(tmp_path):
+def test_smoothed_attitudes_use_the_configured_frames_and_the_theodolite_accepts_them(tmp_path):
     (part, suite), out = part_and_suite(tmp_path), tmp_path / "out.mcap"
     smooth(part, out, suite)
     with read_bag(out) as bag:
@@ -93,6 +93,6 @@ def test_smoothed_attitudes_name_the_frames_as_configured_and_the_theodolite_tak
         ({"deck": "map", "horizon": "map"}, r"'frames\.deck' = 'map' equals 'frames\.horizon'"),
     ],
 )
-def test_what_tf2_would_not_take_is_refused(frames, reason):
+def test_frame_names_invalid_for_tf2_are_refused(frames, reason):
     with pytest.raises(ParameterError, match=reason):
         build(ShipAttitudeConfig, {"frames": frames})

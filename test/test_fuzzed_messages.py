@@ -1,6 +1,6 @@
-"""Garbage in any field of any input of all nodes: nothing is raised, and after a reset a node is as good as new.
+"""Random values in any field of any input of all nodes: no exception, and after a reset a node is as new.
 
-``make campaign`` sends 100 000 messages. The fuzz tests of the packages look closer, at what is refused and why.
+``make campaign`` sends 100 000 messages. The fuzz tests of the packages check rejections and their reasons.
 """
 
 import os
@@ -20,7 +20,7 @@ MESSAGES = int(os.environ.get("FUZZED_MESSAGES", "5000")) // len(NODES)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
-def test_no_message_whatsoever_raises_or_leaves_anything_behind(node: str) -> None:
+def test_no_message_raises_or_has_an_effect_after_a_reset(node: str) -> None:
     rng = np.random.default_rng([20, NODES.index(node)])
     everything = voyage(node)
     adapter, start_ns, tried = everything.new_adapter(), everything.arrivals[0].receive_ns, 0
@@ -44,7 +44,7 @@ def test_no_message_whatsoever_raises_or_leaves_anything_behind(node: str) -> No
 
 
 def garbage(arrival: Arrival, count: int, rng: np.random.Generator) -> list[Any]:
-    """Copies with garbage in some fields, each some milliseconds earlier, or each were but the second of its stamp."""
+    """Return copies with random values in some fields, some milliseconds earlier each, or with another stamp second."""
     pickled, fields, copies = pickle.dumps(arrival.message), paths(arrival.message), []
     for number in range(count):
         bad = pickle.loads(pickled)

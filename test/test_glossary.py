@@ -22,7 +22,7 @@ def test_the_glossary_names_frames_once() -> None:
 
 
 def letters_of(text: str) -> set[str]:
-    """Letters of the frames that the names of rotations and vectors end with."""
+    """Return the frame letters at the end of the names of rotations and vectors."""
     of_rotations = {letter for pair in ROTATION.findall(text) for letter in pair if pair != "of"}
     return of_rotations | set(VECTOR.findall(text)) - SECONDS_AND_METRES
 

@@ -1,7 +1,6 @@
 """Heading error in turns of 0, 10 and 20°/s, the INS's clock estimated (IMO MSC.116(73), ISO 22090: turntable classes).
 
-At 20°/s an offset of 1 ms that nobody knows is 72″ of heading. ``pytest -s`` prints the table of
-docs/explanation/filter.md.
+At 20°/s an unmodelled offset of 1 ms is 72″ of heading. ``pytest -s`` prints the table of docs/explanation/filter.md.
 """
 
 from dataclasses import replace
@@ -23,7 +22,7 @@ SEEDS = 12
 
 
 def turning(rate_deg_per_s: float) -> Scenario:
-    """The scenario ``turn`` in short: waves for thirty seconds, then a turn that goes on to the end."""
+    """Return the scenario ``turn``, shortened: waves for thirty seconds, then a turn to the end."""
     whole = load_scenario(SCENARIO)
     turn = Turn(BEGIN_S, rate_deg_per_s * (END_S - BEGIN_S + RAMP_S), max(rate_deg_per_s, 0.001), RAMP_S)
     ins = replace(whole.ins, rate_hz=25.0)
@@ -32,7 +31,7 @@ def turning(rate_deg_per_s: float) -> Scenario:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("rate_deg_per_s", [0.0, 10.0, 20.0])
-def test_the_heading_is_as_good_as_it_says_in_a_turn(rate_deg_per_s: float) -> None:
+def test_the_heading_error_fits_its_sigma_in_a_turn(rate_deg_per_s: float) -> None:
     ends = [final_error(turning(rate_deg_per_s), seed) for seed in range(SEEDS)]
     errors, sigmas = (np.array([getattr(end, name)[0] for end in ends]) / ARCSEC for name in ("angles", "sigma"))
     rms, sigma, most = np.sqrt(np.mean(errors**2)), np.sqrt(np.mean(sigmas**2)), np.max(np.abs(errors))

@@ -1,4 +1,4 @@
-"""The help of every executable: what it is for, what it takes, an example at the end."""
+"""Help of every executable: purpose, arguments, and an example at the end."""
 
 import ast
 import importlib
@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 NODES = {kind.node_name: kind for kind in ADAPTERS}
 SUITE = {"nmea_in", "nmea_out", "suite", "check_config", "preflight"}
 SETUPS = "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("src/*/setup.py"))
-# What has moved to another package only says where it is now.
+# An executable that was moved to another package only prints its new package.
 EXECUTABLES = re.findall(r'"(\w+) = (?!ship_replay\.commands\.moved)([\w.]+):\w+"', SETUPS)
 
 
@@ -37,7 +37,7 @@ def help_of(name, module, capsys):
 
 
 @pytest.mark.parametrize(("name", "module"), EXECUTABLES)
-def test_mend_16_every_help_ends_with_an_example(name, module, capsys):
+def test_every_help_ends_with_an_example(name, module, capsys):
     shown = help_of(name, module, capsys)
     *_, head, example = shown.rstrip().splitlines()
     assert head == "example:"
@@ -65,7 +65,7 @@ def test_no_tool_takes_abbreviated_options():
 
 
 @pytest.mark.parametrize("name", ["ship_attitude", "optical_axis", "nmea_in", "alerts", "replay"])
-def test_a_help_whose_reader_has_left_ends_without_a_word(name):
+def test_a_help_with_a_closed_pipe_ends_silently(name):
     """As ``ship_attitude --help | head -1``: exit code 141, as that of ``cat``."""
     module, function = re.search(rf'"{name} = ([\w.]+):(\w+)"', SETUPS).groups()
     reader, writer = os.pipe()
@@ -87,7 +87,7 @@ def test_the_parameters_of_a_node_and_the_help_of_a_suite_are_no_wider_than_a_pa
         assert "nmea_out" in shown
 
 
-def test_mend_16_the_help_of_a_node_lists_what_any_configuration_asks_for():
+def test_the_help_of_a_node_lists_the_inputs_of_all_configurations():
     shown = usage_text(ShipAttitudeAdapter, "ship_attitude_star", RosidlFactory())
     (choices,) = [d.choices for d in describe(ShipAttitudeConfig) if d.name == "star_sensors.<id>.input"]
     topics = shown.partition("topics out")[0]
@@ -97,7 +97,7 @@ def test_mend_16_the_help_of_a_node_lists_what_any_configuration_asks_for():
         assert re.search(rf"^  {topic} ", topics, re.MULTILINE), topic
 
 
-def test_mend_16_replay_names_all_nodes_and_simulate_all_keys_and_faults(capsys):
+def test_replay_names_all_nodes_and_simulate_all_keys_and_faults(capsys):
     shown = " ".join(help_of("replay", "ship_replay.commands.replay", capsys).split())
     assert "(ship_attitude, star_attitude, optical_axis, triangulation;" in shown
     shown = help_of("simulate", "ship_simulation.simulate_command", capsys)
@@ -106,7 +106,7 @@ def test_mend_16_replay_names_all_nodes_and_simulate_all_keys_and_faults(capsys)
     assert all(re.search(rf"^  {kind} ", shown, re.MULTILINE) for kind in kinds)
 
 
-def test_mend_16_bounds_on_the_page_are_those_of_the_code():
+def test_bounds_on_the_page_are_those_of_the_code():
     """Read back from the page, digit for digit."""
     page = (ROOT / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
     rows = {(section.split("`")[0], row[0]): row[1] for section in page.split("\n## `")[1:] for row in re.findall(

@@ -1,6 +1,6 @@
-"""An INS that steps under ship_attitude: DEGRADED from the step until stars agree, and never far beyond its sigma.
+"""An INS with a step under ship_attitude: DEGRADED from the step until stars agree, and errors near its sigma.
 
-Before, in brackets, by the same runs: the largest error in sigmas while VALID after the step.
+Former results of the same runs are in brackets: the largest error in sigmas while VALID after the step.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ def voyage(rate_hz: float, **ins: float) -> SimulatedRun:
 
 
 def claims(run: SimulatedRun, arcsec_n: tuple[float, float, float], until_s: float = np.inf) -> list[Claim]:
-    """What is put out after the INS has stepped about North, Up and East at STEP_S, and back at ``until_s``."""
+    """Return the outputs after a step of the INS about North, Up and East at STEP_S, and back at ``until_s``."""
     found = ship_faults.claims(ins_turned(run, ARCSEC * np.array(arcsec_n), STEP_S, until_s), from_s=17.0)
     return [claim for claim in found.claims if claim.time_s >= STEP_S - 1e-9]
 
@@ -49,8 +49,8 @@ def test_a_step_of_fourteen_sigma_is_degraded_from_the_first_attitude_on(rate_hz
 
 
 @pytest.mark.parametrize(("rate_hz", "arcsec"), [(50.0, 8.0), (100.0, 7.0), (200.0, 6.0)])
-def test_a_smaller_step_opens_from_its_own_moment_on(rate_hz, arcsec):
-    """Some attitudes are put out VALID before means tell it; what stars were then compared with is compared anew."""
+def test_a_smaller_step_increases_the_covariance_from_its_time_on(rate_hz, arcsec):
+    """Some attitudes are VALID before the means show it; stars compared since the step are compared again."""
     for axis in range(3):
         found = claims(voyage(rate_hz), tuple(arcsec * np.eye(3)[axis]))
         told_s = next(claim.time_s for claim in found if claim.status is Status.DEGRADED)
@@ -67,7 +67,7 @@ def test_a_step_that_goes_back_within_some_samples_changes_nothing():
     assert max(claim.sigmas for claim in found) < 5.0
 
 
-def test_the_rates_noise_of_a_scenario_is_told_to_the_estimator():
+def test_the_rates_noise_of_a_scenario_is_configured_in_the_estimator():
     found = claims(voyage(100.0, rate_sigma_arcsec_per_s=60.0, rate_bias_sigma_arcsec_per_s=10.0), (0.0, 30.0, 0.0))
     assert found[0].status is Status.DEGRADED
     assert max(claim.sigmas for claim in found) < 5.0

@@ -1,6 +1,6 @@
-"""The ship's filter beside GTSAM's iSAM2, on the same runs: errors no larger, and NEES side by side.
+"""The ship's filter and GTSAM's iSAM2 on the same runs: errors not larger, and NEES of both.
 
-Python 3.10 has no wheel of GTSAM: there these tests are skipped. ``make campaign`` takes more seeds.
+Python 3.10 has no wheel of GTSAM: there these tests are skipped. ``make campaign`` runs more seeds.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ NO_LARGER = 1.02
 
 @pytest.fixture(name="runs", scope="module")
 def fixture_runs() -> tuple[list[FinalError], list[FinalError]]:
-    """A minute of the reference case, by the filter and by iSAM2."""
+    """Return a minute of the reference case, by the filter and by iSAM2."""
     scenario = case_in_short("paper")
     return [final_error(scenario, seed) for seed in range(SEEDS)], [
         isam2_error(scenario, seed) for seed in range(SEEDS)
@@ -31,12 +31,12 @@ def fixture_runs() -> tuple[list[FinalError], list[FinalError]]:
 
 
 def angles(runs: list[FinalError]) -> np.ndarray:
-    """Errors of heading, pitch, roll, rad, shape (n, 3)."""
+    """Return errors of heading, pitch, roll, rad, shape (n, 3)."""
     return np.array([run.angles for run in runs])
 
 
 @pytest.mark.statistics
-def test_the_filters_errors_are_no_larger_and_both_are_honest(runs) -> None:
+def test_the_filters_errors_are_no_larger_and_both_are_consistent(runs) -> None:
     rms_arcsec = [np.sqrt(np.mean(angles(of) ** 2, axis=0)) / ARCSEC for of in runs]
     nees = [np.mean([run.nees for run in of]) for of in runs]
     for who, rms, value in zip(("filter", "iSAM2"), rms_arcsec, nees, strict=True):

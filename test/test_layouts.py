@@ -1,6 +1,6 @@
-"""Layouts for viewers: all that they name is in what the suite puts out, and a misspelt name is found.
+"""Layouts for viewers: all their names exist in the outputs of the suite, and a misspelt name is detected.
 
-What the suite puts out is taken from replays of the first seconds of two bags.
+The outputs of the suite are those of replays of the first seconds of two bags.
 """
 
 import copy
@@ -29,7 +29,7 @@ MESSAGES_A_TOPIC = 40
 
 
 def messages_of(bag_name: str, folder: Path) -> Night:
-    """Messages that the suite makes of the first seconds of a bag of the repository, by absolute topic."""
+    """Return the suite's messages for the first seconds of a bag of the repository, by absolute topic."""
     given, result = folder / f"{bag_name}_in.mcap", folder / f"{bag_name}_out.mcap"
     with read_bag(ROOT / "bags" / f"{bag_name}.mcap") as whole, BagWriter(given) as writer:
         for attachment, data in whole.attachments.items():
@@ -47,13 +47,13 @@ def messages_of(bag_name: str, folder: Path) -> Night:
 
 
 def spread(messages: list[Any]) -> list[Any]:
-    """Some of the messages, from first to last."""
+    """Return some of the messages, from first to last."""
     return messages[:: -(-len(messages) // MESSAGES_A_TOPIC)] + messages[-3:]
 
 
 @pytest.fixture(scope="module")
 def night(tmp_path_factory: pytest.TempPathFactory) -> Night:
-    """What a suite with all nodes puts out; the one alert is made by hand."""
+    """Return the outputs of a suite with all nodes; the one alert is hand-made."""
     folder = tmp_path_factory.mktemp("night")
     found: Night = {}
     for bag_name in ("demo", "theodolite"):
@@ -72,18 +72,18 @@ def plotjuggler() -> ET.Element:
     return ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
 
 
-def test_all_that_the_foxglove_layout_names_is_there(foxglove: dict[str, Any], night: Night) -> None:
+def test_all_names_in_the_foxglove_layout_exist(foxglove: dict[str, Any], night: Night) -> None:
     check_foxglove(foxglove, night)
     assert len(paths(foxglove)) > 80
 
 
-def test_each_word_of_each_path_counts(foxglove: dict[str, Any], night: Night) -> None:
+def test_each_word_of_each_path_is_checked(foxglove: dict[str, Any], night: Night) -> None:
     scripts = Scripts(foxglove, night)
     for path in sorted(set(paths(foxglove))):
         for word in re.finditer(r"\w+", path):
             wrong = "99" if word[0].isdigit() else word[0] + "x"
             if word[0].isdigit() and path.startswith(SCRIPTS):
-                continue  # how long an array is that a script gives, only the viewer knows
+                continue  # the length of a script's array is known only in the viewer
             with pytest.raises(AssertionError):
                 look_up(path[: word.start()] + wrong + path[word.end() :], foxglove, night, scripts, (object,))
 
@@ -106,14 +106,14 @@ def test_each_word_of_each_path_counts(foxglove: dict[str, Any], night: Night) -
         ("residual_arcsec: number[]", "residual_arcsec: number"),
     ],
 )
-def test_a_layout_with_a_slip_is_refused(night: Night, right: str, wrong: str) -> None:
+def test_a_foxglove_layout_with_a_misspelt_name_is_refused(night: Night, right: str, wrong: str) -> None:
     text = (LAYOUTS / "foxglove.json").read_text(encoding="utf-8")
     assert right in text
     with pytest.raises((AssertionError, KeyError)):
         check_foxglove(json.loads(text.replace(right, wrong, 1)), night)
 
 
-def test_all_that_the_plotjuggler_layout_names_is_there(plotjuggler: ET.Element, night: Night) -> None:
+def test_all_names_in_the_plotjuggler_layout_exist(plotjuggler: ET.Element, night: Night) -> None:
     check_plotjuggler(plotjuggler, night)
     assert [tab.get("tab_name") for tab in plotjuggler.iter("Tab")] == [
         "Attitude", "Pointing", "Errors", "Innovations", "Inputs", "Budget"
@@ -121,7 +121,7 @@ def test_all_that_the_plotjuggler_layout_names_is_there(plotjuggler: ET.Element,
 
 
 @pytest.mark.slow
-def test_each_name_in_the_plotjuggler_layout_counts(plotjuggler: ET.Element, night: Night) -> None:
+def test_each_name_in_the_plotjuggler_layout_is_checked(plotjuggler: ET.Element, night: Night) -> None:
     for which in ("curve", "snippet"):
         for index, _ in enumerate(plotjuggler.iter(which)):
             broken = copy.deepcopy(plotjuggler)
@@ -145,7 +145,7 @@ def test_each_name_in_the_plotjuggler_layout_counts(plotjuggler: ET.Element, nig
         ("1 COASTING", "1 COSTING"),
     ],
 )
-def test_a_plotjuggler_layout_with_a_slip_is_refused(night: Night, right: str, wrong: str) -> None:
+def test_a_plotjuggler_layout_with_a_misspelt_name_is_refused(night: Night, right: str, wrong: str) -> None:
     text = (LAYOUTS / "plotjuggler.xml").read_text(encoding="utf-8")
     assert right in text
     with pytest.raises(AssertionError):
@@ -167,5 +167,5 @@ def test_the_printed_commands_rename_every_topic(night: Night, tmp_path: Path) -
 
 
 def renamed(topic: str, prefix: str) -> str:
-    """Name of a topic in another suite; /diagnostics is the same for all."""
+    """Return the name of a topic in another suite; /diagnostics is the same for all."""
     return topic if topic == "/diagnostics" else f"{prefix}{topic}".removeprefix("" if prefix else "/")

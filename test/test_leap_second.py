@@ -1,7 +1,7 @@
-"""A leap second inside a voyage: 2016-12-31T23:59:60, a second that clocks which count seconds since 1970 tell twice.
+"""A leap second in a voyage: 2016-12-31T23:59:60, a second that clocks of seconds since 1970 repeat.
 
-The ship and the sky go on; the stamps and the clock of the node step back by a second at midnight. All inputs show the
-step: the nodes go on from what they know, and use no star of which the stamp is wrong by a second.
+Ship and sky continue; the stamps and the clock of the node step back by a second at midnight. All inputs show the
+step: the nodes continue with their states, and use no star whose stamp is wrong by a second.
 """
 
 import copy
@@ -27,7 +27,7 @@ SIGMAS = 5.0
 
 @functools.cache
 def across(node: str) -> tuple[Voyage, AdapterRun]:
-    """The voyage as it is stamped, and the run of a node."""
+    """Return the voyage with its stamps, and the run of a node."""
     table = earth_orientation_table()
     kept = table.leap_seconds.starts_ns < MIDNIGHT_NS
     leaps = replace(
@@ -37,7 +37,7 @@ def across(node: str) -> tuple[Voyage, AdapterRun]:
     )
     start_utc = "2016-12-31T23:59:52Z"
     with pytest.MonkeyPatch.context() as patch:
-        # The Earth knows nothing of leap seconds.
+        # The Earth's rotation has no leap seconds.
         patch.setattr(simulated_sky, "earth_orientation_table", lambda: replace(table, leap_seconds=leaps))
         given = scenario(node, start_utc=start_utc, duration_s=DURATION_S)
         # At Greenwich it is night.
@@ -53,7 +53,7 @@ def node_ns(waiting_ns: int) -> int:
 
 
 def stepped(message: Any) -> Any:
-    """The message as stamped by a clock that steps back at midnight."""
+    """Return the message as stamped by a clock that steps back at midnight."""
     changed = copy.deepcopy(message)
     ns = node_ns(stamp_of(message))
     changed.header.stamp.sec, changed.header.stamp.nanosec = divmod(ns, SECOND_NS)
@@ -62,7 +62,7 @@ def stepped(message: Any) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", ["ship_attitude", "star_attitude", "optical_axis"])
-def test_the_step_is_there(node: str) -> None:
+def test_the_stamps_have_the_step(node: str) -> None:
     topic = "theodolite/encoder" if node == "optical_axis" else "ins/imu"
     stamps = np.array([a.stamp_ns for a in across(node)[0].arrivals if a.topic == topic])
     assert np.min(np.diff(stamps)) < -0.9 * SECOND_NS
@@ -72,7 +72,7 @@ def test_the_step_is_there(node: str) -> None:
 @pytest.mark.parametrize(
     ("node", "topic"), [("ship_attitude", "ship/attitude"), ("optical_axis", "theodolite/pointing")]
 )
-def test_what_is_claimed_is_right_and_valid_all_along(node: str, topic: str) -> None:
+def test_outputs_are_right_and_valid_throughout(node: str, topic: str) -> None:
     known, run = across(node)
     outputs = [(ns, m) for ns, name, m in run.published if name == topic and ns >= MIDNIGHT_NS - 5 * SECOND_NS]
     assert {message.status for _, message in outputs} == {Status.VALID}
@@ -88,8 +88,8 @@ def test_what_is_claimed_is_right_and_valid_all_along(node: str, topic: str) -> 
     assert not {source for told in run.messages(run.adapter.integrity_topic) for source in told.excluded}
 
 
-def test_stars_of_the_second_that_is_told_twice_are_not_used() -> None:
-    """Five of them, and those of before the step of which the stamp may as well be wrong."""
+def test_stars_of_the_repeated_second_are_not_used() -> None:
+    """Five of them, and those before the step whose stamps are ambiguous."""
     _, run = across("star_attitude")
     solutions = [(ns, m) for ns, name, m in run.published if name == "star/starboard/solution"]
     since_s = np.array([(ns - MIDNIGHT_NS) / SECOND_NS for ns, _ in solutions])
@@ -102,7 +102,7 @@ def test_stars_of_the_second_that_is_told_twice_are_not_used() -> None:
 
 
 def test_the_attitude_by_solutions_of_star_attitude_is_valid_within_two_seconds() -> None:
-    """``ship_attitude`` has its stars by ``star_attitude``, which gives no solution for a second."""
+    """``ship_attitude`` has its stars from ``star_attitude``, which has no solution for a second."""
     known, _ = across("ship_attitude")
     config = known.new_adapter().config
     starboard = replace(config.star_sensors["starboard"], input="solution")
@@ -118,7 +118,7 @@ def test_the_attitude_by_solutions_of_star_attitude_is_valid_within_two_seconds(
     assert run.adapter.time_base.steps == 1
 
 
-def test_lights_are_used_after_the_step_and_nobody_is_excluded() -> None:
+def test_lights_are_used_after_the_step_and_no_source_is_excluded() -> None:
     _, run = across("optical_axis")
     lights = [(ns, m) for ns, topic, m in run.published if topic == "theodolite/innovation" and m.source == "lights"]
     used_s = [(ns - MIDNIGHT_NS) / SECOND_NS for ns, m in lights if m.accepted and ns >= MIDNIGHT_NS]

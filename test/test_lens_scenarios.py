@@ -1,6 +1,7 @@
-"""[W18] as voyages: N' of the telescope's lens, 60 mm off, surveyed or told to nobody; each sighting alone and all.
+"""[W18] as voyages: N' of the telescope's lens, 60 mm off, surveyed or not; each sighting separately and all together.
 
-Expected numbers: models.md §5. The constant of an untold N' is 60 mm sqrt(2/3) over 2 km, across the line of sight.
+Expected numbers: models.md §5. The constant of an unsurveyed N' is 60 mm sqrt(2/3) over 2 km, across the line of
+sight.
 """
 
 from dataclasses import replace
@@ -40,7 +41,7 @@ def voyages(name: str) -> list[PointingErrors]:
 
 
 def at_the_end(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Error on the sky and its claimed sigma, arcsec, and NEES after sixty sightings, shape (SEEDS,) each."""
+    """Return error on the sky and its sigma, arcsec, and NEES after sixty sightings, shape (SEEDS,) each."""
     runs = voyages(name)
     nees = [normalized_error_squared(run.error_n[-1], run.covariance_n[-1]) for run in runs]
     on_sky, sigma = (np.array([getattr(run, what)[-1] for run in runs]) / ARCSEC for what in ("on_sky", "sigma_on_sky"))
@@ -48,13 +49,13 @@ def at_the_end(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_no_more_sightings_look_wrong_than_by_chance(name):
+def test_no_more_sightings_are_rejected_than_by_chance(name):
     assert {run.sightings + run.refused for run in voyages(name)} == {60}
     # A gate of 99.99 % refuses one of 720 sightings in one run of fourteen, three once in twenty thousand.
     assert sum(run.refused for run in voyages(name)) < 3
 
 
-def test_a_surveyed_lens_leaves_an_honest_pointing():
+def test_a_surveyed_lens_gives_a_consistent_pointing():
     on_sky, sigma, nees = at_the_end("lens_surveyed")
     low, high = mean_nees_band(SEEDS, degrees=3)
     assert low < nees.mean() < high
@@ -63,9 +64,9 @@ def test_a_surveyed_lens_leaves_an_honest_pointing():
     assert np.all(sigma < 1.0)
 
 
-def test_an_untold_lens_is_a_constant_error_that_no_claim_covers():
+def test_an_unsurveyed_lens_is_a_constant_error_beyond_the_sigma():
     on_sky, sigma, nees = at_the_end("lens_unsurveyed")
-    # What is left beside the constant is the claimed sigma, in both directions of the sky.
+    # The remainder without the constant is the published sigma, in both directions of the sky.
     expected = np.sqrt(CONSTANT_ARCSEC**2 + np.mean(sigma**2))
     spread = 2.0 * CONSTANT_ARCSEC * np.sqrt(0.5 * np.mean(sigma**2)) / np.sqrt(SEEDS)
     assert np.mean(on_sky**2) == pytest.approx(expected**2, abs=3.29 * spread)
@@ -73,7 +74,7 @@ def test_an_untold_lens_is_a_constant_error_that_no_claim_covers():
     assert nees.min() > 50.0
 
 
-def test_who_says_that_the_lens_is_not_surveyed_is_honest_again():
+def test_a_declared_unsurveyed_lens_gives_a_consistent_pointing():
     """3.5 cm per axis: 60 mm in any direction."""
     scenario = scenario_of("lens_unsurveyed")
     told = with_theodolite(scenario, telescope__lens__sigma_m=0.0346)
@@ -94,7 +95,7 @@ def test_who_says_that_the_lens_is_not_surveyed_is_honest_again():
 
 @pytest.mark.parametrize(("name", "expected_arcsec"), [("lens_surveyed", 3.47), ("lens_unsurveyed", 5.65)])
 def test_each_sighting_alone_has_the_bound_of_one_epoch(name, expected_arcsec):
-    """Maximum likelihood; sqrt(5.05² + 2.57²) where N' is told to nobody, 2.57″ being the bound of 2.7 cm as a norm."""
+    """Maximum likelihood; sqrt(5.05² + 2.57²) with unsurveyed N', 2.57″ being the bound of 2.7 cm as a norm."""
     scenario = scenario_of(name)
     sizes = np.concatenate([sighting_errors_arcsec(scenario, seed) for seed in range(SEEDS)])
     assert sizes.size == 60 * SEEDS
@@ -102,7 +103,7 @@ def test_each_sighting_alone_has_the_bound_of_one_epoch(name, expected_arcsec):
 
 
 def sighting_errors_arcsec(scenario, seed: int) -> FloatArray:
-    """Errors of the telescope's axis by each sighting of a voyage alone, shape (60,)."""
+    """Return errors of the telescope's axis by each sighting of a voyage alone, shape (60,)."""
     run = simulate(scenario, seed)
     theodolite, told = theodolite_of(run), scenario.theodolite
     images, scene = theodolite.images, theodolite.truth.scene
@@ -138,11 +139,11 @@ def sighting_errors_arcsec(scenario, seed: int) -> FloatArray:
 
 
 def vector(lever) -> FloatArray:
-    """(forward, up, right)."""
+    """Return (forward, up, right)."""
     return np.array([lever.forward_m, lever.up_m, lever.right_m])
 
 
-def test_both_scenarios_are_one_voyage_but_for_the_lens_and_the_baselines():
+def test_both_scenarios_differ_only_in_the_lens_and_the_baselines():
     surveyed, unsurveyed = map(scenario_of, NAMES)
     lens, untold = surveyed.theodolite.telescope.lens, unsurveyed.theodolite.telescope.lens_untold
     assert np.linalg.norm(vector(lens)) == pytest.approx(0.06, abs=1e-5)

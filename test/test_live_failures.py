@@ -1,4 +1,4 @@
-"""A live run whose node does not start, or dies on the way, says so with the end of its log."""
+"""A live run whose node does not start, or ends prematurely, reports it with the end of its log."""
 
 import signal
 from pathlib import Path
@@ -18,8 +18,8 @@ def stay_on_this_machine(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def test_live_tests_run_on_a_worker_of_their_own(request):
-    """In a group that xdist does not see, nodes of many tests would share the machine, and fail now and then."""
+def test_live_tests_run_on_a_separate_worker(request):
+    """Nodes of tests in a group unknown to xdist would share the machine, and sometimes fail."""
     if not hasattr(request.config, "workerinput"):
         pytest.skip("all tests run one after another here: no xdist")
     assert request.node.nodeid.rpartition("@")[2] == "live"
@@ -30,7 +30,7 @@ def test_a_node_that_does_not_start(tmp_path):
         LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", tmp_path, {"lag_s": "-1.0"})
 
 
-def test_a_node_that_dies_on_the_way(tmp_path):
+def test_a_node_that_ends_during_the_run(tmp_path):
     with LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", tmp_path) as run:
 
         def kill_after_a_second(elapsed_s):

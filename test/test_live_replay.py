@@ -1,8 +1,7 @@
-"""Every bag in bags/ through the live node over DDS, held against the same bag replayed offline.
+"""Every bag in bags/ through the live node over DDS, compared with the same bag replayed offline.
 
-Nothing may be lost, and what the node says may differ only by what had arrived when it said it: a star measurement
-a moment earlier or later than an INS sample, lights than an encoder reading. Once both have taken everything, their
-states are the same.
+No message may be lost, and outputs may differ only by the inputs received before them: a star measurement shortly
+before or after an INS sample, lights before or after an encoder reading. After all inputs the states are the same.
 """
 
 from collections.abc import Callable
@@ -39,27 +38,27 @@ INVALID = 3
 
 
 def ship_attitude(message) -> tuple[np.ndarray, float]:
-    """Orientation x, y, z, w and the age of the last star measurement used, s: which was the last one in."""
+    """Return orientation x, y, z, w and the age of the last star measurement used, s, which identifies it."""
     return np.array([getattr(message.orientation, axis) for axis in "xyzw"]), message.star_age_s
 
 
 def pointing(message) -> tuple[np.ndarray, float]:
-    """Orientation x, y, z, w and the variance of the pointing, rad²: it tells which lights were the last ones in."""
+    """Return orientation x, y, z, w and the variance of the pointing, rad², which identifies the last lights used."""
     rotation_nm = rotation_from_angles(message.azimuth, message.elevation, message.image_rotation)
     return quaternion_from_rotation(rotation_nm), float(np.trace(message.rotation_covariance.reshape(3, 3)))
 
 
 @dataclass(frozen=True)
 class Node:
-    """A node with what a bag gives it and what it gives.
+    """A node with its inputs from a bag and its outputs.
 
     Attributes:
         adapter: its adapter.
         package: of its executable.
-        file: parameter that names the file of what it saves.
-        topic: what it publishes for each sample of an input.
+        file: parameter with the path of its saved file.
+        topic: output for each sample of an input.
         sample: that input.
-        read: orientation of a message on ``topic``, and a number that tells which measurement was the last one in.
+        read: orientation of a message on ``topic``, and a number that identifies the last measurement used.
         rate: seconds of the bag per second.
     """
 
@@ -89,14 +88,14 @@ NODES = (
 
 @dataclass
 class Outcome:
-    """What one way of running a bag gave.
+    """Results of one way of running a bag.
 
     Attributes:
-        attitudes: stamp → (orientation x, y, z, w; what was the last measurement in).
+        attitudes: stamp → (orientation x, y, z, w; number of the last measurement used).
         saved: the alignment or calibration saved at the end.
         counts: relative topic → messages in the recorded bag; empty offline.
-        unclaimed: outputs after the first claim that claim nothing.
-        cut: messages that the node could not take in time.
+        unclaimed: INVALID outputs after the first that is not.
+        cut: messages that the node discarded because it was behind.
     """
 
     attitudes: dict[int, tuple[np.ndarray, float]]
@@ -119,7 +118,7 @@ def runs(request, tmp_path_factory):
 
 
 def node_of(path: Path) -> Node:
-    """The one node that the bag's configuration is about."""
+    """Return the one node of the bag's configuration."""
     with read_bag(path) as bag:
         text = bag.attachments[SUITE_ATTACHMENT].decode()
     (node,) = (node for node in NODES if has_section(text, node.adapter.node_name))
@@ -127,7 +126,7 @@ def node_of(path: Path) -> Node:
 
 
 def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
-    """The bag through the adapter, message by message, as `replay` does it, and what it saves at the end."""
+    """Run the bag through the adapter message by message, as `replay` does; return outputs and saved file."""
     published, grid = [], TickGrid()
     with read_bag(path) as bag:
         name = node.adapter.node_name
@@ -146,10 +145,10 @@ def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
 
 
 def run_live(node: Node, path: Path, folder: Path, unclaimed_offline: int) -> tuple[Outcome, Path]:
-    """The bag through the node's process, what its service saves, and the recording.
+    """Run the bag through the node's process; return outputs, the file saved by its service, and the recording.
 
-    Where the machine is so busy that messages were cut from what waits for the node (it says so), or came so late that
-    the node claimed nothing where it does offline, the bag is played more slowly: what was lost cannot be compared.
+    If the machine is so busy that messages to the node were discarded (it reports them), or arrived so late that it had
+    no output where it has one offline, the bag is played more slowly: lost messages cannot be compared.
     """
     for slower in (1, 2, 4):
         run_folder = folder / f"live_{slower}"
@@ -160,7 +159,7 @@ def run_live(node: Node, path: Path, folder: Path, unclaimed_offline: int) -> tu
 
 
 def run_live_once(node: Node, path: Path, folder: Path, rate: float) -> tuple[Outcome, Path]:
-    """The same at one rate."""
+    """Run the same at one rate."""
     from std_srvs.srv import Trigger
 
     saved_path = folder / "saved.yaml"
@@ -191,7 +190,7 @@ def run_live_once(node: Node, path: Path, folder: Path, rate: float) -> tuple[Ou
 
 
 def with_file(bag, node_name: str, parameter: str, path: Path) -> str:
-    """The attached configuration with a file of our own for what the node saves."""
+    """Return the attached configuration with another path of the node's saved file."""
     document = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT])
     (section,) = (parameters for name, parameters in document.items() if name.endswith(node_name))
     section["ros__parameters"][parameter] = str(path)
@@ -199,7 +198,7 @@ def with_file(bag, node_name: str, parameter: str, path: Path) -> str:
 
 
 def by_stamp(node: Node, messages) -> dict[int, tuple[np.ndarray, float]]:
-    """Attitudes that claim something, by stamp, which increase; what claims nothing stands outside that order."""
+    """Return attitudes that are not INVALID by stamp, which increase; INVALID ones are not in that order."""
     claimed = [message for message in messages if message.status != INVALID]
     stamps = [ns_from_stamp(message.header.stamp) for message in claimed]
     assert all(later > earlier for earlier, later in pairwise(stamps))
@@ -207,18 +206,18 @@ def by_stamp(node: Node, messages) -> dict[int, tuple[np.ndarray, float]]:
 
 
 def unclaimed(messages) -> int:
-    """How many messages after the first that claims something claim nothing."""
+    """Return the number of INVALID messages after the first that is not."""
     claims = [message.status != INVALID for message in messages]
     return claims[claims.index(True) :].count(False) if True in claims else len(claims)
 
 
 def angles_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angles (rad) between orientations (n, 4), to first order, in which alone a small one is exact."""
+    """Return angles (rad) between orientations (n, 4), to first order, which is accurate for small ones."""
     return 2.0 * np.minimum(np.linalg.norm(first - second, axis=1), np.linalg.norm(first + second, axis=1))
 
 
 def flat_numbers(tree, name="") -> dict[str, float]:
-    """Dotted name → number of everything in a saved file."""
+    """Return dotted name → number of everything in a saved file."""
     if isinstance(tree, dict):
         return {k: v for key, part in tree.items() for k, v in flat_numbers(part, f"{name}.{key}").items()}
     if isinstance(tree, list):
@@ -239,13 +238,13 @@ def test_no_message_is_lost(runs):
     assert live.cut == 0
 
 
-def test_the_node_answers_every_sample(runs):
+def test_the_node_publishes_for_every_sample(runs):
     _, _, offline, live, _ = runs
     assert len(offline.attitudes) > 1000
     assert live.attitudes.keys() == offline.attitudes.keys()
 
 
-def test_attitudes_differ_only_by_what_had_arrived(runs):
+def test_attitudes_differ_only_by_the_inputs_received_before(runs):
     _, _, offline, live, _ = runs
     stamps = sorted(offline.attitudes)
     orientation, last_in = (np.array([offline.attitudes[s][part] for s in stamps]) for part in (0, 1))

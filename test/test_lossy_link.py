@@ -1,7 +1,7 @@
-"""The suite over a link that loses one packet in ten, and is cut: nodes at one end, INS and reader at the other.
+"""The suite over a link that loses one packet in ten, and is interrupted: nodes at one end, INS at the other.
 
-Everything crosses the link twice: the INS's samples on their way to the nodes, attitudes on their way back. Times are
-those at which one recorder at the near end has received both; the attitude of a sample has its stamp.
+All messages cross the link twice: the INS's samples to the nodes, attitudes back. Times are those at which one recorder
+at the near end has received both; the attitude of a sample has its stamp.
 """
 
 import itertools
@@ -51,9 +51,9 @@ class Crossing(NamedTuple):
     mended_ns: int
 
     def latencies_s(self, begin_ns, end_ns):
-        """From the receipt of each sample to that of its attitude; infinite where that was not there at the end.
+        """Return the times from the receipt of each sample to that of its attitude, s; infinite if that is missing.
 
-        Of the samples received from the beginning on and :data:`TAIL_S` before the end at the latest.
+        Of the samples received from the beginning, until :data:`TAIL_S` before the end.
         """
         latest_ns = end_ns - round(TAIL_S * NS_PER_S)
         stamps = [stamp for stamp, sent_ns in self.sample_times.items() if begin_ns <= sent_ns < latest_ns]
@@ -96,7 +96,7 @@ def crossing(tmp_path_factory):
 
 
 def write_bag_of_now(path, suite, length_s):
-    """The beginning of the demonstration with stamps as of now, its suite file beside it; returns the INS's stamps."""
+    """Write the beginning of the demonstration with current stamps and its suite file; return the INS's stamps."""
     stamps = set()
     with read_bag(DEMO) as bag, BagWriter(path) as out:
         suite.write_bytes(bag.attachments[SUITE_ATTACHMENT])
@@ -116,7 +116,7 @@ def write_bag_of_now(path, suite, length_s):
 
 
 def times(path, topic):
-    """Times of log by stamp, ns; attitudes that are none left out."""
+    """Return log times by stamp, ns; of attitudes those that are not INVALID."""
     found = {}
     with read_bag(path) as bag:
         for record in bag.records([name for name in bag.topics if name.strip("/") == topic]):
@@ -127,7 +127,7 @@ def times(path, topic):
 
 
 def wait_for_attitude(path, player):
-    """Wait until an attitude is recorded: it takes seconds until a recorder has met a node beyond the link."""
+    """Wait until an attitude is recorded: discovery over the link takes seconds."""
     deadline_s = time.monotonic() + MOST_START_S
     while not has_attitude(path):
         assert player.exit_code is None, player.log()
@@ -147,7 +147,7 @@ def test_a_link_that_loses_one_packet_in_ten_costs_no_rate_and_little_time(cross
 
 
 def assert_all_come_in_time(crossing, begin_ns, end_ns):
-    """Every sample has its attitude, and they come at the rate at which samples are sent."""
+    """Assert that every sample has its attitude, at the rate of the samples."""
     latencies_s = crossing.latencies_s(begin_ns, end_ns)
     rate_hz = len(latencies_s) / ((end_ns - begin_ns) / NS_PER_S - TAIL_S)
     assert rate_hz >= LEAST_RATE_HZ
@@ -156,19 +156,19 @@ def assert_all_come_in_time(crossing, begin_ns, end_ns):
     assert np.median(latencies_s) <= 0.2
 
 
-def test_no_sample_is_lost_not_even_in_the_cut(crossing):
+def test_no_sample_is_lost_even_in_an_interruption(crossing):
     assert crossing.samples_used == crossing.sent
     assert len(crossing.sent) == 100 * (BEFORE_S + CUT_S + AFTER_S)
 
 
-def test_the_recorder_at_the_other_end_has_every_attitude_that_was_given(crossing):
-    # From the first on that it has heard: who has just started meets the others within seconds, here.
+def test_the_recorder_at_the_other_end_has_every_published_attitude(crossing):
+    # From the first message received on: discovery takes seconds here.
     met_ns = min(crossing.attitude_times)
     assert set(crossing.attitude_times) == {stamp for stamp in crossing.attitudes_given if stamp >= met_ns}
     assert met_ns < crossing.cut_ns
 
 
-def test_after_a_cut_it_goes_on_by_itself(crossing):
+def test_outputs_continue_after_an_interruption(crossing):
     silent_ns = crossing.cut_ns + NS_PER_S
     came_ns = crossing.attitude_times.values()
     assert not [time_ns for time_ns in came_ns if silent_ns <= time_ns < crossing.mended_ns], "the link was not cut"

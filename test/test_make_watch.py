@@ -1,4 +1,4 @@
-"""``make watch``: the voyage is made, sailed live and shown; Ctrl-C ends all; a port that is taken is said."""
+"""``make watch``: the voyage is simulated, played live and shown; Ctrl-C ends it; a port in use is an error."""
 
 import socket
 import subprocess
@@ -22,14 +22,14 @@ def watch(port):
 
 
 @pytest.mark.smoke
-def test_the_page_of_the_voyage_is_there_and_all_ends_with_ctrl_c(tmp_path):
+def test_the_page_of_the_voyage_is_served_and_all_ends_with_ctrl_c(tmp_path):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     environment = live_environment(free_domain_id(), tmp_path)
     with LiveProcess(watch(port), tmp_path / "watch.log", environment) as process:
         address, deadline_s = f"http://127.0.0.1:{port}/", time.monotonic() + START_S
-        # The address is told at the start, and once more by the page itself, which may be later than the outputs.
+        # The address is printed at the start, and again by the page, which may be later than the outputs.
         while process.log().count(address) < 2 or not all(
             words in process.log() for words in ("attitude: VALID", "pointing: VALID")
         ):
@@ -52,5 +52,5 @@ def test_a_port_in_use_is_one_line():
         port = taken.getsockname()[1]
         ended = subprocess.run(watch(port), capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stdout) == (2, "")
-    told = f"watch: port {port} of 127.0.0.1: Address already in use: name another, make watch PORT={port + 1}\n"
+    told = f"watch: port {port} of 127.0.0.1: Address already in use: use another, make watch PORT={port + 1}\n"
     assert ended.stderr == told

@@ -1,4 +1,4 @@
-"""A mast before a star sensor, from the scenario through the suite file of its bag to what both nodes say."""
+"""A mast in the field of a star sensor, from the scenario through the suite file of its bag to both nodes' outputs."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ VALID = 0
 
 @pytest.fixture(scope="module")
 def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six seconds of nameless stars and as many false ones, a mast before the sensor ``fore``; replayed."""
+    """Return six seconds of unidentified and as many false stars, with a mast in the field of ``fore``; replayed."""
     folder = tmp_path_factory.mktemp("night")
     voyage = yaml.safe_load(PAPER_STARS.read_text(encoding="utf-8"))
     voyage["duration_s"], voyage["ins"]["rate_hz"] = 6.0, 20.0
@@ -41,7 +41,7 @@ def messages(path: Path, topic: str) -> list[Any]:
 
 
 def in_the_mast(stars: list[Any]) -> int:
-    """How many pixels (u, v) of the sensor ``fore`` look into the rectangle of the mast."""
+    """Return the number of pixels (u, v) of the sensor ``fore`` in the rectangle of the mast."""
     pixels = np.array([[star.u, star.v] for star in stars]) - 1023.5
     seen_s = np.stack([np.full(len(pixels), 0.05 / 5.5e-6), -pixels[:, 1], pixels[:, 0]], axis=-1)
     bow, _, starboard = (seen_s @ rotation_from_angles(0.0, np.deg2rad(45.0), 0.0).T).T
@@ -49,7 +49,7 @@ def in_the_mast(stars: list[Any]) -> int:
     return int(np.count_nonzero((azimuth_deg > -20.0) & (azimuth_deg < -1.0)))
 
 
-def test_every_spot_before_the_mast_is_refused_by_its_name(night: Path) -> None:
+def test_every_detection_on_the_mast_is_rejected_with_its_reason(night: Path) -> None:
     spots = sum(in_the_mast(message.stars) for message in messages(night / "in.mcap", "star/fore/observations"))
     told = [m for m in messages(night / "out.mcap", "star/innovation") if "inside the mask mast" in m.reason_text]
     assert 10 < spots == len(told)
@@ -57,12 +57,12 @@ def test_every_spot_before_the_mast_is_refused_by_its_name(night: Path) -> None:
     assert {message.reason for message in told} == {Reason.UNIDENTIFIED.value}
 
 
-def test_the_attitude_stays_valid_by_the_stars_beside_the_mast(night: Path) -> None:
+def test_the_attitude_stays_valid_by_the_stars_outside_the_mast(night: Path) -> None:
     assert messages(night / "out.mcap", "ship/attitude")[-1].status == VALID
     assert sum(m.status == VALID for m in messages(night / "out.mcap", "star/fore/solution")) > 6
 
 
-def test_nodes_that_are_told_different_masks_are_an_error(night: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_different_masks_of_the_nodes_are_an_error(night: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with read_bag(night / "in.mcap") as bag:
         suite = bag.attachments[SUITE_ATTACHMENT].decode()
     sections = yaml.safe_load(suite)

@@ -1,4 +1,4 @@
-"""Stars on the mount, targets and triangulation through the live nodes over DDS, held against replay and truth."""
+"""Stars on the mount, targets and triangulation through the live nodes over DDS, compared with replay and truth."""
 
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ Messages = dict[str, list[Any]]
 
 
 def messages(path: Path) -> Messages:
-    """Relative topic → its messages."""
+    """Return relative topic → its messages."""
     found: Messages = {}
     with read_bag(path) as bag:
         for record in bag.records():
@@ -46,7 +46,7 @@ def messages(path: Path) -> Messages:
 def live_and_offline(
     bag: Path, adapter: type[Adapter], folder: Path, rate: float, parameters: dict[str, str]
 ) -> tuple[Messages, Messages]:
-    """What the live node said, with the truth, and what the replay says."""
+    """Return the outputs of the live node with the truth, and those of the replay."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         with LiveRun(bag, adapter, "theodolite_calib", folder / "live", parameters) as run:
@@ -65,7 +65,7 @@ def vector(of: Any) -> np.ndarray:
 
 
 def square(error: np.ndarray, covariance: Any) -> float:
-    """Error squared over its covariance, across a direction or in space."""
+    """Return the error squared over its covariance, across a direction or in space."""
     return float(error @ np.linalg.pinv(np.reshape(covariance, (3, 3)), rcond=1e-9, hermitian=True) @ error)
 
 
@@ -76,7 +76,7 @@ def _night(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages
     return live_and_offline(folder / "night.mcap", OpticalAxisAdapter, folder, 2.0, {})
 
 
-def test_directions_come_for_every_image_and_are_those_of_replay_and_truth(night: tuple[Messages, Messages]) -> None:
+def test_directions_of_every_image_are_those_of_replay_and_truth(night: tuple[Messages, Messages]) -> None:
     live, offline = night
     truths = by_stamp(live[TRUTH])
     told, replayed = by_stamp(live[DIRECTION]), by_stamp(offline[DIRECTION])
@@ -103,7 +103,7 @@ def test_stars_and_lights_point_in_the_live_node(night: tuple[Messages, Messages
 
 @pytest.fixture(scope="module", name="stations")
 def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages, Path]:
-    """What three theodolites tell of a buoy for ten seconds, each at moments of its own."""
+    """Return directions of three theodolites to a buoy for ten seconds, each at other times."""
     folder, rng = tmp_path_factory.mktemp("stations"), np.random.default_rng(5)
     moments = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(100) for n in range(3)]
     with BagWriter(folder / "in.mcap") as bag:
@@ -117,7 +117,7 @@ def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messa
     return *live_and_offline(folder / "in.mcap", TriangulationAdapter, folder, 4.0, {"black_box": str(box)}), box
 
 
-def test_places_come_live_and_are_those_of_replay_and_truth(stations: tuple[Messages, Messages, Path]) -> None:
+def test_places_are_published_live_and_are_those_of_replay_and_truth(stations: tuple[Messages, Messages, Path]) -> None:
     live, offline, _ = stations
     told, replayed = by_stamp(live[POSITION_TOPIC]), by_stamp(offline[POSITION_TOPIC])
     # Before the first direction of the first theodolite, and where one comes too late, another leads.

@@ -1,6 +1,6 @@
-"""Stars in cameras on the theodolite, in a bag: replayed against the true pointing, with lights, alone, without a fix.
+"""Stars in cameras on the theodolite, in a bag: replay compared with the true pointing, with and without lights or fix.
 
-The bag is simulated (theodolite_night.yaml). Its camera is there twice: one tells which stars it sees, one does not.
+The bag is simulated (theodolite_night.yaml). Its camera is there twice: one with identities of its stars, one without.
 """
 
 import dataclasses
@@ -36,7 +36,7 @@ LIGHTS = ("theodolite/beacons", "beacon/a/baseline", "beacon/b/baseline", "beaco
 
 @pytest.fixture(scope="module", name="voyage")
 def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, np.ndarray]]:
-    """A folder with bags and their suite file; the true main axis (horizon from main frame) by stamp."""
+    """Return a folder with bags and their suite file; the true main axis (horizon from main frame) by stamp."""
     folder, scenario = tmp_path_factory.mktemp("mount"), with_night(bag_scenario(duration_s=8.0))
     points = replaced(scenario.telescopes["night"], exposure_s=0.0, false_stars=0.0)
     cameras = {NAMED: replaced(points, identified=True, phase_s=0.1), UNNAMED: replaced(points, phase_s=0.0)}
@@ -79,7 +79,7 @@ def said(told: list[tuple[str, Any, bytes]], topic: str) -> list[Any]:
 
 
 def errors(pointings: list[Any], truth_nm: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Errors across the axis (arcsec) and NEES of the pointings at the stamps of the truth."""
+    """Return errors across the axis (arcsec) and NEES of the pointings at the stamps of the truth."""
     times_ns, off, nees = np.array(sorted(truth_nm)), [], []
     for message in pointings:
         time_ns = ns_from_stamp(message.header.stamp)
@@ -95,7 +95,7 @@ def errors(pointings: list[Any], truth_nm: dict[int, np.ndarray]) -> tuple[np.nd
 
 
 @pytest.mark.statistics
-def test_by_stars_alone_the_pointing_is_that_of_the_truth_as_its_covariance_says(voyage) -> None:
+def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) -> None:
     folder, truth_nm = voyage
     told = replayed(folder, "stars.mcap")
     pointings = [message for message in said(told, POINTING) if message.mode == Mode.STARS]
@@ -114,7 +114,7 @@ def test_by_stars_alone_the_pointing_is_that_of_the_truth_as_its_covariance_says
     assert named == {"HIP"}
 
 
-def test_with_lights_beside_the_mode_says_so(voyage) -> None:
+def test_with_lights_too_the_mode_is_that_of_both(voyage) -> None:
     folder, truth_nm = voyage
     told = replayed(folder, "both.mcap")
     modes = {message.mode for message in said(told, POINTING)}
@@ -137,7 +137,7 @@ def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_fix_no_star_is_used_and_the_lights_point_as_without_stars(voyage) -> None:
+def test_without_a_fix_no_star_is_used_and_the_pointing_is_that_without_stars(voyage) -> None:
     folder, _ = voyage
     told, without = replayed(folder, "no_fix.mcap"), replayed(folder, "lights.mcap")
     stars = [message for message in said(told, INNOVATION) if message.source in SOURCES]
@@ -150,7 +150,7 @@ def test_without_a_fix_no_star_is_used_and_the_lights_point_as_without_stars(voy
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bag", ["no_ship.mcap", "no_mount.mcap"])
-def test_without_ship_or_encoders_stars_that_have_names_point_alone(voyage, bag: str) -> None:
+def test_without_ship_or_encoders_identified_stars_give_the_pointing(voyage, bag: str) -> None:
     folder, truth_nm = voyage
     told = replayed(folder, bag)
     alone_ns = min(truth_nm) + ENDS_NS + 1_200_000_000

@@ -1,4 +1,4 @@
-"""What a live node reads before it runs: nothing that only other programs, or other settings, need."""
+"""Modules that a live node imports before it runs: none that only other programs or settings need."""
 
 import json
 import subprocess
@@ -14,8 +14,8 @@ ADAPTERS = [
 ]
 
 NEEDLESS = {
-    # ship_estimation.chi_square, ship_geometry.ros_axes and ship_geometry.lapack stand for the few functions needed;
-    # each of these rooms of scipy alone takes longer than rclpy.
+    # ship_estimation.chi_square, ship_geometry.ros_axes and ship_geometry.lapack replace the few functions needed; the
+    # import of each of these modules of scipy takes longer than that of rclpy.
     "scipy.linalg", "scipy.special", "scipy.stats", "scipy.spatial", "scipy.optimize", "scipy.sparse", "scipy.signal",
     # Figures and pages are made by commands.
     "matplotlib", "jinja2", "rich",
@@ -26,7 +26,7 @@ NEEDLESS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("adapter", ADAPTERS)
-def test_node_reads_nothing_needless(adapter: str) -> None:
+def test_node_imports_no_unneeded_module(adapter: str) -> None:
     script = f"import json, sys, ship_node.live.node_shell, {adapter}; print(json.dumps(list(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True, timeout=120)
     read = set(json.loads(done.stdout))

@@ -1,4 +1,4 @@
-"""What every command does with the place that it is to write to: looked at first, and nothing written over."""
+"""Output paths of every command: checked first, and no existing file is overwritten."""
 
 import os
 from pathlib import Path
@@ -73,7 +73,7 @@ TAKEN = {
 
 
 def refusal(capsys: pytest.CaptureFixture[str], main, arguments: list[str]) -> str:
-    """The one line that a command says; it ends with exit code 2."""
+    """Return the one-line error of a command, which ends with exit code 2."""
     assert main(arguments) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -88,7 +88,7 @@ def state(folder: Path) -> dict[str, tuple[int, bytes]]:
 
 @pytest.mark.parametrize("take", TAKEN, ids=lambda take: take.__name__)
 @pytest.mark.parametrize("case", FILES)
-def test_mend_20_a_place_that_is_taken_is_told_before_the_input_is_looked_at(
+def test_an_existing_output_is_refused_before_the_input_is_read(
     case, take, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
@@ -104,7 +104,7 @@ def test_mend_20_a_place_that_is_taken_is_told_before_the_input_is_looked_at(
 
 
 @pytest.mark.parametrize("case", FILES)
-def test_mend_20_a_folder_that_is_missing_is_named(case, tmp_path, monkeypatch, capsys):
+def test_a_missing_folder_is_named(case, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main, arguments, option, name = FILES[case]
     line = refusal(capsys, main, [*arguments, option, f"none/deeper/{name}"])
@@ -116,7 +116,7 @@ def test_mend_20_a_folder_that_is_missing_is_named(case, tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("take", TAKEN, ids=lambda take: take.__name__)
 @pytest.mark.parametrize("case", FOLDERS)
-def test_mend_20_a_file_in_a_folder_is_not_written_over(case, take, tmp_path, monkeypatch, capsys):
+def test_a_file_in_a_folder_is_not_overwritten(case, take, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main, arguments, option, name = FOLDERS[case]
     (tmp_path / "folder").mkdir()
@@ -127,7 +127,7 @@ def test_mend_20_a_file_in_a_folder_is_not_written_over(case, take, tmp_path, mo
 
 
 @pytest.mark.parametrize("case", FOLDERS)
-def test_mend_20_a_folder_that_is_none_is_told(case, tmp_path, monkeypatch, capsys):
+def test_an_output_folder_that_is_a_file_is_refused(case, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main, arguments, option, _ = FOLDERS[case]
     file(tmp_path / "taken")
@@ -137,7 +137,7 @@ def test_mend_20_a_folder_that_is_none_is_told(case, tmp_path, monkeypatch, caps
     assert line.endswith(": /dev/full: is a device: expected a folder\n")
 
 
-def test_mend_20_force_writes_over_a_file_and_only_when_the_work_is_done(tmp_path, monkeypatch, capsys):
+def test_force_overwrites_a_file_only_when_the_work_is_done(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(SCENARIO))
     (tmp_path / "broken.yaml").write_text("duration_s: x\n")

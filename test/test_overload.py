@@ -1,7 +1,7 @@
-"""The nodes of a suite on a core that is far too slow: the state has a name and an end.
+"""The nodes of a suite on a core that is far too slow: overload has a status, and it ends.
 
 A bag is played at twenty times its speed, and sixteen busy loops share one core with the nodes, so that on any machine
-they get a small part of what they need. When that is over, the same nodes take the bag at twice its speed.
+they have a small part of the time needed. After that the same nodes process the bag at twice its speed.
 """
 
 import contextlib
@@ -47,10 +47,10 @@ class Heard:
 
     Attributes:
         claims: topic → status of each output.
-        behind: text of each refusal with the reason BEHIND, by the name of the source.
+        behind: text of each rejection with the reason BEHIND, by the name of the source.
         excluded: sources that were excluded at any time.
         overload: node → level and text of its status "overload".
-        refusals: source → count and text of its last refusals.
+        refusals: source → count and text of its last rejections.
         worst_sigmas: largest error of a VALID attitude over its sigma.
     """
 
@@ -84,7 +84,7 @@ class Heard:
             self.worst_sigmas = max(self.worst_sigmas, float(sigmas.max()))
 
     def summary(self) -> str:
-        """What was heard, for a test that waits in vain."""
+        """Return the received messages as text, for a test that times out."""
         claims = {topic: Counter(statuses) for topic, statuses in self.claims.items()}
         return f"{claims}\nexcluded: {self.excluded}\noverload: {self.overload}\nrefusals: {self.refusals}"
 
@@ -104,7 +104,7 @@ class Heard:
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two minutes of a ship with stars of three kinds and a theodolite that is fed by `ship_attitude`."""
+    """Return two minutes of a ship with stars of three kinds and a theodolite with `ship_attitude` as input."""
     folder = tmp_path_factory.mktemp("overload")
     text = (ROOT / "bags" / "scenarios" / "everything.yaml").read_text(encoding="utf-8")
     (folder / "scenario.yaml").write_text(re.sub(r"^duration_s: .*$", "duration_s: 120.0", text, flags=re.MULTILINE))
@@ -115,7 +115,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextlib.contextmanager
 def busy_core(core: int) -> Iterator[None]:
-    """Loops that leave little of one core to others."""
+    """Run loops that leave little time of one core to other processes."""
     loop = ["taskset", "-c", str(core), sys.executable, "-c", "while True: pass"]
     loops = [subprocess.Popen(loop) for _ in range(LOOPS)]
     try:
@@ -126,7 +126,7 @@ def busy_core(core: int) -> Iterator[None]:
             one.wait()
 
 
-def test_mend_7_overload_is_a_state_with_a_name(bag, tmp_path, monkeypatch):
+def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = free_domain_id()
     environment, core = live_environment(domain, tmp_path), max(os.sched_getaffinity(0))

@@ -1,4 +1,4 @@
-"""Each package by itself: what a workspace, a release or an installer of one package alone needs is in its folder."""
+"""Each package separately: its folder has all that a workspace, a release or an installer of one package needs."""
 
 import os
 import re
@@ -22,7 +22,7 @@ OLD_CYTHON = '__version__ = "3.0.8"\n'
 
 
 @pytest.mark.parametrize("package", packages())
-def test_a_package_has_its_own_papers(package: str) -> None:
+def test_a_package_has_its_own_documents(package: str) -> None:
     folder = SRC / package
     version = ET.parse(folder / "package.xml").getroot().findtext("version")
     assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
@@ -48,14 +48,14 @@ def test_a_package_can_be_built_and_typed_by_others(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", packages())
-def test_no_file_of_a_package_is_a_link_out_of_it(package: str) -> None:
+def test_no_file_of_a_package_links_outside_it(package: str) -> None:
     for path in (SRC / package).rglob("*"):
         if path.is_symlink() and "build" not in path.parts:
             assert path.resolve().is_relative_to(SRC / package), path
 
 
 def build(package: Path, cython: str | None = None) -> "subprocess.CompletedProcess[str]":
-    """Build a wheel of a package, with the environment's own setuptools and another Cython or none."""
+    """Build a wheel of a package, with the environment's setuptools and another Cython or none."""
     environment = {name: value for name, value in os.environ.items() if name != "SHIP_SUITE_IS_COMPILED"}
     if cython is not None:
         (package.parent / "hidden" / "Cython").mkdir(parents=True)
@@ -80,7 +80,7 @@ def test_the_package_of_launch_and_parameter_files_is_built_alone(tmp_path: Path
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """The sources of a package with one compiled module, in a folder src/."""
+    """Return the sources of a package with one compiled module, in a folder src/."""
     package = tmp_path / "src" / "ship_attitude_star"
     shutil.copytree(SRC / package.name, package, ignore=BUILT)
     return package
@@ -116,7 +116,7 @@ def test_c_of_other_sources_is_not_taken(checkout: Path) -> None:
 
 
 def test_pytest_of_ubuntu_takes_the_settings_without_any_plugin(pytestconfig: pytest.Config) -> None:
-    """That is 7.4: ``colcon test`` runs it in the folder of a package, and finds the settings of the repository."""
+    """Version 7.4: ``colcon test`` runs it in a package's folder, with the settings of the repository."""
     assert pytestconfig.getini("minversion").startswith("7.4")
     assert {line.partition(":")[0] for line in pytestconfig.getini("markers")} >= {"live", "slow", "xdist_group"}
     assert "xdist_group" in (ROOT / "pyproject.toml").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What ``ros2 param dump`` writes of a node starts that node again, with the same parameters of the same types."""
+"""The output of ``ros2 param dump`` of a node starts it again, with the same parameters of the same types."""
 
 from functools import partial
 from pathlib import Path
@@ -54,7 +54,7 @@ def put(group: dict[str, Any], name: str, value: Any) -> None:
 
 
 def dump(name: str, file: Path) -> tuple[str, dict[str, Parameter.Type]]:
-    """What ``ros2 param dump`` writes of a node that a file starts, and the type of each parameter."""
+    """Return the output of ``ros2 param dump`` of a node started with a file, and the type of each parameter."""
     context = Context()
     prepare_dds()
     rclpy.init(args=[name, "--ros-args", "--params-file", str(file)], context=context)

@@ -1,4 +1,4 @@
-"""Simulated sessions of the theodolite through the core of optical_axis: errors against the covariance claimed."""
+"""Simulated sessions of the theodolite through the core of optical_axis: errors compared with the covariance."""
 
 import dataclasses
 from pathlib import Path
@@ -32,7 +32,7 @@ MOMENTS_S = {"with lights": 119.0, "half a minute after": 150.0, "at the end": E
 
 @pytest.fixture(scope="module")
 def sessions() -> list[PointingErrors]:
-    """The sweep, shortened, at rates that cost little; all devices speak at the same moments."""
+    """Return the sweep, shortened, at low rates; all devices have the same sample times."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_sweep.yaml")
     scenario = with_theodolite(
         scenario,
@@ -66,7 +66,7 @@ def test_modes_follow_the_lights(sessions):
 
 
 @pytest.mark.parametrize("moment", MOMENTS_S)
-def test_errors_are_what_the_covariance_says(sessions, moment):
+def test_errors_fit_their_covariance(sessions, moment):
     rows = [int(np.argmin(np.abs(session.time_s - MOMENTS_S[moment]))) for session in sessions]
     errors_n = np.array([session.error_n[row] for session, row in zip(sessions, rows, strict=True)])
     covariances_n = np.array([session.covariance_n[row] for session, row in zip(sessions, rows, strict=True)])
@@ -74,7 +74,7 @@ def test_errors_are_what_the_covariance_says(sessions, moment):
     assert low < np.mean(normalized_error_squared(errors_n, covariances_n)) < high
 
 
-def test_the_error_grows_as_the_deformation_is_forgotten(sessions):
+def test_the_error_grows_as_the_deformation_drifts(sessions):
     session = sessions[0]
     rows = {moment: np.argmin(np.abs(session.time_s - at_s)) for moment, at_s in MOMENTS_S.items()}
     sigmas_arcsec = {moment: session.sigma_on_sky[row] / ARCSEC for moment, row in rows.items()}
@@ -87,7 +87,7 @@ def test_the_error_grows_as_the_deformation_is_forgotten(sessions):
 
 
 def streaking(exposure_s: float, **changes: Any) -> Scenario:
-    """A minute of the sweep with exposures of some length, in a sea that turns the image about the line of sight."""
+    """Return a minute of the sweep with an exposure time, in a sea that turns the image about the line of sight."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_sweep.yaml")
     scenario = with_theodolite(scenario, encoder__rate_hz=20.0, telescope__exposure_s=exposure_s, **changes)
     swell = dataclasses.replace(scenario.carrier.roll.waves["swell"], amplitude_deg=8.0)
@@ -101,7 +101,7 @@ def streaking(exposure_s: float, **changes: Any) -> Scenario:
 
 
 def nees_at_the_end(scenario: Scenario, seed: int, told: Scenario) -> tuple[float, int]:
-    """Of a session through a core that is told another scenario's length of exposures, and how many it refused."""
+    """Return NEES of a session with another exposure time configured in the core, and the number of its rejections."""
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
     estimates, _, refused = feed_pointing(core, dataclasses.replace(run, scenario=told))
@@ -110,20 +110,20 @@ def nees_at_the_end(scenario: Scenario, seed: int, told: Scenario) -> tuple[floa
 
 
 @pytest.mark.statistics
-def test_mend_09_lights_that_are_streaks_are_known_as_well_as_the_covariance_says():
+def test_errors_of_streaked_lights_fit_their_covariance():
     scenario = streaking(0.5)
     found = [nees_at_the_end(scenario, seed, scenario) for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, degrees=3)
     assert low < np.mean([nees for nees, _ in found]) < high
     assert sum(refused for _, refused in found) < 3
-    # Nobody told the length: the points contradict one another.
+    # Without the exposure time the points contradict one another.
     lies = [nees_at_the_end(scenario, seed, streaking(0.0)) for seed in range(4)]
     assert np.mean([nees for nees, _ in lies]) > mean_nees_band(len(lies), degrees=3)[1]
     assert sum(refused for _, refused in lies) > 20
 
 
 @pytest.mark.parametrize("exposure_s", [0.2, 1.0])
-def test_mend_09_points_of_moving_lights_are_brought_to_the_middle_of_the_exposure(exposure_s):
+def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s):
     """A telescope that sweeps over two lights; the truth at the middle is the simulator's own."""
     scenario = sweeping_over(exposure_s)
     run = simulate(scenario, seed=3)
@@ -152,7 +152,7 @@ def test_mend_09_points_of_moving_lights_are_brought_to_the_middle_of_the_exposu
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("lights", [True, False])
-def test_with_simulated_stars_on_the_mount_errors_are_what_the_covariance_says(lights):
+def test_with_simulated_stars_on_the_mount_errors_fit_their_covariance(lights):
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_night.yaml")
     beacons = scenario.beacons if lights else {}
     scenario = dataclasses.replace(scenario, duration_s=3.0, beacons=beacons, targets={})

@@ -1,6 +1,6 @@
-"""Devices of the theodolite that lie: never VALID with an error far beyond the covariance, and back when they agree.
+"""Faulty devices of the theodolite: never VALID with an error far beyond the covariance, and used again if they agree.
 
-Before, in brackets: the worst error in sigmas while VALID, measured with the same sessions.
+Former results of the same sessions are in brackets: the largest error in sigmas while VALID.
 """
 
 import os
@@ -40,8 +40,8 @@ SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
         ((0.0, 100.0, 0.0), 60.0),  # 20.7
     ],
 )
-def test_mend_11_a_ship_attitude_that_steps_is_seen_by_its_own_rates(seed, arcsec_n, until_s):
-    """At 20 Hz with white noise of 1" its rates tell steps of 20" and more at the sample."""
+def test_a_step_of_the_ship_attitude_is_detected_by_its_rates(seed, arcsec_n, until_s):
+    """At 20 Hz with white noise of 1" its rates show steps of 20" and more at the sample."""
     found = claims(ship_turned(clean_session(seed), arcsec_n, until_s))
     assert found.worst(Status.VALID) < 4.0
     assert found.worst(Status.DEGRADED) < 4.0
@@ -51,7 +51,7 @@ def test_mend_11_a_ship_attitude_that_steps_is_seen_by_its_own_rates(seed, arcse
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_nothing_is_refused_where_nothing_lies(seed):
+def test_nothing_is_rejected_without_faults(seed):
     found = claims(clean_session(seed))
     assert found.refused == 0
     assert set(found.status[found.time_s > 5.0]) == {Status.VALID}
@@ -70,7 +70,7 @@ def test_nothing_is_refused_where_nothing_lies(seed):
         ((0.0, -1.0, 0.0), 1e9),  # 1.7, then COASTING
     ],
 )
-def test_mend_11_one_wrong_fixed_baseline_is_left_out_and_the_other_light_is_used(seed, moved_n, until_s):
+def test_one_wrong_fixed_baseline_is_excluded_and_the_other_light_is_used(seed, moved_n, until_s):
     found = claims(baseline_moved(clean_session(seed), "a", moved_n, until_s), integrity__return_after_s=20.0)
     assert found.worst(Status.VALID) < 5.0
     assert found.seconds(Status.DEGRADED) < 1.0
@@ -84,7 +84,7 @@ def test_mend_11_one_wrong_fixed_baseline_is_left_out_and_the_other_light_is_use
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("moved_b", [(0.0, 0.3, 0.0), (-0.3, 0.0, 0.0)])
-def test_mend_09_two_wrong_fixed_baselines_are_not_let_in_again(seed, moved_b):
+def test_two_wrong_fixed_baselines_are_not_accepted_again(seed, moved_b):
     """Before: VALID beyond 5 sigma for 33 s of 60, up to 10.3, when the covariance had grown enough to accept them."""
     run = baseline_moved(clean_session(seed, duration_s=100.0), "a", (0.0, 0.3, 0.0))
     found = claims(baseline_moved(run, "b", moved_b), integrity__return_after_s=10.0)
@@ -115,7 +115,7 @@ def test_two_baselines_that_jump_back_are_used_again(seed):
         (0.0, 100.0),  # 35.0
     ],
 )
-def test_mend_11_encoders_that_step_in_place_are_in_doubt_until_lights_tell(seed, azimuth_arcsec, elevation_arcsec):
+def test_encoders_that_step_in_place_are_suspect_until_lights_are_seen(seed, azimuth_arcsec, elevation_arcsec):
     """At 20 Hz a mount of 100 deg/s² moves 225" and stands again between two readings: it may be no slip."""
     run = encoders_slipped(clean_session(seed), azimuth_arcsec, elevation_arcsec)
     found = claims(run, integrity__return_after_s=20.0)
@@ -127,7 +127,7 @@ def test_mend_11_encoders_that_step_in_place_are_in_doubt_until_lights_tell(seed
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_mend_11_encoders_that_step_farther_than_the_mount_can_have_slipped(seed):
+def test_encoder_steps_beyond_the_mounts_acceleration_are_detected(seed):
     """424", before VALID at 106 sigma until the next lights: the zero points are open, and lights find them."""
     found = claims(encoders_slipped(clean_session(seed), 300.0, -300.0))
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
@@ -138,7 +138,7 @@ def test_mend_11_encoders_that_step_farther_than_the_mount_can_have_slipped(seed
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_mend_11_encoders_that_step_in_the_dark_are_in_doubt_to_the_end(seed):
+def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
     """Before: COASTING, wrong by 42" at a sigma of 8"."""
     found = claims(encoders_slipped(clean_session(seed, lights_leave_s=30.0), 0.0, 40.0))
     assert set(found.status[found.time_s >= FAULT_S]) == {Status.DEGRADED}
@@ -148,8 +148,8 @@ def test_mend_11_encoders_that_step_in_the_dark_are_in_doubt_to_the_end(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("knock_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
-def test_a_telescope_that_is_knocked_is_named_where_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
-    """Before: the encoders were excluded, or the ship's attitude; to the lights the three are much alike."""
+def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
+    """Before: the encoders were excluded, or the ship's attitude; all three have similar effects on the lights."""
     found = claims(telescope_knocked(clean_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
     assert found.named == {"telescope"}
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
@@ -159,7 +159,7 @@ def test_a_telescope_that_is_knocked_is_named_where_neither_encoders_nor_ship_ha
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_lights_whose_stamps_are_late_are_not_taken_for_a_wrong_ship(seed):
+def test_late_stamps_of_lights_do_not_exclude_the_ship(seed):
     """A tenth of a second: the image turns with the roll of the ship, which neither encoders nor ship explain."""
     found = claims(lights_stamped_late(clean_session(seed), 0.1))
     assert found.named == {"telescope"}
@@ -186,7 +186,7 @@ def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
         (2.0, 0.0, 0.0),
     ],
 )
-def test_a_ship_attitude_that_creeps_is_named_by_its_own_rates(seed, arcsec_n_per_s):
+def test_a_creeping_ship_attitude_is_named_by_its_rates(seed, arcsec_n_per_s):
     found = claims(ship_crept(clean_session(seed), arcsec_n_per_s))
     assert found.named == {"ship_attitude"}
     assert found.worst(Status.VALID) < 4.5
@@ -219,14 +219,14 @@ def test_levels_hold_with_lights_and_there_is_none_without(seed):
         ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.3, 0.0)),
     ],
 )
-def test_nothing_valid_is_further_off_than_its_level(arcsec_n, moved_a, moved_b):
+def test_no_valid_error_exceeds_its_level(arcsec_n, moved_a, moved_b):
     run = baseline_moved(baseline_moved(clean_session(1), "a", moved_a), "b", moved_b)
     found = claims(ship_turned(run, arcsec_n))
     assert found.worst_of_level() < 0.8
 
 
-def test_a_small_wrong_fix_is_named_by_the_rows():
-    """0.15 m are 15", too little for its own continuity: the angle to the other light tells it, and who is wrong."""
+def test_a_small_wrong_fix_is_excluded_by_its_hypothesis():
+    """0.15 m are 15", too little for its continuity check; the angle to the other light shows it."""
     found = claims(baseline_moved(clean_session(1), "a", (0.15, 0.0, 0.0)))
     assert found.named == {"beacon.a"}
     assert found.worst(Status.VALID) < 5.0
@@ -238,7 +238,7 @@ def test_an_alert_limit_caps_the_status():
     wide = claims(run, integrity__alert_limit_arcsec=[200.0, 200.0, 1000.0])
     with_lights = (wide.time_s > 5.0) & (wide.time_s < 70.0)
     assert set(wide.status[with_lights]) == {Status.VALID}
-    # Without lights there is no level, and a limit is asked for.
+    # Without lights there is no level, and a limit is configured.
     assert set(wide.status[wide.time_s > 75.0]) == {Status.DEGRADED}
     why_none = "there is no protection level, and alert limits are configured: too few sources check one another"
     assert wide.estimates[-1].text.startswith(why_none)

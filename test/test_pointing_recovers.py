@@ -1,6 +1,6 @@
-"""In trouble a second estimator of the pointing takes the same inputs, and replaces the first one where it is right.
+"""A second estimator of the pointing processes the same inputs in trouble, and replaces the first one if it is right.
 
-The bag is that of the return matrix: two lights all the time, at rates that cost little.
+The bag is that of the return matrix: two lights all the time, at low rates.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class _Sink(VoyageSink):
-    """Keeps the statuses of the pointing and the texts of the diagnostics of recovery, too."""
+    """Also stores the statuses of the pointing and the texts of the diagnostics of recovery."""
 
     def __init__(self, truths: dict[str, Truth]) -> None:
         super().__init__(truths)
@@ -68,11 +68,11 @@ class _Sink(VoyageSink):
 
 @dataclass(frozen=True)
 class Found:
-    """What a replay gave.
+    """Results of a replay.
 
     Attributes:
         adapter: of the node.
-        returned_s: time after which the pointing was VALID, but for single exposures that were refused.
+        returned_s: time after which the pointing was VALID, except for single rejected exposures.
         worst_over_level: largest error while VALID, over its protection level.
         texts: of the diagnostics of recovery.
     """
@@ -161,7 +161,7 @@ def test_the_pointing_returns_where_the_first_estimator_does_not(session, faults
     assert recovers.worst_over_level < 1.0
 
 
-def test_an_antenna_of_the_ship_that_was_moved_is_not_adopted(session):
+def test_a_moved_antenna_of_the_ship_is_not_adopted(session):
     moved = found(session, *ANTENNA)
     assert moved.adapter.recovery.adopted == 0
     assert moved.returned_s == np.inf
@@ -178,7 +178,7 @@ def test_without_a_fault_there_is_no_second_estimator_and_the_outputs_are_those_
 
 
 @pytest.mark.parametrize("faults", [CLOCKS, ANTENNA], ids=["adopted", "not adopted"])
-def test_blocks_publish_what_messages_one_by_one_do(session, faults):
+def test_blocks_publish_the_same_as_messages_one_by_one(session, faults):
     by_blocks, one_by_one = KeptSink(), KeptSink()
     adapters = [
         replayed(BlockRun, session, faults, by_blocks),

@@ -1,4 +1,4 @@
-"""Simulated bags of the theodolite replayed through the suite's nodes: what goes wrong is named, and never believed."""
+"""Simulated bags of the theodolite replayed through the nodes: faults are named, and no wrong output is VALID."""
 
 import dataclasses
 from collections import Counter
@@ -41,7 +41,7 @@ def with_windows(name: str) -> Scenario:
 
 
 def replayed(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dict[str, dict[str, int]]]:
-    """The replayed bag, and what was refused or noted by topic and reason."""
+    """Return the replayed bag, and the rejections and notes by topic and reason."""
     write_bag(scenario, seed, folder / "in.mcap", b"")
     summary = replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS)
     assert summary.problems == []
@@ -50,7 +50,7 @@ def replayed(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dic
 
 
 def worst_valid_sigmas(path: Path) -> float:
-    """The largest error of a pointing that claims to be VALID, in standard deviations of its channel."""
+    """Return the largest error of a VALID pointing, in standard deviations of its channel."""
     truth, worst = Truth(POINTING), 0.0
     with read_bag(path) as bag:
         for record in bag.records({POINTING.truth_topic}):
@@ -67,7 +67,7 @@ def worst_valid_sigmas(path: Path) -> float:
 
 
 def reasons(path: Path) -> set[str]:
-    """Names of all reasons in theodolite/innovation but NONE."""
+    """Return the names of all reasons in theodolite/innovation but NONE."""
     with read_bag(path) as bag:
         found = Counter(reason_name(record.decode()) for record in bag.records({"theodolite/innovation"}))
     return set(found) - {"none"}
@@ -75,7 +75,7 @@ def reasons(path: Path) -> set[str]:
 
 CASES = {
     "lights swapped": (with_fault(IMAGE, "swap"), IMAGE, "light_conflict"),
-    "a light that nobody knows": (with_fault(IMAGE, "wrong_id"), IMAGE, "unknown_sensor"),
+    "an unknown light": (with_fault(IMAGE, "wrong_id"), IMAGE, "unknown_sensor"),
     "another drone's baseline": (with_fault(BASELINE, "wrong_id"), BASELINE, "unknown_sensor"),
     "a baseline stamped 1 s late": (with_fault(BASELINE, "stamp_late", delay_s=1.0), BASELINE, "future"),
     "FLOAT": (with_windows("float_times"), BASELINE, "not_fixed"),
@@ -99,7 +99,7 @@ def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
 
 
 @pytest.mark.parametrize("scenario", [with_fault(IMAGE, "hide"), with_fault(BASELINE, "delay", delay_s=1.0)])
-def test_a_hidden_light_and_late_baselines_do_no_harm(scenario, tmp_path):
+def test_a_hidden_light_and_late_baselines_cause_no_rejection(scenario, tmp_path):
     path, refused = replayed(scenario, tmp_path)
     # Exposures wait for their baselines, those of the last moments in vain.
     assert set(refused.get(IMAGE, {})) <= {"gap", "revised"}

@@ -1,6 +1,6 @@
-"""After a fault of a theodolite's devices the pointing is VALID again by itself, and what is right is not excluded.
+"""After a fault of a theodolite's devices the pointing is VALID again, and no correct source is excluded.
 
-Before, in brackets: how long after the fault's end the pointing was VALID for good, by the same sessions.
+Former results of the same sessions are in brackets: the time from the fault's end to a permanently VALID pointing.
 """
 
 import pytest
@@ -38,7 +38,7 @@ FAULTS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_that_ends_leaves_nobody_excluded(fault, seed):
+def test_a_fault_that_ends_leaves_no_source_excluded(fault, seed):
     clean = clean_session(seed, duration_s=SESSION_S)
     found = claims(FAULTS[fault](clean), stamps_of=clean)
     not_valid_s = found.time_s[found.status != Status.VALID]

@@ -1,4 +1,4 @@
-"""What live nodes have on the network, against the rights that policies give them: nothing is missing, nothing idle."""
+"""Network entities of live nodes compared with the rights in their policies: none missing, none unused."""
 
 import contextlib
 import fnmatch
@@ -45,7 +45,7 @@ def domain(monkeypatch):
 
 
 def seen(node, names):
-    """What nodes of the namespace have: published and subscribed topics, services that are served and asked for."""
+    """Return topics and services of the nodes of a namespace: published, subscribed, served, called."""
     asked = (
         node.get_publisher_names_and_types_by_node,
         node.get_subscriber_names_and_types_by_node,
@@ -55,7 +55,7 @@ def seen(node, names):
     return [{topic for name in names for topic, _ in ask(name, f"/{NAMESPACE}")} for ask in asked]
 
 
-def test_every_program_has_the_rights_to_what_it_has_on_the_network(tmp_path, domain):
+def test_every_program_has_rights_for_its_network_entities(tmp_path, domain):
     suite_file = tmp_path / "suite.yaml"
     suite_file.write_text((ROOT / "examples" / "three_sensors.yaml").read_text() + NMEA.format(*free_ports(3)))
     checked, _ = checked_nodes(suite_file, NAMESPACE)
@@ -95,8 +95,8 @@ def test_every_program_has_the_rights_to_what_it_has_on_the_network(tmp_path, do
 
 
 @pytest.mark.parametrize("name", ["call", "param", "preflight"])
-def test_a_short_tool_has_the_rights_to_what_it_has_on_the_network(name, domain, monkeypatch):
-    """Its node, made as the tool makes it."""
+def test_a_short_tool_has_rights_for_its_network_entities(name, domain, monkeypatch):
+    """Its node, created as in the tool."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     checked, _ = checked_nodes(ROOT / "examples" / "two_sensors.yaml", NAMESPACE)
     all_rights = suite_rights([node.adapter for node in checked], NAMESPACE)

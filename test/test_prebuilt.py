@@ -1,6 +1,6 @@
-"""``make wheels``, and set-up that takes compiled parts from what it wrote instead of compiling them.
+"""``make wheels``, and a setup with the compiled parts of these wheels instead of compiling.
 
-The whole way, from nothing and with the compilers hidden, is one slow test; the rest is in small folders.
+The whole procedure, from nothing and with the compilers hidden, is one slow test; the rest is in small folders.
 """
 
 import os
@@ -22,7 +22,7 @@ COMPILERS = ("cc", "c++", "gcc", "g++", "clang", "clang++")
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A package with one compiled module."""
+    """Return a package with one compiled module."""
     folder = tmp_path / "src" / "one"
     (folder / "one").mkdir(parents=True)
     (folder / "setup.py").write_text("# setup\n")
@@ -36,7 +36,7 @@ def content(package: Path, tools: str = "cython==3") -> str:
 
 
 def wheel(root: Path, package: Path, of: str) -> Path:
-    """A prebuilt wheel as make_wheels names it, with a compiled module and a module."""
+    """Return a prebuilt wheel, named as by make_wheels, with a compiled module and a module."""
     path = root / PREBUILT / f"{package.name}-0.1.0{local_version(of)}-cp311-cp311-linux_x86_64.whl"
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w") as archive:
@@ -46,7 +46,7 @@ def wheel(root: Path, package: Path, of: str) -> Path:
     return path
 
 
-def test_the_digest_is_of_what_is_compiled_and_of_the_tools(package: Path) -> None:
+def test_the_digest_depends_on_compiled_sources_and_tools(package: Path) -> None:
     before = content(package)
     (package / "one" / "plain.py").write_text("B = 2\n")
     (package / "one" / "compiled_sum.c").write_text("generated\n")
@@ -56,7 +56,7 @@ def test_the_digest_is_of_what_is_compiled_and_of_the_tools(package: Path) -> No
     assert content(package) != before
 
 
-def test_a_wheel_of_the_same_sources_is_taken(package: Path, tmp_path: Path) -> None:
+def test_a_wheel_of_the_same_sources_is_used(package: Path, tmp_path: Path) -> None:
     wheel(tmp_path, package, content(package))
     (found,), unfit = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
     assert unfit == []
@@ -66,7 +66,7 @@ def test_a_wheel_of_the_same_sources_is_taken(package: Path, tmp_path: Path) -> 
     assert not (tmp_path / "install").exists(), "colcon installs the rest"
 
 
-def test_of_messages_everything_is_taken_that_colcon_would_install(package: Path, tmp_path: Path) -> None:
+def test_all_files_that_colcon_installs_are_unpacked_of_messages(package: Path, tmp_path: Path) -> None:
     (package / "CMakeLists.txt").write_text("# messages\n")
     wheel(tmp_path, package, content(package))
     (found,), _ = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
@@ -83,7 +83,7 @@ def test_a_damaged_wheel_is_named(package: Path, tmp_path: Path) -> None:
         found.take(tmp_path / "install")
 
 
-def test_a_wheel_of_other_sources_is_named_and_not_taken(package: Path, tmp_path: Path) -> None:
+def test_a_wheel_of_other_sources_is_named_and_not_used(package: Path, tmp_path: Path) -> None:
     path = wheel(tmp_path, package, content(package))
     (package / "one" / "compiled_sum.py").write_text("A = 2\n")
     found, (line,) = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
@@ -105,7 +105,7 @@ def run(checkout: Path, path: str, *command: str) -> "subprocess.CompletedProces
 
 @pytest.fixture
 def path_without_compilers(tmp_path: Path) -> str:
-    """A PATH with everything that today's has outside the virtual environment, except compilers."""
+    """Return a PATH with all programs of the present one outside the virtual environment, except compilers."""
     folder = tmp_path / "bin"
     folder.mkdir()
     own = str(ROOT / ".venv" / "bin")

@@ -1,4 +1,4 @@
-"""``preflight`` over real DDS: a ship that is ready, and one where much is wrong at the same time."""
+"""``preflight`` over real DDS: a ship that is ready, and one with many faults at the same time."""
 
 import re
 import subprocess
@@ -31,7 +31,7 @@ def domain(monkeypatch):
 
 
 def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
-    """A publisher of messages of a kind, stamped by the clock or so far ahead of it; silent for a while once linked."""
+    """Publish messages of a type, stamped by the clock or ahead of it; optionally silent for a time after discovery."""
     publisher = node.create_publisher(kind, topic, qos)
 
     def send():
@@ -51,7 +51,7 @@ def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
 
 
 def after_link(node, publisher, delay_s, act):
-    """Call `act` once, `delay_s` after the first subscription was linked to the publisher."""
+    """Call `act` once, `delay_s` after the first subscription was matched with the publisher."""
     linked_s = []
 
     def look():
@@ -65,7 +65,7 @@ def after_link(node, publisher, delay_s, act):
 
 
 def preflight(observer, environment, *arguments):
-    """Exit code, rows as (check, result, found) and stderr, while the observer's timers run."""
+    """Return exit code, rows as (check, result, found) and stderr, while the observer's timers run."""
     command = [*executable("ship_bringup", "preflight"), *map(str, arguments)]
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=environment, cwd=environment["ROS_LOG_DIR"], **piped) as process:
@@ -77,7 +77,7 @@ def preflight(observer, environment, *arguments):
 
 
 def failed(rows):
-    """The checks that failed, and what each found."""
+    """Return the failed checks and their findings."""
     return [f"{check}: {found}" for check, result, found in rows if result == "FAIL"]
 
 
@@ -102,7 +102,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
 
 
 @pytest.mark.parametrize("are_there", [True, False])
-def test_sensors_that_speak_late_or_come_late_are_waited_for(are_there, tmp_path, domain):
+def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
     """They speak, or are there at all, only after discovery (4 s) and listening (1 s) are over."""
     environment, late_s = live_environment(domain, tmp_path), 5.5
     with GraphObserver(domain) as observer:
@@ -119,7 +119,7 @@ def test_sensors_that_speak_late_or_come_late_are_waited_for(are_there, tmp_path
     assert len([found for check, result, found in rows if (check, result) == ("sensors", "OK")]) == 3
 
 
-def test_faults_come_together_and_all_are_told(tmp_path, domain):
+def test_simultaneous_faults_are_all_reported(tmp_path, domain):
     environment = live_environment(domain, tmp_path) | {"ROS_SECURITY_KEYSTORE": str(tmp_path)}
     path = tmp_path / "suite.yaml"
     head = "/**/ship_attitude:\n  ros__parameters:\n"
@@ -143,13 +143,13 @@ def test_faults_come_together_and_all_are_told(tmp_path, domain):
         r"security: machine.require_security demands it, and no DDS security: .* built without it",
         r"security: machine.require_security demands it, and ROS_SECURITY_ENABLE is not set",
         r"keystore: .*: is no keystore",
-        r"domain: ship/attitude, which the suite gives, is published by /observer",
+        r"domain: ship/attitude, an output of the suite, is published by /observer",
         r"disk: .*/proc/boxes is not there yet: .* in /proc, ",
-        r"files: --box /proc/boxes: user \w+ cannot make it",
-        r"files: .*suite.yaml:\d+: alignment_file /nowhere/alignment.yaml: user \w+ cannot make it",
+        r"files: --box /proc/boxes: user \w+ cannot create it",
+        r"files: .*suite.yaml:\d+: alignment_file /nowhere/alignment.yaml: user \w+ cannot create it",
         r"sensors: ins/imu: .* Hz from /observer, stamps (99|100|101)\.\d+ s old",
-        r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, asked for by qos_overrides in the ",
-        r"sensors: star/starboard/horizon_attitude: nobody publishes it",
+        r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, required by qos_overrides in the ",
+        r"sensors: star/starboard/horizon_attitude: no publisher",
     ):
         assert any(re.match(expected, line) for line in lines), (expected, lines)
 
@@ -162,7 +162,7 @@ NMEA = """
 """
 
 
-def test_an_ins_that_nobody_has_heard_is_not_ready_though_nmea_in_will_read_it(tmp_path, domain):
+def test_an_ins_that_nmea_in_will_read_is_not_ready_before_it_is_received(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     path = tmp_path / "the suite.yaml"
     path.write_text(EXAMPLE.read_text() + NMEA)
@@ -173,12 +173,12 @@ def test_an_ins_that_nobody_has_heard_is_not_ready_though_nmea_in_will_read_it(t
         code, rows, _ = preflight(observer, environment, path, "--namespace", "demo", "--listen", "1")
         by_hand.destroy_node()
     assert ("parameters", "OK", f"{path}: good for ship_attitude, nmea_in") in rows
-    unheard = "sensors: ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+    unheard = "sensors: ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
     assert (code, failed(rows)) == (1, [unheard])
     assert ("domain", "WARN", "/demo/nmea_in is running already") in rows
 
 
-def test_a_domain_that_dds_would_not_take_is_told_and_nothing_is_heard(tmp_path, domain):
+def test_an_invalid_domain_is_reported_and_nothing_is_received(tmp_path, domain):
     environment = live_environment(domain, tmp_path) | {"ROS_DOMAIN_ID": "300"}
     with GraphObserver(domain) as observer:
         code, rows, _ = preflight(observer, environment, EXAMPLE)
@@ -186,7 +186,7 @@ def test_a_domain_that_dds_would_not_take_is_told_and_nothing_is_heard(tmp_path,
     assert code == 1
     assert ("domain", "FAIL", wrong) in rows
     assert ("domain", "not checked", wrong) in rows
-    assert ("sensors", "FAIL", f"nothing could be heard: {wrong}") in rows
+    assert ("sensors", "FAIL", f"nothing could be received: {wrong}") in rows
 
 
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path, domain):

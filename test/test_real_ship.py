@@ -1,6 +1,6 @@
-"""A real ship: two Seapath systems of cruise NBP1406, one taken as INS, the other as reference.
+"""A real ship: two Seapath systems of cruise NBP1406, one used as INS, the other as reference.
 
-Expected values: models.md §4, "Real case", found by hand with a spline fit, independently of this project.
+Expected values: models.md §4, "Real case", determined by hand with a spline fit, independently of this project.
 """
 
 from collections.abc import Iterable
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason=f"the ship's records a
 
 
 def imported(tmp_path: Path, time: str) -> Path:
-    """Seapath `seap` as INS, resampled, and `s330` as reference."""
+    """Return Seapath `seap` as INS, resampled, and `s330` as reference."""
     bag = tmp_path / f"{time}.mcap"
     arguments = ["--ins", str(LOGS / "NBP1406_seap-2014-08-01")]
     arguments += ["--reference", f"s330={LOGS / 'NBP1406_s330-2014-08-01'}", "--resample", "20"]
@@ -43,7 +43,7 @@ def imported(tmp_path: Path, time: str) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("time", "offset_s"), [("instrument", 0.012), ("receive", 0.110)])
-def test_two_systems_find_their_clocks_and_installation(tmp_path: Path, time: str, offset_s: float) -> None:
+def test_clocks_and_installation_of_two_systems_are_estimated(tmp_path: Path, time: str, offset_s: float) -> None:
     fused = tmp_path / "fused.mcap"
     assert replay([str(imported(tmp_path, time)), "--out", str(fused), "--config", str(CONFIG)]) == 0
     with read_bag(fused) as bag:
@@ -64,7 +64,7 @@ def test_two_systems_find_their_clocks_and_installation(tmp_path: Path, time: st
 
 
 def refused(given: Iterable[SkyInput]) -> list[Refusal | None]:
-    """What is refused of fixes or readings of the air that come one after the other."""
+    """Return the rejections of consecutive fixes or weather readings."""
     surroundings, told = Surroundings(SkyConfig()), []
     for one in given:
         told.append(surroundings.refusal(one))
@@ -72,14 +72,14 @@ def refused(given: Iterable[SkyInput]) -> list[Refusal | None]:
     return told
 
 
-def test_a_ship_that_sails_does_not_jump(tmp_path: Path) -> None:
+def test_the_position_of_a_sailing_ship_is_not_rejected(tmp_path: Path) -> None:
     with read_bag(imported(tmp_path, "instrument")) as bag:
         records = list(bag.records(topics=["gnss/fix"]))
     fixes = [position_fix(record.decode(), SkyConfig(), record.log_time_ns).value for record in records]
     assert refused(fixes) == [None] * 715
 
 
-def test_the_weather_over_her_does_not_jump() -> None:
+def test_the_weather_is_not_rejected() -> None:
     readings: list[SkyInput] = []
     for line in (LOGS / "NBP1406_mwx1-2014-08-01").read_text().splitlines():
         when, _, sentence = line.partition(" ")
@@ -92,7 +92,7 @@ def test_the_weather_over_her_does_not_jump() -> None:
 
 
 def test_errors_fit_their_covariance_on_recorded_motion(tmp_path: Path) -> None:
-    """One error a seed; 99.9 % bands for as many seeds. ``tools/campaign.py recorded`` runs more."""
+    """One error per seed; 99.9 % bands for as many seeds. ``tools/campaign.py recorded`` runs more."""
     bag = imported(tmp_path, "instrument")
     whole = load_scenario(ROOT / "bags" / "scenarios" / "recorded.yaml", recording=bag)
     scenario = replace(whole, duration_s=60.0, ins=replace(whole.ins, rate_hz=20.0))

@@ -1,4 +1,4 @@
-"""The table of refraction models in the docs is what the command prints."""
+"""The table of refraction models in the docs is that printed by the command."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ def test_the_table_of_the_docs_is_printed() -> None:
     assert table in (ROOT / "docs" / "explanation" / "stars.md").read_text(encoding="utf-8"), "run refraction_models.py"
 
 
-def test_costs_and_figure_are_made_and_a_star_costs_the_same_by_each_model(tmp_path: Path) -> None:
+def test_costs_and_figure_are_written_and_a_star_costs_the_same_by_each_model(tmp_path: Path) -> None:
     lines = printed("--costs", "--figure", str(tmp_path / "drawn.png")).splitlines()[-3:]
     a_star = [float(line.split("|")[3].split()[0]) for line in lines]
     assert [line.split("`")[1] for line in lines] == ["erfa", "almanac", "ray_trace"]

@@ -1,7 +1,7 @@
-"""What is refused by its form leaves no trace: all outputs are bit-equal to those without the refused messages.
+"""Rejected malformed messages have no effect: all outputs are bit-equal to those without them.
 
-For each input topic of each node, and for each way in which a message can be unusable whatever the others say, such a
-message comes after every good one. Health, innovations and diagnostics tell of them, nothing else does.
+For each input topic of each node, and for each way in which a message can be unusable independent of others, such a
+message follows every good one. Only health, innovations and diagnostics report them.
 """
 
 from collections.abc import Callable
@@ -45,7 +45,7 @@ FIRST_NUMBER = {
 
 
 def stamped(time_ns: Callable[[Arrival], int]) -> Change:
-    """The same message with another stamp."""
+    """Return the same message with another stamp."""
 
     def change(arrival: Arrival) -> Arrival:
         def put(message: Any) -> None:
@@ -80,7 +80,7 @@ def bad_quaternion(arrival: Arrival) -> Arrival:
 
 
 def negative_variance(arrival: Arrival) -> Arrival:
-    """In the first field that tells how good the message is, whatever its shape."""
+    """Set a negative variance in the first field of the message's accuracy, of any shape."""
 
     def put(message: Any) -> None:
         name = next(name for name in VARIANCES if hasattr(message, name))
@@ -94,7 +94,7 @@ def negative_variance(arrival: Arrival) -> Arrival:
 
 
 def no_orientation(arrival: Arrival) -> Arrival:
-    """The first element of the covariance at -1: Imu.msg says with it that there is no orientation."""
+    """Set the first element of the covariance to -1: by Imu.msg there is no orientation."""
 
     def put(message: Any) -> None:
         message.orientation_covariance[0] = -1.0
@@ -122,10 +122,10 @@ UNUSABLE: dict[str, tuple[str, Change]] = {
 
 
 def lacks(topic: str) -> tuple[str, ...]:
-    """What the messages of a topic cannot be refused for as a whole.
+    """Return the faults that do not make a message of a topic unusable.
 
-    Positions and readings of the air of long ago are used where none is newer, and may be in any frame; nobody asks for
-    the covariance of a drone's attitude.
+    Old positions and weather readings are used if none is newer, and may be in any frame; the covariance of a drone's
+    attitude is not used.
     """
     if topic in ("gnss/fix", "met/humidity", "met/pressure", "met/temperature"):
         return "late", "again too late", "frame", "quaternion", "orientation"
@@ -140,7 +140,7 @@ def lacks(topic: str) -> tuple[str, ...]:
 @pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("kind", UNUSABLE)
-def test_outputs_are_bit_equal_to_those_without_the_refused_messages(node: str, kind: str) -> None:
+def test_outputs_are_bit_equal_to_those_without_the_rejected_messages(node: str, kind: str) -> None:
     reason, change = UNUSABLE[kind]
     arrivals = voyage(node).arrivals
     concerned = [topic for topic in topics(node) if kind not in lacks(topic)]
@@ -163,8 +163,8 @@ def test_outputs_are_bit_equal_to_those_without_the_refused_messages(node: str, 
         ("optical_axis by ins", "ins/imu"),
     ],
 )
-def test_nor_do_values_of_now_that_are_stamped_a_while_ago(node: str, topic: str) -> None:
-    """By 0.3 s: where the ship or the mount has moved meanwhile, the samples beside it tell, and it is refused."""
+def test_current_values_with_old_stamps_have_no_effect(node: str, topic: str) -> None:
+    """Stamps are 0.3 s old: if ship or mount has moved, the neighbouring samples show it, and it is rejected."""
     arrivals = voyage(node).arrivals
     back = stamped(lambda arrival: arrival.stamp_ns - 3 * SECOND_NS // 10 - 1)
     moved = [a for a in arrivals if a.topic == topic and a.stamp_ns > arrivals[0].stamp_ns + 2 * SECOND_NS]
@@ -174,7 +174,7 @@ def test_nor_do_values_of_now_that_are_stamped_a_while_ago(node: str, topic: str
 
 
 def flood_cases() -> list[tuple[str, str]]:
-    """The measurements that a filter goes back for."""
+    """Return the measurements for which a filter rewinds."""
     return [
         ("ship_attitude", "reference/gyro/imu"),
         ("ship_attitude", "star/aft/inertial_attitude"),
@@ -186,7 +186,7 @@ def flood_cases() -> list[tuple[str, str]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("node", "topic"), flood_cases())
-def test_nor_does_what_is_too_much(node: str, topic: str) -> None:
+def test_messages_at_a_too_high_rate_have_no_effect(node: str, topic: str) -> None:
     everything = voyage(node).arrivals
     three_seconds = [a for a in everything if a.receive_ns < everything[0].receive_ns + 3 * SECOND_NS]
     arrivals = flooded(tuple(three_seconds), topic, 20, up_to_s=1.9)
@@ -197,11 +197,11 @@ def test_nor_does_what_is_too_much(node: str, topic: str) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 4, 8])
-def test_a_baseline_that_is_not_fixed_can_only_withhold_its_light(count: int) -> None:
-    """The exception: that there is no fixed solution is evidence. No exposure waits for one, or is taken across it.
+def test_a_baseline_without_fixed_solution_only_makes_its_light_unusable(count: int) -> None:
+    """The exception: a missing fixed solution is information. No exposure waits for one, or is interpolated across it.
 
-    The numbers of such baselines enter nothing. Where those around them are too far apart to be joined, the state ends
-    as without them; else lights between them are missing.
+    The numbers of such baselines are not used. If those around them are too far apart to be interpolated, the final
+    state is that without them; otherwise lights between them are missing.
     """
     everything, topic = voyage("optical_axis"), "beacon/a/baseline"
     chosen = [a for a in everything.arrivals if a.topic == topic][30 : 30 + count]

@@ -1,4 +1,4 @@
-"""docs/reproduction.md is what ``make reproduction`` computes."""
+"""docs/reproduction.md is the output of ``make reproduction``."""
 
 import re
 
@@ -21,7 +21,7 @@ def test_numbers_are_compared_to_one_in_their_last_digit():
 
 
 def differences(first: str, second: str) -> list[tuple[str, str]]:
-    """Lines that differ in words, and numbers that differ by more than one in their last digit."""
+    """Return lines that differ in words, and numbers that differ by more than one in their last digit."""
     found = []
     for left, right in zip(first.splitlines(), second.splitlines(), strict=True):
         if NUMBER.sub("#", left) != NUMBER.sub("#", right):
@@ -57,7 +57,7 @@ def test_the_page_shows_every_picture():
         assert (ROOT / "docs" / reproduction.PICTURES / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_two_numbers_that_a_line_of_algebra_gives():
+def test_two_numbers_by_elementary_algebra():
     # 20" tan 60°; RTK 1 cm per axis and 30 cm times sqrt(6) degrees are most of 2.2 cm (models.md §5).
     assert w18.azimuth_of_tilt_arcsec() == pytest.approx(34.64, abs=0.005)
     assert w18.baseline_end_m() == pytest.approx(0.022, abs=0.0005)

@@ -44,7 +44,7 @@ def test_every_kind_of_fault_has_cells(cells: list[Cell]) -> None:
 def test_faults_made_in_memory_are_those_of_an_injected_bag(
     kind: str, cells: list[Cell], voyages: dict[str, VoyageData]
 ) -> None:
-    """The other side is ``inject``, which reads bags. A fault draws by its name, which is the same here."""
+    """The other side is ``inject``, which reads bags. The random numbers depend on the fault's name, the same here."""
     cell = next(cell for cell in cells if cell.voyage == "sky" and cell.row == kind and "star/" in cell.name)
     data, fault = voyages["sky"], cell.faults[0]
     injection = Injection(data.path, {"f0": fault}, cell.number)

@@ -1,4 +1,4 @@
-"""./ros2run, which stands in for ``ros2 run`` where ros2cli is not installed."""
+"""./ros2run, which replaces ``ros2 run`` if ros2cli is not installed."""
 
 import shutil
 import subprocess
@@ -40,7 +40,7 @@ def test_a_package_alone_lists_its_executables() -> None:
     assert wrong.stderr == f"ros2run: no executable 'rekord' in package 'ship_bags'; there are: {listed}\n"
 
 
-def test_before_the_first_build_the_list_says_how_to_get_one_and_builds_nothing(tmp_path: Path) -> None:
+def test_before_the_first_build_the_list_explains_how_to_build(tmp_path: Path) -> None:
     shutil.copy(ROOT / "ros2run", tmp_path)
     alone = ros2run(tmp_path)
     assert (alone.returncode, alone.stderr) == (0, "")
@@ -50,7 +50,7 @@ def test_before_the_first_build_the_list_says_how_to_get_one_and_builds_nothing(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "package"), PLACES.items())
-def test_an_executable_that_moved_is_named_where_it_used_to_be(name: str, package: str) -> None:
+def test_an_executable_that_moved_is_named_in_its_old_package(name: str, package: str) -> None:
     asked = ros2run(ROOT, "ship_replay", name, "--help")
     assert asked.returncode == 2
     assert asked.stderr == f"{name} has moved from ship_replay to {package}: ros2 run {package} {name}\n"

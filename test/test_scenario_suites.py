@@ -1,4 +1,4 @@
-"""The suite file that a simulation writes is what the nodes take: each parameter known, each value the scenario's."""
+"""The suite file written by a simulation fits the nodes: each parameter known, each value that of the scenario."""
 
 import dataclasses
 import typing
@@ -32,7 +32,7 @@ ADAPTERS = {adapter.node_name: adapter for adapter in (ShipAttitudeAdapter, Star
 def fixture_scenario(request, tmp_path):
     text = request.param.read_text(encoding="utf-8")
     if request.param.stem == "recorded":
-        # Its recording is not in the repository: any file in its place, which nobody opens here.
+        # Its recording is not in the repository: any other file, which is not opened here.
         (tmp_path / "recording.mcap").touch()
         values = yaml.safe_load(text)
         values["carrier"]["recording"]["bag"] = "recording.mcap"
@@ -43,7 +43,7 @@ def fixture_scenario(request, tmp_path):
 
 
 def told_nodes(scenario):
-    """Node → (its configuration as loaded, the parameters that the file gives it, nested)."""
+    """Return node → (its loaded configuration, the parameters in the file, nested)."""
     text = suite_yaml(scenario)
     sections = yaml.safe_load(text)
     nodes = {section.rpartition("/")[2]: values[PARAMETERS_KEY] for section, values in sections.items()}
@@ -52,7 +52,7 @@ def told_nodes(scenario):
     }
 
 
-def test_the_nodes_take_the_suite_file_of_each_scenario_as_it_stands(scenario):
+def test_the_nodes_accept_the_suite_file_of_each_scenario(scenario):
     nodes = told_nodes(scenario)
     assert nodes
     for config, values in nodes.values():
@@ -60,7 +60,7 @@ def test_the_nodes_take_the_suite_file_of_each_scenario_as_it_stands(scenario):
         assert {name: loaded[name] for name in told} == told
 
 
-def test_what_a_scenario_and_a_node_call_by_one_name_is_told(scenario):
+def test_parameters_with_the_name_of_a_scenario_key_are_written(scenario):
     for config, values in told_nodes(scenario).values():
         for device, told, kind in devices(scenario, config, values):
             missing = {name for name in shared_names(device, kind) - told.keys() if differs(name, device, kind)}
@@ -68,7 +68,7 @@ def test_what_a_scenario_and_a_node_call_by_one_name_is_told(scenario):
 
 
 def differs(name, device, kind):
-    """Whether a node would take another value than the scenario's if it were not told."""
+    """True if a node's default differs from the scenario's value."""
     (field,) = (field for field in dataclasses.fields(kind) if field.name == name)
     return getattr(device, name) != field.default
 
@@ -82,7 +82,7 @@ def flat(values, prefix=""):
 
 
 def devices(scenario, config, values):
-    """(device of the scenario, what the node is told of it, the node's dataclass for it), its groups likewise."""
+    """Yield (device of the scenario, its parameters of the node, the node's dataclass), its groups likewise."""
     yield from grouped(scenario.ins, values["ins"], type(config.ins))
     for key, told in values.get("star_sensors", {}).items():
         yield from grouped(scenario.star_sensors[key], told, type(config.star_sensors[key]))
@@ -100,14 +100,14 @@ def grouped(device, told, kind):
     yield device, told, kind
     for name, group in typing.get_type_hints(kind).items():
         # A camera belongs to sensors that give single stars, Schuler's sensors to an INS that oscillates, a main
-        # detector to a theodolite with targets: only they are told of them.
+        # detector to a theodolite with targets: only they have these groups.
         belongs = name not in ("camera", "schuler", "main_detector") or name in told
         if dataclasses.is_dataclass(group) and hasattr(device, name) and belongs:
             yield from grouped(getattr(device, name), told[name], group)
 
 
 def shared_names(device, kind):
-    """Names that are a plain value of both."""
+    """Return the names that are a plain value of both."""
     values = {field.name for field in dataclasses.fields(device)} & {field.name for field in dataclasses.fields(kind)}
     return {name for name in values if not isinstance(getattr(device, name), dict)} - {
         name for name in values if dataclasses.is_dataclass(getattr(device, name))
@@ -159,7 +159,7 @@ def configuration_of(scenario):
     return load_config(OpticalAxisConfig, suite_yaml(scenario), "optical_axis")
 
 
-def test_the_suite_configuration_says_what_the_scenario_says():
+def test_the_suite_configuration_agrees_with_the_scenario():
     scenario = with_beacons(bag_scenario(), rtk__bias_sigma_m=0.07, imu__heading_sigma_deg=1.7, light__up_m=-0.4)
     scenario = with_theodolite(
         scenario,

@@ -1,7 +1,7 @@
-"""An INS that nothing damps: two hours of stars, two of cloud; and across a change of the vertical.
+"""An undamped INS: two hours of stars, two of cloud; and across a change of the vertical.
 
-The scenario is ``schuler.yaml``, without waves and with fewer samples: none of that changes what is tested. The bands
-are of 99.9 %, from chi-square, by the number of seeds. The simulated INS is integrated by scipy's matrix exponential.
+The scenario is ``schuler.yaml``, without waves and with fewer samples, which does not change what is tested. The bands
+are of 99.9 %, from chi-square, for the number of seeds. The simulated INS is integrated by scipy's matrix exponential.
 """
 
 from dataclasses import replace
@@ -35,7 +35,7 @@ TILT = [0, 2]
 
 
 def voyage(name: str = "schuler.yaml", schuler: SchulerConfig | None = None, **changes: Any) -> Scenario:
-    """A scenario with fewer samples, its INS of this kind, and with other things changed."""
+    """Return a scenario with fewer samples, its INS of this kind, and other changes."""
     whole = load_scenario(SCENARIOS / name)
     sensors = {id_: replace(one, rate_hz=0.1, phase_s=0.0) for id_, one in whole.star_sensors.items()}
     ins = replace(whole.ins, model="schuler", schuler=schuler or SchulerConfig(), rate_hz=0.1, time_offset_sigma_s=0.0)
@@ -54,7 +54,7 @@ def core_of(scenario: Scenario, **ins: Any) -> ShipAttitudeCore:
 
 
 def errors_under_clouds(core: ShipAttitudeCore, run: SimulatedRun, since_s: int) -> tuple[np.ndarray, float]:
-    """Errors (North, Up, East) every two minutes, rad, shape (n, 3), and the NEES of the last attitude."""
+    """Return errors (North, Up, East) every two minutes, rad, shape (n, 3), and NEES of the last attitude."""
     rows = np.arange(since_s // 10, len(run.ins.time_ns), 12)
     stamps = run.ins.time_ns[rows].tolist()
     row_of, found = {time_ns: row for row, time_ns in enumerate(stamps)}, np.full((len(stamps), 3), np.nan)
@@ -93,8 +93,8 @@ def test_two_hours_of_cloud_cost_a_third_of_what_they_cost_without_the_model() -
 
 @pytest.mark.slow
 def test_an_ins_that_position_aiding_damps_gains_little() -> None:
-    # Issue: a GNSS-damped INS gains nothing. Its tilt is what its accelerometers, its gyroscopes and the error of its
-    # heading make of it, 5 arcseconds that change within hours: a slow Gauss-Markov process says that as well.
+    # A GNSS-damped INS gains nothing. Its tilt is caused by its accelerometers, its gyroscopes and the error of its
+    # heading, 5 arcseconds that change within hours, for which a slow Gauss-Markov process is also a model.
     of_model, other = [], []
     damped = SchulerConfig(damping_time_s=600.0, velocity_sigma_m_per_s=0.01)
     for seed in range(SEEDS):
@@ -127,8 +127,8 @@ def test_a_change_of_the_vertical_drives_the_model_with_the_table(damping_time_s
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("told", ["unknown", "none"])
-def test_a_change_that_nobody_told_is_honest(told: str) -> None:
-    # Drawn as the filter takes it to be, where it is told nothing by default: 20 arcseconds over 30 km.
+def test_an_unmodelled_change_of_the_vertical_is_consistent(told: str) -> None:
+    # Drawn by the filter's default model: 20 arcseconds over 30 km.
     nees = []
     for seed in range(SEEDS):
         gravity = Gravity(sigma_arcsec=20.0, told=told, told_unknown_sigma_arcsec=20.0)
@@ -158,7 +158,7 @@ def test_the_suite_of_a_world_without_deflections_models_none() -> None:
 
 
 class _WithLateFixes:
-    """A run whose position fixes before a moment do not arrive."""
+    """Run without the position fixes before a time."""
 
     def __init__(self, run: SimulatedRun, since_ns: int) -> None:
         self._run, self.since_ns = run, since_ns
@@ -171,8 +171,8 @@ class _WithLateFixes:
 
 
 def test_before_the_first_position_fix_no_star_is_used() -> None:
-    # At another latitude the model tells lies, which the filter would learn: with that of the equator the heading was
-    # off by three sigmas. The first fix comes here after half of the voyage.
+    # At another latitude the model is wrong, and the filter would adapt to it: with that of the equator the heading was
+    # off by three sigmas. The first fix is here after half of the voyage.
     scenario = voyage(duration_s=600.0)
     whole = simulate(scenario, 1)
     late = _WithLateFixes(whole, whole.start_ns + 300 * 1_000_000_000)

@@ -1,4 +1,4 @@
-"""Two antennas aboard, from the simulator through a bag and the node's own adapter to ship/attitude."""
+"""Two antennas aboard, from the simulator through a bag and the node's adapter to ship/attitude."""
 
 from collections import Counter
 from pathlib import Path
@@ -37,7 +37,7 @@ SCENARIO: dict[str, Any] = {
 }
 
 
-def test_what_is_fixed_is_used_and_the_rest_is_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_fixed_solutions_are_used_and_the_others_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     scenario, bag, suite, out = (tmp_path / name for name in ("ship.yaml", "ship.mcap", "suite.yaml", "out.mcap"))
     scenario.write_text(yaml.safe_dump(SCENARIO), encoding="utf-8")
     assert simulate([str(scenario), "--out", str(bag), "--seed", "3"]) == 0

@@ -1,6 +1,6 @@
-"""After a fault of INS or stars the ship's attitude is VALID again by itself, and was never VALID far beyond its sigma.
+"""After a fault of INS or stars the ship's attitude is VALID again, and was never VALID far beyond its sigma.
 
-Before, in brackets: how long after the fault's end the attitude was VALID again, by the same runs; "never" is 300 s.
+Former results of the same runs are in brackets: the time from the fault's end to a VALID attitude; "never" is 300 s.
 """
 
 import numpy as np
@@ -58,7 +58,7 @@ def test_the_cables_of_two_star_sensors_exchanged_for_a_while():
 
 @pytest.mark.slow
 def test_an_ins_whose_heading_flips_by_about_half_a_turn_and_back():
-    """In 3 of 6 return times the attitude stayed DEGRADED, 648 000" off by its own account, or VALID with NEES 54."""
+    """Before, in 3 of 6 return times, DEGRADED, 648 000" off with that sigma, or VALID with NEES 54."""
     run = voyage(FROM_S + 12.0, RATE_HZ)
 
     def check(degrees: float, lasts_s: float) -> None:

@@ -1,6 +1,6 @@
-"""Smoothing is honest: on drawn voyages, over a gap of the stars, across a jump of the INS, with a sensor that lies.
+"""Smoothing is consistent: on drawn voyages, over a gap of the stars, across a jump of the INS, with a faulty sensor.
 
-The bands are of 99.9 %, from chi-square, by the number of seeds.
+The bands are of 99.9 %, from chi-square, for the number of seeds.
 """
 
 from dataclasses import replace
@@ -36,7 +36,7 @@ SEEDS = 16
 
 
 class Told(NamedTuple):
-    """The attitude of each stamp, at once and with hindsight."""
+    """The attitude of each stamp, filtered and smoothed."""
 
     at_once: list[AttitudeEstimate]
     smoothed: list[AttitudeEstimate]
@@ -46,14 +46,14 @@ class Told(NamedTuple):
 
 
 def thin(name: str, duration_s: float, gap_s: tuple[float, float]) -> Scenario:
-    """A scenario with fewer samples, and with clouds in a while of it."""
+    """Return a scenario with fewer samples, and with clouds for a time span."""
     whole, clouds = load_scenario(SCENARIOS / name), {"gap": Outage(*gap_s)}
     sensors = {id_: replace(one, rate_hz=1.0, outages=clouds) for id_, one in whole.star_sensors.items()}
     return replace(whole, duration_s=duration_s, ins=replace(whole.ins, rate_hz=10.0), star_sensors=sensors)
 
 
 def sailed(scenario: Scenario, seed: int, asked_s: list[float]) -> tuple[Told, np.ndarray]:
-    """What is told of some moments, and the true attitudes, shape (n, 3, 3)."""
+    """Return the outputs at some times, and the true attitudes, shape (n, 3, 3)."""
     run = simulate(scenario, seed)
     stamps = run.ins.time_ns[run.truth.ins_index]
     rows = [int(np.searchsorted(stamps, stamps[0] + round(second * 1e9))) for second in asked_s]
@@ -87,7 +87,7 @@ def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
         ("schuler.yaml", [3.0, 30.0, 47.0, 59.8]),
     ],
 )
-def test_smoothed_attitudes_are_honest(name: str, asked_s: list[float]) -> None:
+def test_smoothed_attitudes_are_consistent(name: str, asked_s: list[float]) -> None:
     scenario, found, worth = thin(name, 60.0, (20.0, 40.0)), [], []
     for seed in range(SEEDS):
         told, true_nd = sailed(scenario, 100 + seed, asked_s)
@@ -99,12 +99,12 @@ def test_smoothed_attitudes_are_honest(name: str, asked_s: list[float]) -> None:
     low, high = mean_nees_band(SEEDS, 3)
     for mean_nees in np.mean(found, axis=0):
         assert low < mean_nees < high
-    # What was told first gains most; at the end nothing came after.
+    # The first attitudes gain most; at the end there are no later measurements.
     assert np.all(np.mean(worth, axis=0)[0] < 0.9)
     np.testing.assert_allclose(np.mean(worth, axis=0)[-1], 1.0, atol=0.05)
 
 
-# -- an INS that jumps, and a sensor that lies ----------------------------------------------------------------------
+# -- an INS that jumps, and a sensor that is faulty -----------------------------------------------------------------
 
 SENSORS = {"fore": (0.0, 45.0), "starboard": (90.0, 45.0), "aft": (180.0, 45.0)}
 JUMP = 762
@@ -130,7 +130,7 @@ CONFIG = build(
 
 
 def with_hindsight(ins: list[AttitudeSample], lie_arcsec: float, seed: int) -> tuple[Told, np.ndarray]:
-    """Thirty seconds with three sensors, of which one is turned from 15 s on; told each half second and at JUMP - 1."""
+    """Return thirty seconds with three sensors, one rotated from 15 s on; smoothed each half second and at JUMP - 1."""
     rng, core, told, first_ns = np.random.default_rng(seed), SmoothingCore(CONFIG, None, None), Told([], []), 10**18
     mounted = {id_: exp_rotation(MOUNTED * rng.standard_normal(3)) for id_ in SENSORS}
     asked_s = []
@@ -158,9 +158,9 @@ def slow_error(seed: int) -> tuple[float, float, float]:
 
 
 @pytest.mark.statistics
-def test_across_a_jump_of_the_ins_it_stays_honest() -> None:
-    # 200 arcseconds in heading at once, which the INS's rates tell: an error that comes at that moment. The state is
-    # open five sigma of the clock earlier; the sample before the jump tells of the time before it all the same.
+def test_smoothing_across_a_jump_of_the_ins_is_consistent() -> None:
+    # A step of 200 arcseconds in heading, shown by the INS's rates: the error begins at that time. The covariance is
+    # increased five sigma of the clock earlier; the sample before the jump still determines the time before it.
     found = []
     for seed in range(SEEDS // 2):
         ins = stepped(stream(30.0, 50.0, seed=seed), 0, slow_error(seed))
@@ -173,8 +173,8 @@ def test_across_a_jump_of_the_ins_it_stays_honest() -> None:
         assert low < mean_nees < high
 
 
-def test_a_sensor_that_is_excluded_spoils_nothing() -> None:
-    # A minute of arc, by which it pulls for a second; after its exclusion the rows begin anew, and the chain with them.
+def test_an_excluded_sensor_has_no_effect_on_smoothing() -> None:
+    # A minute of arc, with an effect for a second; after the exclusion the rows start again, and the chain with them.
     ins = stepped(stream(30.0, 50.0), 0, slow_error(0))
     told, true_nd = with_hindsight(ins, 60.0, 0)
     assert any("star.aft" not in one.sources for one in told.at_once[35:])
@@ -186,7 +186,7 @@ def test_a_sensor_that_is_excluded_spoils_nothing() -> None:
 # -- with a fixed lag ---------------------------------------------------------------------------------------------
 
 
-def test_with_a_lag_each_attitude_is_told_once_more_and_nothing_else_changes() -> None:
+def test_with_a_lag_each_attitude_is_also_published_smoothed_and_nothing_else_changes() -> None:
     arrivals, lag_s = voyage(12.0), 4.0
     run, plain = drive(new_adapter(smoothing_lag_s=lag_s), arrivals), drive(new_adapter(), arrivals)
     assert [told for told in run.results() if told[1] != SMOOTHED_TOPIC] == plain.results()
@@ -212,10 +212,10 @@ def test_with_a_lag_each_attitude_is_told_once_more_and_nothing_else_changes() -
 
 
 def whole_run(arrivals: tuple) -> dict[int, object]:
-    """Stamp → message, smoothed by all that arrived."""
+    """Return stamp → message, smoothed with all inputs."""
     adapter = new_adapter()
     core = adapter.core = SmoothingCore(adapter.config, None, None)
-    adapter.set_parameters({})  # what feeds the core is bound anew
+    adapter.set_parameters({})  # the methods that feed the core are bound again
     drive(adapter, arrivals)
     return {one.time_ns: smoothed_message(FACTORY, one, FRAME_NAMES)[1] for one in core.smoothed_to_the_end()}
 
@@ -228,7 +228,7 @@ def test_a_lag_shorter_than_late_data_waits_for_them() -> None:
     assert min(delays_s) > 2.5
 
 
-def test_parameters_that_change_and_a_reset_leave_it_going() -> None:
+def test_smoothing_continues_after_parameter_changes_and_a_reset() -> None:
     adapter, arrivals = new_adapter(smoothing_lag_s=3.0), voyage(16.0)
     drive(adapter, arrivals[: len(arrivals) // 4])
     adapter.set_parameters({"star_sensors.fore.sigma_up_arcsec": 4.0})
@@ -237,13 +237,13 @@ def test_parameters_that_change_and_a_reset_leave_it_going() -> None:
     assert adapter.service("reset", second.now_ns).success
     third = drive(adapter, arrivals[len(arrivals) // 2 :])
     assert not third.innovations(Reason.FAILED)
-    # What waited at the reset is not told again.
+    # Pending attitudes at the reset are not published again.
     stamps = [stamp_of(message) for message in third.messages(SMOOTHED_TOPIC)]
     assert len(stamps) > 50
     assert stamps[0] == stamp_of(third.messages("ship/attitude")[0])
 
 
-def test_what_cannot_be_smoothed_is_told_as_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_smoothing_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     arrivals, adapter = voyage(12.0), new_adapter(smoothing_lag_s=3.0)
     calls = iter([True])
 

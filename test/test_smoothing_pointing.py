@@ -1,6 +1,6 @@
-"""Smoothed pointings are honest: on drawn sessions, with the ship smoothed too, over slips and lies, by stars.
+"""Smoothed pointings are consistent: on drawn sessions, with the ship smoothed too, over slips and faults, by stars.
 
-The bands are of 99.9 %, from chi-square, by the number of seeds.
+The bands are of 99.9 %, from chi-square, for the number of seeds.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ SEEDS = 16
 
 
 class Told(NamedTuple):
-    """The pointing of each reading, at once and with hindsight, the true main axes, shape (N, 3, 3), and who lied."""
+    """Pointing of each reading, filtered and smoothed, the true main axes, shape (N, 3, 3), and faulty sources."""
 
     at_once: list[PointingEstimate]
     smoothed: list[PointingEstimate]
@@ -46,7 +46,7 @@ class Told(NamedTuple):
     excluded: set[str]
 
     def place(self, second: float) -> int:
-        """The number of the pointing nearest to a time after the first one."""
+        """Return the number of the pointing nearest to a time after the first one."""
         times_ns = np.array([one.time_ns for one in self.at_once])
         return int(np.argmin(np.abs(times_ns - times_ns[0] - second * 1e9)))
 
@@ -68,7 +68,7 @@ def rms_arcsec(errors_n: np.ndarray) -> float:
 
 
 def told_again(core: SmoothingAxisCore, outcomes: Iterator[PointingOutcome], run: SimulatedRun) -> Told:
-    """What a core tells of a run where the truth is known."""
+    """Return the outputs of a core at the times of the truth."""
     at_once, excluded = [], set()
     for outcome in outcomes:
         at_once += [one for one in outcome.estimates if one.status is not Status.INVALID]
@@ -92,7 +92,7 @@ FIRST_S, GAP_S, LEAVE_S, END_S = 30.0, (50.0, 65.0), 90.0, 110.0
 
 
 def session() -> Scenario:
-    """The sweep at rates that cost little: no lights at first, a gap of them, none at the end."""
+    """Return the sweep at low rates: no lights at first, a gap of them, none at the end."""
     scenario = with_theodolite(
         load_scenario(SCENARIOS / "theodolite_sweep.yaml"),
         encoder__rate_hz=5.0,
@@ -127,15 +127,15 @@ def sessions() -> list[Told]:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("second", [1.0, 15.0, 29.0, 40.0, 57.0, 64.0, 89.0, 105.0])
-def test_smoothed_pointings_are_honest(sessions: list[Told], second: float) -> None:
+def test_smoothed_pointings_are_consistent(sessions: list[Told], second: float) -> None:
     place = sessions[0].place(second)
     found = [nees(told.smoothed[place : place + 1], told.true_nm[place : place + 1])[0] for told in sessions]
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(found) < high
 
 
-def test_no_variance_grows_and_what_is_learnt_later_improves_what_was_pointed_before(sessions: list[Told]) -> None:
-    # Where a source is excluded, what was told at once shortly before rested on it still.
+def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sessions: list[Told]) -> None:
+    # Shortly before an exclusion the filtered pointings still depend on the source.
     kept = [told for told in sessions if not told.excluded]
     assert len(kept) > SEEDS // 2
     for told in kept:
@@ -152,7 +152,7 @@ def test_no_variance_grows_and_what_is_learnt_later_improves_what_was_pointed_be
     print(f"before the first lights: at once {errors['at_once']:.1f} arcsec, smoothed {errors['smoothed']:.1f} arcsec")
     assert errors["at_once"] > 40.0
     assert errors["smoothed"] < 0.25 * errors["at_once"]
-    # After the last lights nothing came that could tell more.
+    # After the last lights there are no further measurements.
     last = sessions[0]
     np.testing.assert_allclose(
         covariances(last.smoothed)[last.place(LEAVE_S + 5.0) :],
@@ -162,7 +162,7 @@ def test_no_variance_grows_and_what_is_learnt_later_improves_what_was_pointed_be
     )
 
 
-def test_what_is_told_at_once_is_the_same_to_the_last_bit(sessions: list[Told]) -> None:
+def test_filtered_pointings_are_the_same_to_the_last_bit(sessions: list[Told]) -> None:
     scenario = session()
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
     plain = [one for outcome in fed(core, simulate(scenario, 0)) for one in outcome.estimates]
@@ -172,13 +172,13 @@ def test_what_is_told_at_once_is_the_same_to_the_last_bit(sessions: list[Told]) 
         assert (one.time_ns, one.status, one.text) == (other.time_ns, other.status, other.text)
 
 
-# -- sources that lie -------------------------------------------------------------------------------------------------
+# -- faulty sources ---------------------------------------------------------------------------------------------------
 
 LIE_S = 58.0
 
 
 @pytest.mark.statistics
-def test_before_a_slip_of_the_encoders_it_is_honest() -> None:
+def test_smoothing_before_a_slip_of_the_encoders_is_consistent() -> None:
     # In the gap of the lights the encoders slip by two degrees, further than a mount could turn between two readings:
     # an error that comes at that moment.
     scenario, found, gained = replace(with_theodolite(session(), encoder__rate_hz=20.0), duration_s=75.0), [], []
@@ -196,13 +196,13 @@ def test_before_a_slip_of_the_encoders_it_is_honest() -> None:
     low, high = mean_nees_band(6, 3)
     for mean_nees in np.mean(found, axis=0):
         assert low < mean_nees < high
-    # What came after the slip tells of the axes before it all the same.
+    # Measurements after the slip also improve the axes before it.
     worth = np.mean(gained, axis=0)
     assert np.all(worth[:2] < 0.3)
     assert np.all(worth[3:5] < 0.99)
 
 
-def test_a_drone_that_is_excluded_spoils_nothing() -> None:
+def test_an_excluded_drone_has_no_effect_on_smoothing() -> None:
     scenario = session()
     run, core = simulate(scenario, 0), axis_core(scenario)
     baselines = dict(run.theodolite.baselines)
@@ -214,12 +214,12 @@ def test_a_drone_that_is_excluded_spoils_nothing() -> None:
     assert told.excluded == {BEACON + "a"}
     # Chi-square of three degrees of freedom exceeds it once in ten thousand.
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
-    # The other drone's lights go on to tell of the axes, but not of what was before: the estimate is another one.
+    # The other drone's lights continue to improve the axes, but not those before: the estimate is another one.
     assert is_as_it_was(told, 40.0, 40.5)
     assert not is_as_it_was(told, 45.0, 80.0)
 
 
-def test_after_encoders_that_are_excluded_nothing_is_told_back() -> None:
+def test_excluded_encoders_change_no_smoothed_pointing() -> None:
     # Half a degree is no step that no mount could make: the lights find it.
     scenario = session()
     run, core = simulate(scenario, 0), axis_core(scenario)
@@ -230,14 +230,14 @@ def test_after_encoders_that_are_excluded_nothing_is_told_back() -> None:
     told = told_again(core, fed(core, run), run)
     assert told.excluded == {ENCODER}
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
-    # From the last lights before on; and each sighting of what follows stands for itself.
+    # From the last lights before on; and each later sighting is independent.
     assert not is_as_it_was(told, 45.0, 49.0)
     assert is_as_it_was(told, 50.0, LIE_S)
     assert is_as_it_was(told, 70.0, 88.0)
 
 
 def is_as_it_was(told: Told, start_s: float, end_s: float) -> bool:
-    """Whether the pointings of a while are told again as they were, but for rounding."""
+    """True if the smoothed pointings of a time span equal the filtered ones to rounding."""
     some = slice(told.place(start_s), told.place(end_s))
     at_once, smoothed = (covariances(all_)[some] for all_ in (told.at_once, told.smoothed))
     return bool(np.all(np.abs(smoothed - at_once) <= 1e-6 * np.trace(at_once, axis1=1, axis2=2)[:, None, None]))
@@ -247,7 +247,7 @@ def is_as_it_was(told: Told, start_s: float, end_s: float) -> bool:
 
 
 def voyage() -> Scenario:
-    """Stars for the ship with a gap of clouds, lights that come late and leave for a while."""
+    """Return stars for the ship with a gap of clouds, lights that start late and have a gap."""
     whole, clouds = load_scenario(SCENARIOS / "demo.yaml"), {"clouds": Outage(30.0, 48.0)}
     sensors = {id_: replace(one, rate_hz=2.0, outages=clouds) for id_, one in whole.star_sensors.items()}
     hidden = {"at first": Outage(0.0, 15.0), "gap": Outage(36.0, 60.0)}
@@ -284,7 +284,7 @@ def sailed(seed: int) -> Told:
 
 
 @pytest.mark.statistics
-def test_by_the_smoothed_attitude_of_the_ship_it_is_honest() -> None:
+def test_smoothing_with_the_smoothed_ship_attitude_is_consistent() -> None:
     found = []
     for seed in range(SEEDS // 2):
         told = sailed(seed)
@@ -299,7 +299,7 @@ def test_by_the_smoothed_attitude_of_the_ship_it_is_honest() -> None:
 # -- stars on the mount -----------------------------------------------------------------------------------------------
 
 
-def test_stars_that_come_later_improve_what_was_pointed_before() -> None:
+def test_later_stars_improve_earlier_pointings() -> None:
     settings = mount_config(axes__flexure_sigma_arcsec=6.0)
     found, errors = [], {"at_once": [], "smoothed": []}
     for seed in range(SEEDS // 2):

@@ -1,7 +1,7 @@
-"""Errors that stay with a star's place on the detector: what the suite claims of them against a simulated detector.
+"""Position-dependent errors of a star on the detector: their model in the suite compared with a simulated detector.
 
-The simulated detector adds waves and a number for each pixel; the suite holds the first as a polynomial and knows
-of the second how long they last. Many seeds of the filter: ``spatial_errors`` among the cases of the campaign.
+The simulated detector has waves and a number for each pixel; the suite models the first as a polynomial, and the
+second by their duration. Many seeds of the filter: ``spatial_errors`` among the cases of the campaign.
 """
 
 
@@ -24,10 +24,10 @@ from ship_testing.campaign_cases import case_in_short
 from ship_testing.paper_stars import paper_stars, with_sensor
 
 LARGE = {"field_spatial_sigma_px": 0.3, "pixel_spatial_sigma_px": 0.2}
-"""7″ and 5″ beside a noise of 3″."""
+"""7″ and 5″, with a noise of 3″."""
 
 def solved(run: SimulatedRun):
-    """The attitude of the sensor by the first exposure of a run, and the true one (horizon from sensor)."""
+    """Return the attitude of the sensor by the first exposure of a run, and the true one (horizon from sensor)."""
     config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
     watch = installed_sky(config.sky)
     for _, source, index in run.arrivals():
@@ -58,10 +58,10 @@ def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
     assert by_name["field_spatial"] > by_name["pixel_spatial"]
 
 
-def test_stars_without_names_are_known_though_their_places_on_the_detector_are_off():
-    """The gate of a detection holds the spatial errors: one in a thousand falls out of it, not one in five.
+def test_stars_are_identified_despite_spatial_errors():
+    """The gate of a detection includes the spatial errors: one in a thousand is outside, not one in five.
 
-    Two sensors at a quay, a minute by a filter that must name all stars itself; errors of 7″ and 5″ beside 3″ of noise.
+    Two sensors at a quay, for a minute, by a filter that must identify all stars; errors of 7″ and 5″ with 3″ of noise.
     """
     scenario = case_in_short("spatial_errors")
     nameless = {id_: replace(one, identified=False) for id_, one in scenario.star_sensors.items()}

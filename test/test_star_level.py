@@ -1,6 +1,6 @@
-"""Simulated stars and what the suite makes of them: one joint solution an epoch, honest with every shared error large.
+"""Simulated stars and their processing by the suite: one joint solution per epoch, consistent with large shared errors.
 
-The simulated sky and the estimator's are separate: were a sign or a scale of one of them wrong, these bands would fail.
+The simulated sky and the estimator's are separate: with a wrong sign or scale in one of them these tests would fail.
 """
 
 from dataclasses import replace
@@ -31,7 +31,7 @@ SEEDS = 120
 
 
 def one_epoch(**changes) -> Scenario:
-    """The reference case at star level for a second, with one exposure of each sensor, stamped at the start."""
+    """Return the reference case at star level for a second, one exposure of each sensor, stamped at the start."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {id_: replace(sensor, rate_hz=1.0) for id_, sensor in whole.star_sensors.items()}
     short = replace(whole, duration_s=1.0, ins=replace(whole.ins, rate_hz=1.0), star_sensors=sensors)
@@ -39,7 +39,7 @@ def one_epoch(**changes) -> Scenario:
 
 
 def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyWatch:
-    """The sky as the fixes and the weather station tell it."""
+    """Return the sky by the fixes and the weather station."""
     watch = installed_sky(configuration.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
@@ -48,7 +48,7 @@ def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyWatch:
 
 
 def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: ShipAttitudeConfig) -> SightedStars:
-    """All stars of several sensors in the deck."""
+    """Return all stars of several sensors in the deck."""
     parts, mounting_b, field_b, field_sources = [], [], [], ()
     for index, (id_, exposure) in enumerate(exposures.items()):
         sensor = configuration.star_sensors[id_]
@@ -77,7 +77,7 @@ def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: 
 
 
 def normalised_errors(scenario: Scenario, told: Scenario | None = None, **sky: float) -> list[float]:
-    """NEES of the joint solution, a seed each."""
+    """Return NEES of the joint solution, one per seed."""
     return each_nees(*joint_errors(scenario, told, **sky))
 
 
@@ -86,12 +86,12 @@ def each_nees(errors_n: FloatArray, covariances_n: FloatArray) -> list[float]:
 
 
 def joint_errors(scenario: Scenario, told: Scenario | None = None, **sky: float) -> tuple[FloatArray, FloatArray]:
-    """Errors of the joint solution and their covariances, a seed each, shapes (n, 3) and (n, 3, 3).
+    """Return errors of the joint solution and their covariances, one per seed, shapes (n, 3) and (n, 3, 3).
 
     Args:
-        scenario: what is sailed.
-        told: whose configuration the estimator has; that of ``scenario`` where None.
-        sky: parameters of the sky, changed in it.
+        scenario: scenario of the simulation.
+        told: scenario of the estimator's configuration; that of ``scenario`` where None.
+        sky: changed parameters of the sky.
     """
     suite = suite_configuration(told or scenario)
     configuration = build(ShipAttitudeConfig, {**suite, "sky": {**suite["sky"], **sky}})
@@ -118,29 +118,29 @@ LARGE_ERRORS = {
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("case", LARGE_ERRORS)
-def test_the_joint_solution_is_as_good_as_it_says(case: str) -> None:
+def test_the_error_of_the_joint_solution_fits_its_covariance(case: str) -> None:
     low, high = mean_nees_band(SEEDS, degrees=3)
     assert low <= np.mean(normalised_errors(one_epoch(**LARGE_ERRORS[case]))) <= high
 
 
 @pytest.mark.slow
-def test_errors_that_nobody_was_told_of_are_found_out() -> None:
-    """The bands can fail: the weather's large errors with the configuration of the usual ones."""
+def test_unmodelled_errors_are_detected() -> None:
+    """The test can fail: large weather errors with the configuration of the usual ones."""
     values = normalised_errors(one_epoch(**LARGE_ERRORS["weather"]), told=BASE)
     assert np.mean(values) > mean_nees_band(SEEDS, degrees=3)[1]
 
 
 def low(model: str) -> Scenario:
-    """Both sensors look low: most of their stars stand at 5° to 11°. The air bends light as a model says."""
+    """Return two sensors at low elevation: most stars are at 5° to 11°, with refraction by a model."""
     sensors = {id_: replace(sensor, elevation_deg=7.0) for id_, sensor in BASE.star_sensors.items()}
     return replace(BASE, star_sensors=sensors, weather=replace(BASE.weather, refraction_model=model))
 
 
 @pytest.mark.slow
-def test_low_stars_by_erfa_are_as_good_as_they_say_and_by_traced_rays_better() -> None:
-    """The true air bends by traced rays. What erfa's formula is off by there is a sigma of it and a little more.
+def test_errors_of_low_stars_fit_their_covariance_by_erfa_and_are_smaller_by_traced_rays() -> None:
+    """The true refraction is that of traced rays. The error of erfa's formula there is slightly more than its sigma.
 
-    That is the same in each seed, so that its NEES is no mean over what its sigma states: only above is a bound.
+    It is the same in each seed, so that NEES is no mean over its sigma: only the upper bound applies.
     """
     truth = low("ray_trace")
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
@@ -154,8 +154,8 @@ def test_low_stars_by_erfa_are_as_good_as_they_say_and_by_traced_rays_better() -
 
 
 @pytest.mark.slow
-def test_an_error_of_the_clock_is_told_beside_that_of_ut1() -> None:
-    """The Earth has turned by 0.2 s more or less than the stamps say: 3″, as when all clocks are wrong by so much."""
+def test_an_error_of_the_clock_is_modelled_with_that_of_ut1() -> None:
+    """A rotation of the Earth by 0.2 s more or less than the stamps: 3″, as with such an error of all clocks."""
     late = one_epoch(earth_rotation_sigma_s=0.2)
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
     told = normalised_errors(late, utc_sigma_s=0.2)
@@ -165,7 +165,7 @@ def test_an_error_of_the_clock_is_told_beside_that_of_ut1() -> None:
     assert np.mean(untold) > high_bound
 
 
-def test_a_tracker_against_the_icrs_is_turned_to_the_horizon_as_it_really_stands() -> None:
+def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:
     sensors = {
         id_: replace(
             sensor,

@@ -1,7 +1,7 @@
-"""The reference case with single stars: would it show if the sky were wrong? Solutions and streaks of it.
+"""The reference case with single stars: does a wrong sky show? Solutions and streaks of it.
 
-Whether the fused attitude is honest, ``test_campaign_cases.py`` and ``make campaign`` tell. The simulated sky and the
-estimator's are separate code.
+The consistency of the fused attitude is tested in ``test_campaign_cases.py`` and ``make campaign``. The simulated sky
+and the estimator's are separate code.
 """
 
 import math
@@ -39,7 +39,7 @@ SURELY_WRONG = 6.0
 
 
 def short(**changes) -> Scenario:
-    """The reference case at star level, cut to what settles it."""
+    """Return the reference case at star level, shortened."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {id_: replace(sensor, rate_hz=2.0) for id_, sensor in whole.star_sensors.items()}
     ins = replace(whole.ins, rate_hz=10.0)
@@ -55,14 +55,14 @@ def runs() -> list[SimulatedRun]:
 def final_nees(
     run: SimulatedRun, watch: type[SkyWatch] = SkyWatch, table: EarthOrientationTable | None = None
 ) -> float:
-    """Of the fused attitude at the end, by an estimator with another sky where one is given."""
+    """Return NEES of the fused attitude at the end, by an estimator with another sky if given."""
     return normalised(run, final(run, watch, table)[1])
 
 
 def final(
     run: SimulatedRun, watch: type[SkyWatch] = SkyWatch, table: EarthOrientationTable | None = None
 ) -> tuple[ShipAttitudeCore, AttitudeEstimate]:
-    """The estimator at the end, and its last attitude."""
+    """Return the estimator at the end, and its last attitude."""
     config = core_for(run.scenario).config
     core = ShipAttitudeCore(config, watch(config.sky, table or earth_orientation_table(), hipparcos()))
     return core, feed_attitude(core, run)[0]
@@ -74,7 +74,7 @@ def normalised(run: SimulatedRun, estimate: AttitudeEstimate) -> float:
 
 
 def test_a_fix_in_time_rewinds_nothing() -> None:
-    """Fixes and readings of the air come at their stamps: only the first of them make exposures compare anew."""
+    """Fixes and weather readings arrive at their stamps: only the first cause exposures to be compared again."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     run = simulate(replace(whole, duration_s=60.0, ins=replace(whole.ins, rate_hz=10.0)), seed=1)
     core, steps = core_for(run.scenario), 0
@@ -94,7 +94,7 @@ def test_a_fix_in_time_rewinds_nothing() -> None:
 
 
 def by_solutions(run: SimulatedRun) -> AttitudeEstimate:
-    """The fused attitude at the end where star_attitude solves the exposures and ship_attitude takes its solutions."""
+    """Return the fused attitude at the end if ship_attitude uses the solutions of star_attitude."""
     outcomes = sail_by_solutions(run)
     # An exposure at the very start has no INS sample before it.
     assert {one.reason for outcome in outcomes for one in outcome.decisions} <= {Reason.NONE, Reason.GAP}
@@ -102,8 +102,8 @@ def by_solutions(run: SimulatedRun) -> AttitudeEstimate:
 
 
 @pytest.mark.statistics
-def test_with_a_poor_fix_solutions_are_worth_what_the_stars_are() -> None:
-    """A fix of sigma 100 m. Taken as each sensor's own error, its part of sigma was 0.7 of what it is."""
+def test_with_a_poor_fix_solutions_have_the_sigma_of_the_stars() -> None:
+    """A fix of sigma 100 m. As each sensor's own error, its part of sigma was 0.7 of the true one."""
     scenario = short()
     scenario = replace(scenario, position=replace(scenario.position, slow_sigma_m=100.0))
     nees = []
@@ -119,26 +119,26 @@ def test_with_a_poor_fix_solutions_are_worth_what_the_stars_are() -> None:
 
 
 def streaked(exposure_s: float, seeds: int) -> list[SimulatedRun]:
-    """The reference case with exposures of some length: its ship rolls 4° in 11 s."""
+    """Return the reference case with an exposure time: its ship rolls 4° in 11 s."""
     scenario = short()
     sensors = {id_: replace(star, exposure_s=exposure_s) for id_, star in scenario.star_sensors.items()}
     return [simulate(replace(scenario, star_sensors=sensors), seed) for seed in range(seeds)]
 
 
 def nobody_told_the_length(run: SimulatedRun) -> SimulatedRun:
-    """The same run, its exposures without their length."""
+    """Return the same run, its exposures without their length."""
     sensors = {id_: replace(sensor, exposure_s=0.0) for id_, sensor in run.scenario.star_sensors.items()}
     return replace(run, scenario=replace(run.scenario, star_sensors=sensors))
 
 
-def test_mend_09_with_streaks_of_a_fifth_of_a_second_the_fused_attitude_is_as_good_as_it_says():
+def test_with_streaks_of_a_fifth_of_a_second_the_error_fits_its_covariance():
     # Of a tenth of a second: test_campaign_cases.py.
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= np.mean([final_nees(run) for run in streaked(0.2, SEEDS)]) <= high
 
 
 @pytest.mark.parametrize("exposure_s", [0.1, 0.2])
-def test_mend_09_streaks_of_which_nobody_tells_the_length_show(exposure_s):
+def test_streaks_without_exposure_time_are_detected(exposure_s):
     """The errors are larger than they say; or the sensors are found to contradict it."""
     lies = [nobody_told_the_length(run) for run in streaked(exposure_s, 3)]
     found = [(*final(lie), lie) for lie in lies]
@@ -148,7 +148,7 @@ def test_mend_09_streaks_of_which_nobody_tells_the_length_show(exposure_s):
 
 
 def rolling_far(ins_rate_hz: float) -> Scenario:
-    """Roll of 20° in 8 s, exposures of a quarter of a second: streaks of up to 600 pixels."""
+    """Return a roll of 20° in 8 s, exposures of a quarter of a second: streaks of up to 600 pixels."""
     scenario = short()
     sensors = {id_: replace(star, exposure_s=0.25, rate_hz=1.0) for id_, star in scenario.star_sensors.items()}
     roll = AngleMotion(waves={"swell": Wave(amplitude_deg=20.0, period_s=8.0, phase_rad=0.3)})
@@ -156,11 +156,11 @@ def rolling_far(ins_rate_hz: float) -> Scenario:
     return replace(scenario, star_sensors=sensors, ins=ins, carrier=replace(scenario.carrier, roll=roll))
 
 
-def test_samples_of_the_ins_close_together_add_no_knowledge_of_its_clock() -> None:
-    """Streaks tell the clock: 0.55 ms after 30 s, whatever the rate of the INS.
+def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
+    """Streaks determine the clock: 0.55 ms after 30 s, with any rate of the INS.
 
-    Along a streak a star is good to some 500", across it to 3". The rate between two samples 10 ms apart was off by
-    200" a second, a part of it across the streak: 0.515 ms were claimed.
+    Along a streak a star has a sigma of some 500", across it of 3". The rate between two samples 10 ms apart was off by
+    200" a second, a part of it across the streak: the sigma was 0.515 ms.
     """
     claimed_s = []
     for ins_rate_hz in (20.0, 100.0):
@@ -173,8 +173,8 @@ def test_samples_of_the_ins_close_together_add_no_knowledge_of_its_clock() -> No
 
 
 @pytest.mark.statistics
-def test_errors_of_long_streaks_are_as_large_as_the_covariance_says() -> None:
-    """Where the rate held the noise of two samples, the roll's RMS was 1.19 sigma and NEES 3.54."""
+def test_errors_of_long_streaks_fit_their_covariance() -> None:
+    """With the noise of two samples in the rate, the roll's RMS was 1.19 sigma and NEES 3.54."""
     scenario = rolling_far(100.0)
     results = [final_error(scenario, seed) for seed in range(LONG_STREAK_SEEDS)]
     ratio = np.sqrt(np.mean([(result.angles / result.sigma) ** 2 for result in results], axis=0))
@@ -187,7 +187,7 @@ def test_errors_of_long_streaks_are_as_large_as_the_covariance_says() -> None:
 
 
 class _Airless(SkyMoment):
-    """Stars where they would be seen without air."""
+    """Apparent places of stars without air."""
 
     def apparent(self, stars) -> ApparentStars:
         seen = super().apparent(stars)
@@ -196,7 +196,7 @@ class _Airless(SkyMoment):
 
 
 class SkyWithoutRefraction(SkyWatch):
-    """A sky that knows of no refraction."""
+    """Sky without refraction."""
 
     def at(self, time_ns: int) -> SkyMoment | Refusal:
         moment = super().at(time_ns)
@@ -204,7 +204,7 @@ class SkyWithoutRefraction(SkyWatch):
 
 
 class _Still(RefreshedSky):
-    """Stars as an observer sees them who does not move."""
+    """Apparent places of stars for an observer at rest."""
 
     def directions(self, stars, time_ns, observer) -> FloatArray:
         celestial = np.stack(
@@ -219,7 +219,7 @@ class _Still(RefreshedSky):
 
 
 class SkyWithoutAberration(SkyWatch):
-    """Stars as an observer at rest sees them; without proper motion, 0.3″ since 2000 for most."""
+    """Apparent places for an observer at rest; without proper motion, 0.3″ since 2000 for most."""
 
     def __init__(self, config, table, catalogue) -> None:
         super().__init__(config, table, catalogue)
@@ -227,7 +227,7 @@ class SkyWithoutAberration(SkyWatch):
 
 
 class UniversalTimeIsUtc(EarthOrientationTable):
-    """UT1 = UTC, as clocks that know no Earth rotation have it; 0.3055 s off on the day of the scenario."""
+    """UT1 = UTC, without Earth rotation data; 0.3055 s off on the day of the scenario."""
 
     def __init__(self, table: EarthOrientationTable) -> None:
         self.__dict__.update(table.__dict__)

@@ -48,7 +48,7 @@ def star_values(**changes: Any) -> dict[str, Any]:
             "azimuth_deg": azimuth_deg,
             "elevation_deg": 45.0,
             "frame_id": f"star_{id_}",
-            "camera": dict(star_voyage.CAMERA_PARAMETERS),  # rcl knows no YAML aliases
+            "camera": dict(star_voyage.CAMERA_PARAMETERS),  # rcl does not support YAML aliases
         }
         for id_, azimuth_deg in (("fore", 0.0), ("starboard", 90.0))
     }
@@ -56,7 +56,7 @@ def star_values(**changes: Any) -> dict[str, Any]:
 
 
 def suite(*nodes: str) -> str:
-    """Configuration of some nodes; ship_attitude takes the solutions."""
+    """Return the configuration of some nodes; ship_attitude uses the solutions."""
     ship = star_values()
     for sensor in ship["star_sensors"].values():
         sensor["input"] = "solution"
@@ -66,7 +66,7 @@ def suite(*nodes: str) -> str:
 
 
 def write(path: Path, suite_text: str, further: Iterable[BagRecord] = (), without: str = "nothing") -> Path:
-    """The voyage as a bag."""
+    """Write the voyage as a bag."""
     with BagWriter(path) as bag:
         bag.add_attachment(SUITE_ATTACHMENT, suite_text)
         kinds = {topic.topic: topic.type_name for topic in star_voyage.new_adapter().inputs}
@@ -89,20 +89,20 @@ def bytes_of(path: Path, *topics: str) -> list[tuple[str, int, bytes]]:
 
 
 def ship_bytes(path: Path) -> list[tuple[str, int, bytes]]:
-    """The ship's attitudes since the first INS sample; before it only the ticks tell that there is none."""
+    """Return the ship's attitudes since the first INS sample; before it only the ticks publish that there is none."""
     return [entry for entry in bytes_of(path, SHIP) if entry[1] > small_voyage.START_NS]
 
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The voyage, and what a replay of both nodes gives."""
+    """Return the voyage, and the outputs of a replay of both nodes."""
     folder = tmp_path_factory.mktemp("both")
     bag, out = write(folder / "in.mcap", suite("star_attitude", "ship_attitude")), folder / "out.mcap"
     assert replay([str(bag), "--out", str(out)]) == 0
     return bag, out
 
 
-def test_solutions_go_on_to_the_ship_s_attitude_in_one_pass(both: tuple[Path, Path]) -> None:
+def test_solutions_are_used_by_the_ship_attitude_in_one_pass(both: tuple[Path, Path]) -> None:
     _, out = both
     attitudes = [record.decode() for record in records(out, SHIP)]
     assert len(records(out, *SOLUTIONS)) == len(star_voyage.only(star_voyage.voyage(), *star_voyage.AZIMUTH_DEG))
@@ -110,7 +110,7 @@ def test_solutions_go_on_to_the_ship_s_attitude_in_one_pass(both: tuple[Path, Pa
     assert list(attitudes[-1].sources) == ["ins", "star.fore", "star.starboard"]
 
 
-def test_the_pass_is_to_the_last_bit_what_the_nodes_give_one_after_the_other(
+def test_one_pass_is_equal_to_separate_replays_to_the_last_bit(
     both: tuple[Path, Path], tmp_path: Path
 ) -> None:
     stars_only = write(tmp_path / "1.mcap", suite("star_attitude"))
@@ -124,7 +124,7 @@ def test_the_pass_is_to_the_last_bit_what_the_nodes_give_one_after_the_other(
     assert ship_bytes(tmp_path / "4.mcap") == ship_bytes(both[1])
 
 
-def test_solutions_recorded_beside_the_observations_are_not_used_a_second_time(
+def test_solutions_recorded_with_the_observations_are_not_used_twice(
     both: tuple[Path, Path], tmp_path: Path
 ) -> None:
     bag = write(tmp_path / "in.mcap", suite("star_attitude", "ship_attitude"), records(both[1], *SOLUTIONS))
@@ -154,14 +154,14 @@ def test_a_bag_with_inputs_and_outputs_of_both_nodes_is_verified(
 
 
 @pytest.mark.statistics
-def test_the_joint_solution_errs_as_its_covariance_says_over_many_voyages() -> None:
-    """Scenario ``paper_stars``: every seed draws mounting, refraction, UT1 and place anew; one solution of each."""
+def test_the_error_of_the_joint_solution_fits_its_covariance_over_many_voyages() -> None:
+    """Scenario ``paper_stars``: each seed draws mounting, refraction, UT1 and place; one solution of each."""
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(joint_nees(SEEDS)) < high
 
 
 @pytest.mark.statistics
-def test_mend_09_the_joint_solution_of_streaks_errs_as_its_covariance_says() -> None:
+def test_the_error_of_the_joint_solution_of_streaks_fits_its_covariance() -> None:
     """Exposures of a fifth of a second of a ship that rolls 4° in 11 s."""
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(joint_nees(SEEDS, exposure_s=0.2)) < high
@@ -170,7 +170,7 @@ def test_mend_09_the_joint_solution_of_streaks_errs_as_its_covariance_says() -> 
 
 
 def joint_nees(seeds: int, exposure_s: float = 0.0, believed_psf_px: float | None = None) -> list[float]:
-    """Of one joint solution of each of many voyages."""
+    """Return NEES of one joint solution of each of many voyages."""
     scenario = dataclasses.replace(load_scenario(ROOT / "bags" / "scenarios" / "paper_stars.yaml"), duration_s=1.0)
     sensors = {id_: dataclasses.replace(s, exposure_s=exposure_s) for id_, s in scenario.star_sensors.items()}
     scenario = dataclasses.replace(scenario, star_sensors=sensors)
@@ -197,10 +197,10 @@ def joint_nees(seeds: int, exposure_s: float = 0.0, believed_psf_px: float | Non
 
 
 class _Nobody:
-    """A publisher without subscribers."""
+    """Publisher without subscribers."""
 
     def publish(self, message: Any) -> None:
-        """Tell nobody."""
+        """Discard the message."""
 
 
 def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -231,7 +231,7 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
 
 @pytest.mark.smoke
 @pytest.mark.live
-def test_live_over_dds_it_gives_the_same_and_its_box_says_so(
+def test_live_over_dds_the_outputs_and_the_box_are_the_same(
     both: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -1,4 +1,4 @@
-"""The pages of the layout study and of the design study: nothing is cut off, and none is a dozen windows long."""
+"""Pages of the layout study and of the design study: no part is cut off, and the page is not excessively long."""
 
 from collections.abc import Iterator
 from pathlib import Path

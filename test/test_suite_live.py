@@ -1,4 +1,4 @@
-"""``suite`` with the real nodes over DDS: brought up from a file, kept running, apart from another suite."""
+"""``suite`` with the real nodes over DDS: started from a file, supervised, separate from another suite."""
 
 import contextlib
 import functools
@@ -88,7 +88,7 @@ def test_a_folder_for_boxes_that_cannot_be_written_starts_nothing():
     assert re.fullmatch(r"suite: --box /proc/boxes: .*: expected a folder that can be written\n", ended.stderr)
 
 
-def test_a_bag_without_what_the_nodes_need_starts_nothing():
+def test_a_bag_without_required_inputs_starts_nothing():
     ended = run(ROOT / "examples" / "theodolite.yaml", "--bag", DEMO)
     assert ended.returncode == 2
     assert f"{DEMO}: required topics theodolite/encoder are missing" in ended.stderr
@@ -108,8 +108,8 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
 
 
 @pytest.mark.parametrize("tell_simulated", [False, True])
-def test_the_attitude_of_a_bag_goes_out_as_sentences_that_say_it_is_played(tmp_path, domain, tell_simulated):
-    """Of the two only THS can say so; HDT is void unless people ask for it, as for a training."""
+def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path, domain, tell_simulated):
+    """Only THS has a mode for it; HDT is invalid unless configured, as for a training."""
     path, told = tmp_path / "suite.yaml", tmp_path / "told.nmea"
     nodes = {
         "/**/nmea_in": {"sources": {"gyro": {"kind": "serial", "device": "/dev/ttyUSB7", "becomes": "gyro"}}},
@@ -138,7 +138,7 @@ def test_the_attitude_of_a_bag_goes_out_as_sentences_that_say_it_is_played(tmp_p
     )
 
 
-def test_a_port_that_another_program_has_ends_nmea_out_and_not_the_suite(tmp_path, domain):
+def test_a_port_in_use_ends_nmea_out_and_not_the_suite(tmp_path, domain):
     path = tmp_path / "suite.yaml"
     with socket.socket() as other:
         other.bind(("", 0))
@@ -157,7 +157,7 @@ def test_a_port_that_another_program_has_ends_nmea_out_and_not_the_suite(tmp_pat
 
 
 def namespaces(node, topic):
-    """Those of the nodes that give or take a topic."""
+    """Return the namespaces of the nodes that publish or subscribe to a topic."""
     ends = [*node.get_publishers_info_by_topic(topic), *node.get_subscriptions_info_by_topic(topic)]
     return {info.node_namespace for info in ends}
 
@@ -171,7 +171,7 @@ FRAMES = {
 
 
 def hear_frames(frames, name, message):
-    """Note what hangs on what on the /tf of a suite."""
+    """Record the parents of the frames on the /tf of a suite."""
     frames.update((name, each.header.frame_id, each.child_frame_id) for each in message.transforms)
 
 
@@ -199,7 +199,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
             assert observer.spin_until(lambda t=topic, own=own: namespaces(observer.node, t) == {own}), topic
             assert observer.spin_until(lambda t=topic: observer.node.count_publishers(t) == 1), topic
         assert observer.spin_until(lambda: frames >= FRAMES), frames
-        # Suites share this topic alone: what a node tells of itself says whose it is.
+        # Suites share only this topic: the name of a status contains the node's namespace.
         observer.node.create_subscription(
             DiagnosticArray,
             "/diagnostics",
@@ -214,16 +214,16 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
         assert observer.node.count_publishers("/beta/theodolite/pointing") == 1
 
 
-def test_a_node_that_is_killed_is_back_within_two_seconds_with_its_last_saved_alignment(tmp_path, domain, monkeypatch):
+def test_a_killed_node_is_restarted_within_two_seconds_with_its_saved_alignment(tmp_path, domain, monkeypatch):
     """In the usual company: another node, page, alerts, a box, and a recorder, which has the gap of the data.
 
-    Measured with 25 processes that wanted the four cores, 10 kills: gap 0.8 s in the median, 1.7 s at most. It needs no
-    more than 0.2 s of work, as the successor has read its libraries before; the rest is the 0.5 s after which DDS
-    participants tell that they are there (``dds_profile.xml``). On a computer that has more to do than that, one kill
-    of three must do: how long a process waits for a core is not the suite's.
+    Measured with 25 processes competing for the four cores, 10 kills: gap 0.8 s in the median, 1.7 s at most. It needs
+    at most 0.2 s of work, as the reserve process has imported its libraries before; the rest is the 0.5 s of the
+    announcement period of DDS participants (``dds_profile.xml``). On a computer with more load one kill of three must
+    suffice: the time for which a process waits for a core does not depend on the suite.
     """
     for name, value in UDP_ALONE.items():
-        monkeypatch.setenv(name, value)  # of who is not started by the suite
+        monkeypatch.setenv(name, value)  # of a node that is not started by the suite
     gaps_s = []
     while not gaps_s or (min(gaps_s) >= 2.0 and len(gaps_s) < 3):
         folder = tmp_path / str(len(gaps_s))
@@ -237,7 +237,7 @@ def test_a_node_that_is_killed_is_back_within_two_seconds_with_its_last_saved_al
 
 
 def killed_once(folder, environment):
-    """The longest gap in what ``ship_attitude`` says, s of data, when it is killed once, the suite's log, its file."""
+    """Kill the node once; return the longest gap of ``ship_attitude``, s of data, the suite's log, its file."""
     saved, path, recorded = folder / "alignment.yaml", folder / "suite.yaml", folder / "recorded.mcap"
     with read_bag(DEMO) as bag:
         attached = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
@@ -273,12 +273,12 @@ def killed_once(folder, environment):
 
 @pytest.mark.slow
 def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
-    """With the process in reserve, as by whoever stops all processes of that name."""
+    """Together with its reserve process, as by a user who stops all processes of that name."""
     command = suite("--bag", DEMO, "--loop", "0", "--frozen-report", "2", "--frozen-restart", "5")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         valid = "[ship_attitude]: attitude: VALID"
         wait_for(lambda: valid in process.log() and has_reserve(process.pid, "ship_attitude"), process)
-        time.sleep(2.0)  # the reserve's own sign of life
+        time.sleep(2.0)  # the reserve's own heartbeat
         pids = processes_of(process.pid, "ship_attitude")
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
@@ -286,8 +286,8 @@ def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
         assert not set(pids) & set(processes_of(process.pid, "ship_attitude"))
         assert process.end(signal.SIGTERM) == 0
         log = process.log()
-    assert re.search(r"\[suite\] ship_attitude is frozen: no sign of life for \d+ s", log)
-    assert re.search(r"\[suite\] ship_attitude sent no sign of life for \d+ s: killed", log)
+    assert re.search(r"\[suite\] ship_attitude is frozen: no heartbeat for \d+ s", log)
+    assert re.search(r"\[suite\] ship_attitude sent no heartbeat for \d+ s: killed", log)
     assert log.count("[suite] ship_attitude ended") == 1, log
 
 
@@ -307,26 +307,26 @@ def free_port():
 
 
 def processes_of(suite_pid, name):
-    """Process ids of a node of a suite: the one that runs, and the one in reserve, if it is there."""
+    """Return process ids of a node of a suite: the running one, and the reserve process if there is one."""
     children = Path(f"/proc/{suite_pid}/task/{suite_pid}/children").read_text().split()
     programs = {int(child): Path(f"/proc/{child}/cmdline").read_text().split("\0") for child in children}
     return [child for child, words in programs.items() if len(words) > 1 and words[1].endswith(f"/{name}")]
 
 
 def node_of(suite_pid, name):
-    """Process id of the one that has a DDS participant."""
+    """Return the process id of the one with a DDS participant."""
     (pid,) = filter(ports_of, processes_of(suite_pid, name))
     return pid
 
 
 def has_reserve(suite_pid, name):
-    """Whether one has read its libraries, and waits to be told to begin."""
+    """True if a process has imported its libraries, and waits for its start."""
     others = [pid for pid in processes_of(suite_pid, name) if not ports_of(pid)]
     return any("poll" in Path(f"/proc/{pid}/wchan").read_text() for pid in others)
 
 
-def test_every_status_that_the_nodes_tell_has_one_place_in_the_aggregator_file(tmp_path, domain):
-    """Of the nodes of two examples, which are all there are, and of the alerts."""
+def test_every_status_of_the_nodes_has_one_place_in_the_aggregator_file(tmp_path, domain):
+    """Of the nodes of two examples, which are all nodes, and of the alerts."""
     names: set[str] = set()
     environment = live_environment(domain, tmp_path)
     stars = suite(ROOT / "examples" / "three_sensors.yaml", "--namespace", "stars", "--box", tmp_path)

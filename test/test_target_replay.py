@@ -1,6 +1,6 @@
-"""Images of a target in a bag: replayed against the true direction, in blocks and one by one, and without a trace.
+"""Images of a target in a bag: replayed and compared with the true direction, in blocks and one by one, without effect.
 
-The bag is simulated (theodolite_night.yaml): the detector turns, and the target goes round on it.
+The bag is simulated (theodolite_night.yaml): the detector turns, and the target moves around on it.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ TARGET, DIRECTION, TRUTH = "theodolite/target", "theodolite/target_direction", "
 
 @pytest.fixture(scope="module", name="voyage")
 def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[int, Any]]:
-    """A bag with images, its suite file, and the true directions and places by stamp."""
+    """Return a bag with images, its suite file, and the true directions and places by stamp."""
     folder, scenario = tmp_path_factory.mktemp("target"), with_night(bag_scenario(duration_s=10.0))
     scenario = dataclasses.replace(scenario, telescopes={})
     write_bag(scenario, 3, folder / "in.mcap", b"")
@@ -48,14 +48,14 @@ def replayed(folder: Path, bag: str, suite: Path, *, one_by_one: bool = False) -
         return [(record.topic.strip("/"), bytes(record.data), record.log_time_ns) for record in replayed_bag.records()]
 
 
-def test_directions_and_places_are_those_of_the_truth_as_their_covariances_say(voyage) -> None:
+def test_errors_of_directions_and_places_fit_their_covariances(voyage) -> None:
     folder, suite, truths = voyage
     replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS, suite)
     with read_bag(folder / "out.mcap") as bag:
         told = [record.decode() for record in bag.records() if record.topic.strip("/") == DIRECTION]
     claimed = [message for message in told if message.status != Status.INVALID]
     assert len(told) >= len(truths) - 2
-    # What stands at the ends of the voyage has no pointing on both its sides.
+    # Images at the ends of the voyage have no pointing on both sides.
     assert len(claimed) >= len(truths) - 4 > 90
     assert Status.VALID in {message.status for message in claimed}
     for message in claimed:
@@ -83,7 +83,7 @@ def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
     assert in_blocks == replayed(folder, "in.mcap", suite, one_by_one=True)
 
 
-def test_pointings_are_what_they_are_without_the_images(voyage) -> None:
+def test_pointings_are_those_without_the_images(voyage) -> None:
     folder, suite, _ = voyage
     about_inputs = DIRECTION, TRUTH, "input_health", "diagnostics"
     with_images, without = (

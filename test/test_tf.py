@@ -1,4 +1,4 @@
-"""The frames on ``/tf`` and ``/tf_static``: their chains, put together by scipy, are what the suite's topics say."""
+"""Frames on ``/tf`` and ``/tf_static``: their chains, composed by scipy, agree with the suite's topics."""
 
 import math
 from collections import Counter, defaultdict
@@ -37,7 +37,7 @@ def turned(quaternion):
 
 
 def apart(one, other):
-    """The angle between two rotations, rad."""
+    """Return the angle between two rotations, rad."""
     return (one.inv() * other).magnitude()
 
 
@@ -50,12 +50,12 @@ def by_stamp(messages):
 
 
 def ros_rotation(forward_azimuth, elevation, roll):
-    """East, North, Up from forward, left, up of a device in the horizon, by the turns of REP-103, angles in rad."""
+    """Return East, North, Up from forward, left, up of a device, by REP-103 angles in rad."""
     return Rotation.from_euler("ZYX", [math.pi / 2 - forward_azimuth, -elevation, roll])
 
 
 def assert_for_tf2(sent):
-    """What tf2 asks for: each child at later and later stamps and under one parent, unit quaternions, no NaN."""
+    """Assert tf2's conditions: increasing stamps and one parent for each child, unit quaternions, no NaN."""
     parents, stamps = defaultdict(set), defaultdict(list)
     for transform in sent:
         parents[transform.child_frame_id].add(transform.header.frame_id)
@@ -67,7 +67,7 @@ def assert_for_tf2(sent):
     assert all(earlier < later for times in stamps.values() for earlier, later in pairwise(times))
 
 
-def test_the_deck_is_told_with_each_attitude_at_its_stamp():
+def test_the_deck_is_published_with_each_attitude_at_its_stamp():
     run = clean_run()
     decks, claimed = transforms(run.messages("/tf")), by_stamp(run.messages("ship/attitude"))
     assert_for_tf2(decks)
@@ -87,7 +87,7 @@ def test_no_transform_is_from_the_future():
 
 
 def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
-    """As configured before the first star; then with what the stars have told of it, as ship/alignment says."""
+    """As configured before the first star; then with the estimate in ship/alignment."""
     run = clean_run()
     first, *_, last = run.messages("/tf_static")
     for static, alignment in ((first, None), (last, run.messages("ship/alignment")[-1])):
@@ -108,8 +108,8 @@ def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
                for one, other in zip(first.transforms, last.transforms, strict=True)) > 1e-8  # fmt: skip
 
 
-def test_through_the_deck_a_star_sensor_points_where_it_says():
-    """Within the errors that the small voyage gives it: 100″ about the boresight, 3″ across, at five sigmas."""
+def test_through_the_deck_a_star_sensor_has_its_measured_attitude():
+    """Within the errors of the small voyage: 100″ about the boresight, 3″ across, at five sigmas."""
     run = clean_run()
     decks = {ns_from_stamp(t.header.stamp): turned(t.transform.rotation) for t in transforms(run.messages("/tf"))}
     mounted = {t.child_frame_id: turned(t.transform.rotation) for t in run.messages("/tf_static")[-1].transforms}
@@ -136,21 +136,21 @@ def test_through_the_deck_a_star_sensor_points_where_it_says():
         (["a", "b"], ["a", "b"]),
     ],
 )
-def test_each_sensor_has_a_frame_of_its_own(ids, expected):
+def test_each_sensor_has_a_separate_frame(ids, expected):
     adapter = new_adapter(star_sensors__fore__frame_id=ids[0], star_sensors__starboard__frame_id=ids[1])
     (static,) = [message for topic, message in adapter.tick(START_NS) if topic == "/tf_static"]
     assert [t.child_frame_id for t in static.transforms] == expected
 
 
-def test_without_star_sensors_there_is_nothing_to_tell_of_the_deck():
+def test_without_star_sensors_no_frame_below_the_deck_is_published():
     adapter = ShipAttitudeAdapter(ShipAttitudeConfig(), FACTORY)
     told = [topic for topic, _ in adapter.tick(START_NS)]
     assert "ship/alignment" in told
     assert "/tf_static" not in told
 
 
-def test_where_no_attitude_is_claimed_nothing_is_told_on_tf():
-    """Two seconds without INS and stars: INVALID once a second; before and after, each claim has its transform."""
+def test_no_transform_is_published_for_an_invalid_attitude():
+    """Two seconds without INS and stars: INVALID once a second; before and after, each output has its transform."""
     run = drive(new_adapter(), cut(voyage(), 2.0, 4.0, INS, FORE, STARBOARD))
     attitudes = run.messages("ship/attitude")
     invalid = [m for m in attitudes if m.status == Status.INVALID]
@@ -166,7 +166,7 @@ def test_where_no_attitude_is_claimed_nothing_is_told_on_tf():
         assert np.all(np.isnan(numbers)) == (attitude.status == Status.INVALID)
 
 
-def test_after_a_reset_stamps_go_on_and_after_a_jump_of_the_clock_they_begin_anew():
+def test_stamps_continue_after_a_reset_and_restart_after_a_clock_jump():
     run = drive(new_adapter(), voyage())
     run.adapter.service("reset", run.now_ns)
     hand_over(run, [a for a in voyage(7.0) if a.receive_ns > run.now_ns])
@@ -181,7 +181,7 @@ def test_after_a_reset_stamps_go_on_and_after_a_jump_of_the_clock_they_begin_ane
 
 
 def test_degrees_and_95_percent():
-    """1.96 sigma is what page, alerts and report call 95 % too; the sigmas are those of ship/attitude."""
+    """1.96 sigma is also 95 % on page, alerts and report; the sigmas are those of ship/attitude."""
     run = clean_run()
     pairs = list(zip(run.messages("ship/attitude"), run.messages("ship/attitude_deg"), strict=True))
     assert len(pairs) > 100
@@ -197,7 +197,7 @@ def test_degrees_and_95_percent():
 
 
 def replayed(folder: Path, changes=None):
-    """Topic → messages of both nodes, by ten seconds of the theodolite bag: the INS alone makes ship/attitude."""
+    """Return topic → messages of both nodes, for ten seconds of the theodolite bag: ship/attitude by the INS alone."""
     part, out, suite = beginning(THEODOLITE, folder / "part.mcap", 10.0), folder / "out.mcap", folder / "suite.yaml"
     with read_bag(part) as bag:
         values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
@@ -218,7 +218,7 @@ def both(tmp_path_factory):
     return replayed(tmp_path_factory.mktemp("both"))
 
 
-def test_the_main_axis_is_told_with_each_pointing_under_the_deck_and_at_the_lever(both):
+def test_the_main_axis_is_published_with_each_pointing_below_the_deck(both):
     sent = transforms(both["/tf"])
     assert_for_tf2(sent)
     frames = {(t.header.frame_id, t.child_frame_id) for t in sent}
@@ -233,7 +233,7 @@ def test_the_main_axis_is_told_with_each_pointing_under_the_deck_and_at_the_leve
 
 
 def test_through_the_deck_as_tf2_interpolates_it_the_main_axis_is_the_pointing(both):
-    """tf2 turns steadily (slerp) from one transform to the next; most readings lie between two attitudes."""
+    """tf2 interpolates (slerp) between transforms; most readings are between two attitudes."""
     sent = transforms(both["/tf"])
     decks = {ns_from_stamp(t.header.stamp): turned(t.transform.rotation) for t in sent if t.child_frame_id == "deck"}
     mains = {ns_from_stamp(t.header.stamp): t for t in sent if t.child_frame_id == "theodolite_main"}
@@ -250,13 +250,13 @@ def test_through_the_deck_as_tf2_interpolates_it_the_main_axis_is_the_pointing(b
     assert between[True] > 50
 
 
-def test_a_bag_of_a_replay_holds_the_frames_latched_as_live(both):
+def test_a_bag_of_a_replay_has_the_latched_frames_of_the_live_node(both):
     assert both["latched"] >= {"/tf_static"}
     assert "/tf" not in both["latched"]
 
 
-def test_by_the_ins_alone_the_main_axis_hangs_in_the_horizon(tmp_path):
-    """The deck of /tf is not the one that the INS says: as a child of it the axis would be off by the INS's errors."""
+def test_by_the_ins_alone_the_parent_of_the_main_axis_is_the_horizon(tmp_path):
+    """The deck of /tf is not that of the INS: as its child the axis would have the INS's errors."""
     told = replayed(tmp_path, {"source": "ins/imu", "frame_id": ""})
     mains = [t for t in transforms(told["/tf"]) if t.child_frame_id == "theodolite_main"]
     pointings = by_stamp(m for m in told["theodolite/pointing"] if m.status != Status.INVALID)
@@ -267,7 +267,7 @@ def test_by_the_ins_alone_the_main_axis_hangs_in_the_horizon(tmp_path):
         assert apart(turned(main.transform.rotation), said) < BEYOND_ROUNDING
 
 
-def test_where_no_pointing_is_claimed_nothing_is_told_on_tf():
+def test_no_transform_is_published_for_an_invalid_pointing():
     adapter = voyage_of("optical_axis").new_adapter()
     told = [*adapter.tick(START_NS), *adapter.tick(START_NS + 2 * SECOND_NS)]
     assert {m.status for topic, m in told if topic == "theodolite/pointing"} == {Status.INVALID}
@@ -275,7 +275,7 @@ def test_where_no_pointing_is_claimed_nothing_is_told_on_tf():
 
 
 @pytest.mark.live
-def test_who_comes_late_is_still_told_where_the_sensors_are(tmp_path, monkeypatch):
+def test_late_subscribers_receive_the_sensor_frames(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain, heard = free_domain_id(), []
     command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "--params-file"]
@@ -285,7 +285,7 @@ def test_who_comes_late_is_still_told_where_the_sensors_are(tmp_path, monkeypatc
     with GraphObserver(domain) as observer, LiveProcess(command, tmp_path / "node.log", environment) as process:
         observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
         assert observer.spin_until(lambda: heard, 60.0), process.log()
-        # The node tells it again only in a minute: this one is told what was said before it came.
+        # The node publishes it again only after a minute: this subscriber receives the latched message.
         observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
         assert observer.spin_until(lambda: len(heard) > 1), process.log()
         assert process.end() == 0

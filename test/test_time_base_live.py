@@ -1,4 +1,4 @@
-"""A live ``ship_attitude`` while the computer's clock and those of all devices are set back; and its black box."""
+"""A live ``ship_attitude`` while the clocks of the computer and of all devices are set back; and its black box."""
 
 import threading
 import time
@@ -36,7 +36,7 @@ pytestmark = pytest.mark.live
 
 
 class Ship:
-    """What is live: the node under test, in a thread, and devices that publish to it by the same clock."""
+    """Live parts: the node under test, in a thread, and devices that publish to it by the same clock."""
 
     def __init__(self, folder) -> None:
         parameters = folder / "suite.yaml"
@@ -80,7 +80,7 @@ class Ship:
 
 
 def test_all_clocks_are_set_back_by_300_s(monkeypatch, tmp_path, capfd):
-    """The system's clock of this computer is not touched: the node is given another one."""
+    """The system clock of this computer is not changed: the node has another one."""
     off_ns = [0]
     monkeypatch.setattr(node_clock, "time", SimpleNamespace(time_ns=lambda: time.time_ns() + off_ns[0]))
     ship = Ship(tmp_path)

@@ -1,4 +1,4 @@
-"""The programs in tools/, which make runs: no other test and no type check loads them all."""
+"""The programs in tools/, which make runs: no other test and no type check imports all of them."""
 
 import ast
 import importlib
@@ -16,8 +16,8 @@ PACKAGES = ("ship_", "theodolite_calib")
 
 
 @pytest.mark.parametrize("tool", sorted(TOOLS.glob("*.py")), ids=lambda path: path.name)
-def test_what_a_tool_imports_of_the_suite_exists(tool: Path) -> None:
-    """A module or a name that has moved is found here, not by the one who types ``make demo``."""
+def test_imports_of_the_tools_from_the_suite_exist(tool: Path) -> None:
+    """A renamed module or name is found here, not by a user of ``make demo``."""
     tree = ast.parse(tool.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(PACKAGES):
@@ -27,7 +27,7 @@ def test_what_a_tool_imports_of_the_suite_exists(tool: Path) -> None:
                 importlib.import_module(f"{node.module}.{name}")
 
 
-def test_the_page_of_speed_tells_value_bound_and_circumstances(tmp_path: Path) -> None:
+def test_the_page_of_speed_has_value_bound_and_circumstances(tmp_path: Path) -> None:
     kept = {
         "date": "2026-11-23", "processor": "one of 1 GHz", "cores": 1, "python": "3.11.7", "numpy": "2.4.6",
         "load": 0.5,
@@ -42,7 +42,7 @@ def test_the_page_of_speed_tells_value_bound_and_circumstances(tmp_path: Path) -
     script = f"import json, bench_page; print(bench_page.page(json.load(open({str(path)!r}))))"
     command = [sys.executable, "-c", script]
     text = subprocess.run(command, cwd=TOOLS, capture_output=True, text=True, check=True, timeout=60).stdout
-    assert "Measured on 2026-11-23: one of 1 GHz, 1 core, Python 3.11.7, numpy 2.4.6;\nload 0.5 in" in text
+    assert "Measured on 2026-11-23: one of 1 GHz, 1 core, Python 3.11.7, numpy 2.4.6;\nload 0.5, mean" in text
     assert "## star solution\n" in text
     assert "| fast | 1.5 | x | at most 2: met |" in text
     assert "| odd | nan | x | at most 2: NOT MET |" in text
@@ -54,7 +54,7 @@ def packages_that_colcon_finds(*where: str) -> set[str]:
     return set(subprocess.run(command, cwd=TOOLS.parent, capture_output=True, text=True, check=True).stdout.split())
 
 
-def test_what_jazzy_brings_itself_is_built_only_by_the_setup_over_wheels() -> None:
+def test_packages_of_jazzy_are_built_only_by_the_setup_with_wheels() -> None:
     """In a workspace of a ship's computer a second tf2_msgs would hide the installed one."""
     assert {path.name for path in (TOOLS / "wheels_only").iterdir()} == {"COLCON_IGNORE", "tf2_msgs"}
     assert "ship_msgs" in (found := packages_that_colcon_finds())

@@ -1,4 +1,4 @@
-"""Bags whose topics have other names than the suite's: --remap, and the map ``topics`` of a suite file."""
+"""Bags with other topic names than the suite's: --remap, and the map ``topics`` of a suite file."""
 
 import json
 from pathlib import Path
@@ -41,13 +41,13 @@ REMAPS = [word for name, other in NAMES.items() for word in ("--remap", f"{other
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """Twenty seconds of a voyage."""
+    """Return twenty seconds of a voyage."""
     return _beginning(tmp_path_factory.mktemp("plain") / "voyage.mcap", {})
 
 
 @pytest.fixture(scope="module")
 def renamed(tmp_path_factory):
-    """The same with an INS, a receiver and a truth whose topics have the names that drivers give."""
+    """Return the same with an INS, a receiver and a truth with topic names of drivers."""
     return _beginning(tmp_path_factory.mktemp("renamed") / "voyage.mcap", NAMES)
 
 
@@ -65,7 +65,7 @@ def _beginning(path, names, suite=None):
 
 @pytest.fixture
 def mapped(tmp_path):
-    """A suite file with a map of topics."""
+    """Return a suite file with a map of topics."""
     path = tmp_path / "mapped.yaml"
     path.write_text(_mapped_text())
     return path
@@ -83,7 +83,7 @@ def _outputs(path):
 
 @pytest.fixture(scope="module")
 def expected(plain, tmp_path_factory):
-    """What the replay of the bag with the suite's own names gives."""
+    """Return the outputs of the replay of the bag with the suite's names."""
     out = tmp_path_factory.mktemp("expected") / "out.mcap"
     assert replay([str(plain), "--config", str(SUITE), "--out", str(out)]) == 0
     return out
@@ -99,20 +99,20 @@ def test_remap_replays_and_evaluates_the_same(plain, renamed, expected, tmp_path
     assert json.loads(files[0].read_text()) == json.loads(files[1].read_text())
 
 
-def test_the_map_of_a_suite_file_does_so_too(renamed, expected, mapped, tmp_path):
+def test_the_map_of_a_suite_file_replays_and_evaluates_the_same(renamed, expected, mapped, tmp_path):
     out = tmp_path / "out.mcap"
     assert replay([str(renamed), "--config", str(mapped), "--out", str(out)]) == 0
     assert _outputs(out) == _outputs(expected)
 
 
-def test_the_map_of_the_attached_suite_file_does_so_too(expected, tmp_path):
+def test_the_map_of_the_attached_suite_file_replays_and_evaluates_the_same(expected, tmp_path):
     bag = _beginning(tmp_path / "recorded.mcap", NAMES, _mapped_text())
     assert replay([str(bag), "--out", str(tmp_path / "out.mcap")]) == 0
     assert _outputs(tmp_path / "out.mcap") == _outputs(expected)
     assert evaluate([str(tmp_path / "out.mcap"), "--against", str(bag)]) == 0
 
 
-def test_a_namespace_holds_for_names_without_a_slash(plain, expected, tmp_path):
+def test_a_namespace_applies_to_names_without_a_slash(plain, expected, tmp_path):
     names = {record[0].lstrip("/"): f"/ship/{record[0].lstrip('/')}" for record in _outputs(plain)}
     bag = _beginning(tmp_path / "in.mcap", names | {"ins/imu": "/ship/imu/data", "gnss/fix": "/fix"})
     out = tmp_path / "out.mcap"
@@ -121,7 +121,7 @@ def test_a_namespace_holds_for_names_without_a_slash(plain, expected, tmp_path):
     assert _outputs(out) == _outputs(expected)
 
 
-def test_a_missing_input_is_advised_by_its_type(renamed, tmp_path, capsys):
+def test_a_candidate_for_a_missing_input_is_named_by_its_type(renamed, tmp_path, capsys):
     advice = "sensor_msgs/Imu on /imu/data: --remap /imu/data:=ins/imu"
     assert replay([str(renamed), "--config", str(SUITE), "--out", str(tmp_path / "out.mcap")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -133,7 +133,7 @@ def test_a_missing_input_is_advised_by_its_type(renamed, tmp_path, capsys):
     assert "is not in" not in capsys.readouterr().out
 
 
-def test_every_command_that_reads_a_bag_takes_it(renamed, expected, tmp_path, capsys):
+def test_every_command_that_reads_a_bag_accepts_remap(renamed, expected, tmp_path, capsys):
     bag, config, out = str(renamed), str(SUITE), tmp_path
     assert smooth([bag, "--config", config, "--out", str(out / "smoothed.mcap"), *REMAPS]) == 0
     words = ["--config", config, "--out", str(out / "alignment.yaml"), *REMAPS]
@@ -151,7 +151,7 @@ def test_every_command_that_reads_a_bag_takes_it(renamed, expected, tmp_path, ca
     assert (out / "tables" / "gnss.fix.csv").is_file()
 
 
-def test_the_page_looks_at_a_recording_under_other_names(expected, tmp_path):
+def test_the_page_shows_a_recording_with_other_names(expected, tmp_path):
     with read_bag(expected) as bag, BagWriter(tmp_path / "other.mcap") as writer:
         for record in bag.records():
             topic = {"ship/attitude": "/nav/attitude"}.get(record.topic, record.topic)
@@ -163,7 +163,7 @@ def test_the_page_looks_at_a_recording_under_other_names(expected, tmp_path):
     suite.close()
 
 
-def test_a_topic_that_had_the_name_is_not_read_and_named(plain, expected, tmp_path, capsys):
+def test_a_topic_that_already_has_the_name_is_ignored_and_named(plain, expected, tmp_path, capsys):
     with read_bag(plain) as bag, BagWriter(tmp_path / "two.mcap") as writer:
         for record in bag.records():
             topic = record.topic.lstrip("/")
@@ -186,7 +186,7 @@ def test_a_topic_that_had_the_name_is_not_read_and_named(plain, expected, tmp_pa
         (["--remap", "/imu/dat:=a/b"], "has no topic '/imu/dat' to rename; it has /fix, /imu/data"),
     ],
 )
-def test_what_cannot_be_renamed_is_one_line(renamed, tmp_path, capsys, words, line):
+def test_an_invalid_remap_is_one_line(renamed, tmp_path, capsys, words, line):
     try:
         code = export([str(renamed), "--out", str(tmp_path / "tables"), *words])
     except SystemExit as end:
@@ -212,7 +212,7 @@ def test_a_wrong_map_is_one_line_with_its_place(renamed, tmp_path, capsys, entri
     assert line in said
 
 
-def test_an_entry_that_no_node_takes_is_named(tmp_path, capsys):
+def test_an_entry_without_a_node_input_is_named(tmp_path, capsys):
     path = tmp_path / "suite.yaml"
     text = SUITE.read_text().replace("ros__parameters:\n", "ros__parameters:\n    topics: {ins/imo: /i/d}\n", 1)
     path.write_text(text)
@@ -221,7 +221,7 @@ def test_an_entry_that_no_node_takes_is_named(tmp_path, capsys):
 
 
 @pytest.mark.live
-def test_a_live_node_takes_its_input_by_the_name_of_the_ship(monkeypatch):
+def test_a_live_node_subscribes_to_the_ships_topic_name(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
     relay = LiveRelay("-p", "topics.ins/imu:=/imu/data")
@@ -236,7 +236,7 @@ def test_a_live_node_takes_its_input_by_the_name_of_the_ship(monkeypatch):
 
 @pytest.mark.live
 def test_a_suite_is_played_recorded_and_replayed_under_the_names_of_the_ship(renamed, mapped, tmp_path, monkeypatch):
-    """The nodes take the ship's names by the map; a recording holds it, so that a replay needs no option."""
+    """The nodes use the ship's names by the map; a recording includes it, so that a replay needs no option."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id, recorded = free_domain_id(), tmp_path / "recorded.mcap"
     environment = live_environment(domain_id, tmp_path)
@@ -259,7 +259,7 @@ def test_a_suite_is_played_recorded_and_replayed_under_the_names_of_the_ship(ren
 
 
 @pytest.mark.live
-def test_preflight_listens_to_the_names_of_the_ship(monkeypatch):
+def test_preflight_subscribes_to_the_ships_topic_names(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
     context = Context()

@@ -1,6 +1,6 @@
-"""Two publishers on one input, named by the shell or found by their values: what rests on both is not VALID.
+"""Two publishers on one input, named by the live node or found by their values: outputs of both are not VALID.
 
-How a live node finds them is tested in ship_node/test/test_live_node.py.
+Their detection in a live node is tested in ship_node/test/test_live_node.py.
 """
 
 import copy
@@ -31,7 +31,7 @@ def part(arrivals: Arrivals, since_s: float, until_s: float) -> Arrivals:
 
 
 def statuses(adapter: Any, drive: Callable[..., Any], arrivals: Arrivals, topic: str, output: str) -> list[set[int]]:
-    """Statuses of an output before, while and after two publishers send on a topic: from 2 s to 4 s, of 6 s."""
+    """Return statuses of an output before, during and after two publishers on a topic: from 2 s to 4 s, of 6 s."""
     found = []
     for since_s, until_s, text in ((-1.0, 2.0, ""), (2.0, 4.0, TEXT), (4.0, 9.0, "")):
         adapter.contest(topic, text)
@@ -75,7 +75,7 @@ def test_a_pointing_by_two_publishers_is_degraded_and_valid_again_at_once(topic:
 
 @pytest.fixture(scope="module", name="bag")
 def _bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first 12 s of a voyage; from 4 s to 8 s a second INS sends too, half a degree off."""
+    """Return the first 12 s of a voyage; from 4 s to 8 s a second INS also publishes, half a degree off."""
     path, other = tmp_path_factory.mktemp("two") / "two.mcap", exp_rotation([0.0, 0.0, np.deg2rad(0.5)])
     with read_bag(DEMO) as bag, BagWriter(path) as out:
         for name, content in bag.attachments.items():
@@ -96,7 +96,7 @@ def _bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def of_another_ins(message: Any, other: np.ndarray, later_s: float) -> Any:
-    """A sample of an INS turned against this one, so long after it."""
+    """Return a sample of an INS rotated against this one, this long after it."""
     message = copy.deepcopy(message)
     rate, turned = message.angular_velocity, message.orientation
     turn = exp_rotation(later_s * np.array([rate.x, rate.y, rate.z])) @ other
@@ -106,7 +106,7 @@ def of_another_ins(message: Any, other: np.ndarray, later_s: float) -> Any:
     return message
 
 
-def test_two_ins_in_a_bag_are_found_named_and_over(
+def test_two_ins_in_a_bag_are_reported_until_they_end(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.mcap"
@@ -128,7 +128,7 @@ def test_check_config_names_two_ins_in_a_bag(bag: Path, tmp_path: Path, capsys: 
     assert "two streams alternate on ins/imu, 0.5° apart" in capsys.readouterr().out
 
 
-def test_blocks_and_single_messages_find_two_ins_alike(bag: Path, tmp_path: Path) -> None:
+def test_blocks_and_single_messages_report_two_ins_equally(bag: Path, tmp_path: Path) -> None:
     replayed = []
     for option in ([], ["--one-by-one"]):
         out = tmp_path / f"out{len(option)}.mcap"

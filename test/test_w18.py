@@ -1,4 +1,4 @@
-"""[W18]'s (3), (5), (14), (15), (18)-(20) and (23) as our text prints them, against exact rotations.
+"""[W18]'s (3), (5), (14), (15), (18)-(20) and (23) as printed in our text, compared with exact rotations.
 
 The paper's axes are East, North, Up and right, forward, up; those of the suite North, Up, East and forward, up, right.
 """
@@ -15,42 +15,42 @@ ROUNDING = 1e-13
 
 
 def random_angles(count: int = 2000) -> FloatArray:
-    """Azimuth and image rotation in all quadrants, elevation between -85° and 85°, rad, shape (3, count)."""
+    """Return azimuth and image rotation in all quadrants, elevation in ±85°, rad, shape (3, count)."""
     limits = np.deg2rad([180.0, 85.0, 180.0])
     return np.random.default_rng(18).uniform(-limits[:, None], limits[:, None], (3, count))
 
 
 def matrix(rows: list[list[FloatArray | float]]) -> FloatArray:
-    """The matrices of elements that are arrays or numbers, shape (..., 3, 3)."""
+    """Return the matrices of elements that are arrays or numbers, shape (..., 3, 3)."""
     elements = np.broadcast_arrays(*(element for row in rows for element in row))
     return np.stack(elements, axis=-1).reshape(*elements[0].shape, 3, 3)
 
 
 def about_up(angle: FloatArray) -> FloatArray:
-    """The factor of azimuth, heading or yaw in (1), (3), (5) and (14)."""
+    """Return the factor of azimuth, heading or yaw in (1), (3), (5) and (14)."""
     c, s = np.cos(angle), np.sin(angle)
     return matrix([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def about_right(angle: FloatArray) -> FloatArray:
-    """The factor of E in (1) and (14), of the angle called roll in (3) and (5)."""
+    """Return the factor of E in (1) and (14), of the angle called roll in (3) and (5)."""
     c, s = np.cos(angle), np.sin(angle)
     return matrix([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def about_forward(angle: FloatArray) -> FloatArray:
-    """The factor of ω in (14), of the angle called pitch in (3) and (5)."""
+    """Return the factor of ω in (14), of the angle called pitch in (3) and (5)."""
     c, s = np.cos(angle), np.sin(angle)
     return matrix([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def exact(azimuth: FloatArray, elevation: FloatArray, rotation: FloatArray) -> FloatArray:
-    """K of (14) by the suite's one rotation, in the paper's axes, shape (..., 3, 3)."""
+    """Return K of (14) by the suite's rotation, in the paper's axes, shape (..., 3, 3)."""
     return PAPER_FROM_SUITE @ rotation_from_angles(azimuth, elevation, rotation) @ PAPER_FROM_SUITE.T
 
 
 def printed_k(azimuth: FloatArray, elevation: FloatArray, rotation: FloatArray) -> FloatArray:
-    """K as (14) and (15) multiply it out."""
+    """Return K as multiplied out in (14) and (15)."""
     c_a, c_e, c_w = np.cos([azimuth, elevation, rotation])
     s_a, s_e, s_w = np.sin([azimuth, elevation, rotation])
     return matrix(
@@ -104,7 +104,7 @@ def test_23_finds_neither_azimuth_nor_image_rotation_beyond_their_quadrants() ->
 
 
 def off_by(found: FloatArray, angle: FloatArray) -> FloatArray:
-    """Size of an error, rad; infinite where nothing was found."""
+    """Return the size of an error, rad; infinite if there is no result."""
     return np.nan_to_num(np.abs(wrap_pi(found - angle)), nan=np.inf)
 
 

@@ -1,8 +1,8 @@
-"""Who watches a voyage with faults is told the right source, soon, and is not told of others.
+"""Monitoring of a voyage with faults names the right source, soon, and no others.
 
-Times are seconds after the first message of the bag. The faults are an INS whose heading steps by 100″, a star sensor
-knocked by 50″, an RTK baseline that is only FLOAT, lights that bear each other's names, an instrument that is silent;
-one after another, coming back, and two at a time.
+Times are seconds after the first message of the bag. The faults occur one after another, ending, and two at a time: an
+INS whose heading steps by 100″, a star sensor displaced by 50″, an RTK baseline that is only FLOAT, lights with each
+other's names, a silent instrument.
 """
 
 import math
@@ -50,7 +50,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
-def test_a_knocked_star_sensor_is_out_and_its_direction_is_told(one_by_one: Watched) -> None:
+def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one: Watched) -> None:
     first_s = 30.117  # its first exposure after the knock
     assert first_s < one_by_one.out["star.starboard"][0] <= first_s + 2.0
     told = one_by_one.seen["star.starboard"][0]
@@ -63,7 +63,7 @@ def test_a_knocked_star_sensor_is_out_and_its_direction_is_told(one_by_one: Watc
 
 
 @pytest.mark.slow
-def test_an_ins_that_steps_is_out_and_comes_back(one_by_one: Watched) -> None:
+def test_an_ins_that_steps_is_out_and_returns(one_by_one: Watched) -> None:
     assert 55.0 < one_by_one.out["ins"][0] <= 57.0
     assert one_by_one.seen["ins"][0].reason == "5 rejected in a row"
     assert one_by_one.back["ins"] == [pytest.approx(57.1, abs=1.1)]
@@ -80,13 +80,13 @@ def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_mis
     assert one_by_one.back["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
 
 
-def test_nobody_else_is_blamed(one_by_one: Watched) -> None:
+def test_no_other_source_is_named(one_by_one: Watched) -> None:
     guilty = [name for time_s, name in one_by_one.guilty if not CLOUDS[0] < time_s < CLOUDS[1]]
     assert guilty == ["star.starboard", "ins", "star.fore"]
 
 
 @pytest.mark.slow
-def test_two_faults_at_a_time_are_told_apart(tmp_path: Path) -> None:
+def test_two_simultaneous_faults_are_distinguished(tmp_path: Path) -> None:
     seen = watched(replayed(tmp_path, "demo", TOGETHER)[1])
     assert [name for time_s, name in seen.guilty if time_s < CLOUDS[0]] == ["star.starboard", "ins"]
     assert seen.out["star.starboard"][0] <= 32.2
@@ -97,8 +97,8 @@ def test_two_faults_at_a_time_are_told_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_only_makes_it_worse_is_not_blamed_for_an_output_that_is_gone(tmp_path: Path) -> None:
-    """A FLOAT baseline, and then no encoder: before that is known to be silent nobody is blamed, then the encoder."""
+def test_a_source_that_only_degrades_is_not_named_for_a_missing_output(tmp_path: Path) -> None:
+    """A FLOAT baseline, and then no encoder: until its silence is detected no source is named, then the encoder."""
     faults = (
         "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 12.0, end_s: 25.0}, "
         "quiet: {topic: theodolite/encoder, kind: drop, start_s: 20.0, end_s: 25.0}"
@@ -122,7 +122,7 @@ def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: Watched) ->
 
 
 @pytest.mark.slow
-def test_lights_that_bear_each_others_names_are_told_though_they_are_put_right(theodolite: Watched) -> None:
+def test_exchanged_light_names_are_reported_although_corrected(theodolite: Watched) -> None:
     told = [(time_s, text) for time_s, text in theodolite.events("source") if "lights" in text]
     exchanged = [time_s for time_s, text in told if text == "lights IN, names exchanged"]
     assert len(exchanged) == 1
@@ -137,10 +137,10 @@ def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: Watched) 
     assert "needs encoder" in [source.reason for source in theodolite.seen["lights"]]
     assert theodolite.back["encoder"][0] == pytest.approx(66.2, abs=0.5)
     guilty = [name for time_s, name in theodolite.guilty if 40.0 < time_s < 79.0]
-    assert guilty == ["encoder"]  # nobody is blamed for what comes back later
+    assert guilty == ["encoder"]  # no source is named for an output that returns later
 
 
-def test_a_good_voyage_is_safe_and_nobody_is_out(clean: tuple[Path, Path]) -> None:
+def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) -> None:
     seen = watched(clean[1])
     assert [name for time_s, name in seen.guilty if not CLOUDS[0] < time_s < CLOUDS[1]] == []
     picture = seen.picture()
@@ -151,15 +151,15 @@ def test_a_good_voyage_is_safe_and_nobody_is_out(clean: tuple[Path, Path]) -> No
     assert heading.value == last.heading
     assert heading.accuracy_95 == pytest.approx(1.96 * math.sqrt(last.covariance[0]))
     assert picture.ages_s["stars"] == min(each.age_s for each in picture.sources if each.name.startswith("star."))
-    # Two star sensors with honest sigmas: stated by 600 degrees of freedom each.
+    # Two star sensors with consistent sigmas: estimated with 600 degrees of freedom each.
     verdicts = {source.name: source.verdict for source in picture.sources if source.verdict}
     assert {name: verdict.is_as_stated for name, verdict in verdicts.items() if verdict} == {
         "star.fore": True, "star.starboard": True
     }  # fmt: skip
 
 
-def test_a_recording_shows_what_was_seen_live(clean: tuple[Path, Path]) -> None:
-    """Arrivals by a steady clock that began at another time, looked at now and then: the same picture at the end."""
+def test_a_recording_shows_the_same_as_live(clean: tuple[Path, Path]) -> None:
+    """Arrivals by a monotonic clock of another start, updated at intervals: the same state at the end."""
     recorded, live, shift_ns = Watch(), Watch(), -1_404_906_000_123_456_700_000
     end_ns = 0
     for number, (time_ns, topic, message) in enumerate(records(clean[1])):
@@ -179,8 +179,8 @@ def test_a_recording_shows_what_was_seen_live(clean: tuple[Path, Path]) -> None:
     assert all(abs(a.utc_ns - b.utc_ns) <= 1e8 for a, b in zip(here.events, there.events, strict=True))
 
 
-def test_errors_against_truth_are_filled_where_the_topic_has_none(clean: tuple[Path, Path]) -> None:
-    """What a replay fills into ship/error_arcsec, from the same truth, is what the watch makes of NaN."""
+def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> None:
+    """A replay fills ship/error_arcsec from the same truth as the monitor does for NaN."""
     with read_bag(clean[1]) as bag:
         filled = {ns_from_stamp(m.header.stamp): m for r in bag.records(["ship/error_arcsec"]) if (m := r.decode())}
     live, nan = Watch(), math.nan
@@ -199,7 +199,7 @@ def test_errors_against_truth_are_filled_where_the_topic_has_none(clean: tuple[P
             assert point.sigma[name] == pytest.approx(getattr(same, f"sigma_{name}"), rel=1e-6)
 
 
-def test_history_holds_what_plots_draw(theodolite: Watched) -> None:
+def test_history_has_the_data_of_plots(theodolite: Watched) -> None:
     history = theodolite.watch.history
     assert set(history.lights) == {"a", "b"}
     used = [point for point in history.lights["b"] if point.is_used]
@@ -217,7 +217,7 @@ def test_history_holds_what_plots_draw(theodolite: Watched) -> None:
 
 
 def words_between(seen: Watched, start_s: float, end_s: float) -> set[Safety | None]:
-    """The words of the azimuth in the ribbon."""
+    """Return the states of the azimuth in the ribbon."""
     points = [point for point in seen.watch.history.ribbons if start_s <= (point.utc_ns - seen.start_ns) * 1e-9 < end_s]
     return {point.words["azimuth"] for point in points}
 

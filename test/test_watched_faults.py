@@ -1,8 +1,8 @@
-"""A voyage with faults, from the bag to the eyes: page, terminal, alerts and diagnostics name the right source, soon.
+"""A voyage with faults, from the bag to the user: page, terminal, alerts and diagnostics name the right source, soon.
 
-Times are seconds of the data after the first message of the bag. A fault is named within 2 s of the moment at which it
-could be known: the first wrong measurement, or, of a silence, the moment at which a message is overdue. That holds
-live, too: with 15 processes that wanted four cores the last of the outputs named each source 0.3 s to 0.9 s after it.
+Times are seconds of the data after the first message of the bag. A fault is named within 2 s of the first time at which
+it can be detected: the first wrong measurement, or the time at which a message is overdue. That also holds live: with
+15 processes competing for four cores the last of the outputs named each source 0.3 s to 0.9 s after it.
 """
 
 import json
@@ -48,7 +48,7 @@ OUTPUTS = ("picture", "page", "terminal", "alerts", "diagnostics")
 
 
 class Named:
-    """When each output named each source as one that is out, or that an alert is about, for the first time."""
+    """First times at which each output named each source as out, or with an alert."""
 
     def __init__(self, bag: str, start_ns: int) -> None:
         self._bag, self._start_ns = bag, start_ns
@@ -59,11 +59,11 @@ class Named:
         return (utc_ns - self._start_ns) / NS_PER_S
 
     def note(self, output: str, source: str, utc_ns: int) -> None:
-        """An output names a source at a time of the data."""
+        """Record that an output names a source at a time of the data."""
         self.first_s.setdefault((output, source), self.seconds(utc_ns))
 
     def note_picture(self, picture: Picture, history: History) -> None:
-        """What a picture says, as it is, as the page writes it, and as the lines of a terminal."""
+        """Record the sources named in a suite state, on the page, and in the lines of a terminal."""
         page = shown(picture, history, "LIVE", "")
         lines = screen(picture, picture.alerts, View(80, 24, "ship", "LIVE", ""))
         rows = [plain_text(line) for line in lines]
@@ -79,23 +79,23 @@ class Named:
                 self.note("page", source.name, picture.utc_ns)
 
     def note_branch(self, path: str, text: str, utc_ns: int) -> None:
-        """What an entry of the tree of functions says; a source that is OUT because it needs another is not named."""
+        """Record the source of an entry of the function tree, unless it is OUT only because it needs another."""
         if text != "in" and "needs" not in text and "/" in path:
             self.note("diagnostics", path.rpartition("/")[2], utc_ns)
 
     def check(self, soon_s: Callable[[str], float], early_s: float = 0.0) -> None:
-        """Every output named every source once its fault could be known and soon, and nobody else before them."""
+        """Assert that every output named every source soon after it could be detected, and no other before them."""
         told = {(output, source): known_s for source, known_s in KNOWN_S[self._bag].items() for output in OUTPUTS}
         for (output, source), known_s in told.items():
             first_s = self.first_s.get((output, source), math.inf)
             assert known_s - early_s <= first_s <= known_s + soon_s(source), (output, source, self.first_s)
-        # What is wrong is all that is named; the attitude that the alerts speak of is no source.
+        # Only faulty sources are named; the attitude in the alerts is no source.
         assert {source for _, source in self.first_s} <= {*KNOWN_S[self._bag], "", "attitude"}, self.first_s
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bag", FAULTS)
-def test_all_outputs_name_the_right_source_in_what_was_replayed(bag: str, tmp_path: Path) -> None:
+def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path) -> None:
     given, replayed_path = replayed(tmp_path, bag, FAULTS[bag])
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
@@ -119,7 +119,7 @@ def test_all_outputs_name_the_right_source_in_what_was_replayed(bag: str, tmp_pa
 
 
 class LiveSuite:
-    """A suite brought up with one command and a bag played into it, and who watches it."""
+    """Suite started with one command, a bag played into it, and its observers."""
 
     def __init__(self, bag: Path, folder: Path) -> None:
         with socket.socket() as free:
@@ -132,13 +132,13 @@ class LiveSuite:
         self.diagnostics = TopicReader("statuses", "", lambda topic, _: KEPT if topic == "/diagnostics" else 0)
 
     def close(self) -> None:
-        """End all; who listens leaves first."""
+        """End all processes; first the observers."""
         self.watch.close()
         self.diagnostics.close()
         self.process.end()
 
     def look(self, named: Named) -> Picture:
-        """Take what has come, and note what it names."""
+        """Process received messages, and record the sources they name."""
         self.watch.tick()
         picture = self.watch.look()
         if picture.utc_ns:

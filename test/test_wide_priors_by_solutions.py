@@ -1,4 +1,4 @@
-"""Wide priors with `input: solution`: the attitude of the first seconds against the truth, by both nodes' cores.
+"""Wide priors with `input: solution`: the attitude of the first seconds compared with the truth, by both nodes' cores.
 
 The ship rolls, so that an INS clock that is off by its sigma of 5 ms turns her by up to 40 arcseconds.
 """
@@ -36,7 +36,7 @@ count such a walk as noise too, so that the covariance is larger than the error.
 
 @dataclass(frozen=True)
 class Prior:
-    """Sigmas of the INS's error, arcseconds; whether it stays; whether stars have names, and none of them is false.
+    """Sigmas of the INS's error, arcseconds; whether it is constant; whether stars are identified, none falsely.
 
     Exposures are points in time, or last some seconds, the first ones from before the INS's first sample.
     """
@@ -49,7 +49,7 @@ class Prior:
 
     @property
     def scenario(self) -> Scenario:
-        """The reference case with single stars, the sensors one after the other, errors drawn by this prior."""
+        """Return the reference case with single stars, sensors one after the other, errors drawn by this prior."""
         whole = load_scenario(SCENARIOS / "paper_stars.yaml")
         sensors = {
             id_: replace(
@@ -97,7 +97,7 @@ def estimates(prior: Prior, seed: int) -> list[AttitudeEstimate]:
 
 
 def valid(prior: Prior, seed: int) -> list[tuple[FloatArray, FloatArray]]:
-    """Errors of all VALID attitudes at the times of the truth, rad, and their covariances, rad²."""
+    """Return errors of all VALID attitudes at the times of the truth, rad, and their covariances, rad²."""
     run, _ = sailed(prior, seed)
     true_nd = dict(zip(run.ins.time_ns[run.truth.ins_index].tolist(), run.truth.rotation_nd, strict=True))
     return [
@@ -108,7 +108,7 @@ def valid(prior: Prior, seed: int) -> list[tuple[FloatArray, FloatArray]]:
 
 
 @pytest.mark.parametrize("prior", [*PRIORS, *STREAKS], ids=str)
-def test_mend_14_no_valid_attitude_is_beyond_five_sigma(prior: Prior) -> None:
+def test_no_valid_attitude_is_beyond_five_sigma(prior: Prior) -> None:
     """Before, in five of eleven seeds, up to 8.9 sigma in the first 0.7 s, with names and without; 16 with streaks."""
     ends = []
     for seed in SEEDS:
@@ -122,7 +122,7 @@ def test_mend_14_no_valid_attitude_is_beyond_five_sigma(prior: Prior) -> None:
 
 
 @pytest.mark.parametrize("prior", PRIORS, ids=str)
-def test_mend_14_the_attitude_is_valid_nine_tenths_of_the_time(prior: Prior) -> None:
+def test_the_attitude_is_valid_nine_tenths_of_the_time(prior: Prior) -> None:
     """Before, 0.72 and 0.74 in two of eleven seeds with 3° of heading; never in one with 1°."""
     for seed in SEEDS:
         found = estimates(prior, seed)
@@ -131,7 +131,7 @@ def test_mend_14_the_attitude_is_valid_nine_tenths_of_the_time(prior: Prior) -> 
 
 
 @pytest.mark.parametrize("prior", [*PRIORS, *NOT_IDENTIFIED], ids=str)
-def test_mend_14_no_attitude_is_valid_before_two_star_measurements_agree(prior: Prior) -> None:
+def test_no_attitude_is_valid_before_two_star_measurements_agree(prior: Prior) -> None:
     """Before, the first one made it VALID."""
     for seed in SEEDS:
         used: set[tuple[str, int]] = set()

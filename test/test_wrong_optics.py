@@ -1,7 +1,7 @@
 """A focal length that is wrong by 0.02 to 0.3 %: no VALID attitude beyond its covariance or its protection level.
 
-The stated sigma is the default one, 0.02 %. Seeds are few, so each bound is one that an honest attitude never reaches:
-five standard deviations, and the protection level.
+The configured sigma is the default one, 0.02 %. Seeds are few, so each bound is one that a consistent attitude never
+reaches: five standard deviations, and the protection level.
 """
 
 import re
@@ -26,7 +26,7 @@ BOTH, ONE = ("fore", "starboard"), ("fore",)
 
 
 def scenario(named: bool) -> Scenario:
-    """Ten stars a field of 13°, an exposure a second for ten seconds."""
+    """Return ten stars in a field of 13°, one exposure a second for ten seconds."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {
         id_: replace(one, rate_hz=1.0, most_stars=10, identified=named) for id_, one in whole.star_sensors.items()
@@ -47,7 +47,7 @@ def judged(scale: float, sensor_ids: tuple[str, ...], named: bool, by_solutions:
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("sensor_ids", [BOTH, ONE])
 @pytest.mark.parametrize("by_solutions", [False, True])
-def test_no_valid_attitude_is_wrong_by_more_than_it_states(scale, named, sensor_ids, by_solutions):
+def test_no_valid_error_exceeds_its_covariance_or_level(scale, named, sensor_ids, by_solutions):
     found = judged(scale, sensor_ids, named, by_solutions)
     print(f"VALID {found.valid_count}/{found.count}, {found.worst_sigmas:.1f}σ, {found.worst_over_level:.2f} of level")
     assert found.worst_sigmas < 5.0
@@ -62,7 +62,7 @@ def test_no_valid_attitude_is_wrong_by_more_than_it_states(scale, named, sensor_
 
 @pytest.mark.parametrize("scale", [5e-4, 8e-4, 1.3e-3, 3e-3])
 def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ended(scale):
-    """The filter has learned the focal length to 0.003 % by then, so that each change contradicts what it knows."""
+    """The filter has estimated the focal length to 0.003 % by then, so that each change contradicts its estimate."""
     whole = scenario(named=True)
     sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
     run = simulate(replace(whole, duration_s=40.0, star_sensors=sensors), seed=1)
@@ -73,7 +73,7 @@ def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ende
     assert found.last_invalid_s < 30.0
 
 
-def test_optics_that_change_by_more_than_their_sigma_from_what_was_learned_are_learned_again():
+def test_optics_that_change_by_more_than_their_sigma_are_estimated_again():
     """From 3 sigma longer to 3 sigma shorter than configured: each is likely, and each contradicts the other."""
     whole = scenario(named=True)
     sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
@@ -85,7 +85,7 @@ def test_optics_that_change_by_more_than_their_sigma_from_what_was_learned_are_l
     assert found.last_invalid_s < 17.0
 
 
-def test_a_focal_length_that_stars_contradict_is_named_with_the_value_that_fits():
+def test_a_contradicted_focal_length_is_named_with_the_fitting_value():
     found = judged(SCALES[-1], ONE, named=False, by_solutions=False, seeds=1)
     named = [re.match(r"focal length (\d+\.\d+) mm fits the angles between \d+ stars, ", text) for text in found.texts]
     fitting_mm = [float(match[1]) for match in named if match]

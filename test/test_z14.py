@@ -35,7 +35,7 @@ MISPRINTED, LOST = {12}, {16, 17, 23}
 
 
 @pytest.mark.parametrize("conclusion", CONCLUSIONS, ids=lambda each: each.holds.__name__)
-def test_a_conclusion_holds_where_the_page_says_so(conclusion):
+def test_a_conclusion_holds_in_the_readings_of_the_page(conclusion):
     assert conclusion.holds(PAPER)
     assert conclusion.holds(PHYSICAL) == (conclusion.place in HOLD_PHYSICALLY)
 
@@ -50,8 +50,8 @@ def test_there_are_as_many_conclusions_as_in_the_paper():
 
 @pytest.mark.parametrize("reading", InstallationReading)
 @pytest.mark.parametrize(("figure", "turn_back_arcsec"), [(3, 1e-9), (6, 8.0)])
-def test_roll_does_not_grow_with_elevation_as_the_abstracts_have_it(reading, figure, turn_back_arcsec):
-    """Abeam both abstracts let roll grow; along the keel the English one does, the Chinese one has the heading."""
+def test_roll_does_not_grow_with_elevation_as_in_the_abstracts(reading, figure, turn_back_arcsec):
+    """Abeam, by both abstracts roll grows; along the keel, by the English one, by the Chinese one heading does."""
     for azimuth_deg in (*AHEAD_ASTERN, *ABEAM):
         roll = curve_arcsec(figure, azimuth_deg, reading)[:, ROLL]
         assert not grows(roll, turn_back_arcsec)
@@ -62,7 +62,7 @@ def test_roll_does_not_grow_with_elevation_as_the_abstracts_have_it(reading, fig
         assert sizes[-1, ROLL] < 0.3 * sizes[0, ROLL]
 
 
-def test_what_a_trend_is():
+def test_trends():
     up, there_and_back = np.array([1.0, 3.0, 2.5, 9.0]), np.array([9.0, 1.0, 9.0])
     assert grows(up, 0.6)
     assert not grows(up, 0.4)
@@ -114,7 +114,7 @@ DERIVATIVES = [factor for factor in FACTORS if factor.by]
 
 
 @pytest.mark.parametrize("factor", DERIVATIVES, ids=lambda factor: f"{factor.number}_{factor.symbol}")
-def test_what_a_factor_has_to_be_is_the_derivative(factor):
+def test_an_exact_factor_is_the_derivative(factor):
     """By central differences of the rotation's element."""
     angles, step = random_attitudes(200), 1e-5
     moved = step * np.eye(6)[ANGLES.index(factor.by)]

@@ -1,6 +1,6 @@
-"""``make audit``: known vulnerabilities of the pinned versions, asked of OSV by pip-audit in an environment of its own.
+"""``make audit``: known vulnerabilities of the pinned versions, by pip-audit from OSV, in a separate environment.
 
-Exit code 0 none is known; 1 one is known, or for some wheels the service gave no answer; 2 it could not be asked.
+Exit code 0: none is known; 1: one is known, or the service returned no result for a version; 2: the query failed.
 """
 
 import argparse
@@ -24,38 +24,38 @@ LOCK = ROOT / "requirements.lock"
 PIP_AUDIT = "pip-audit>=2.9,<3"
 SERVICE = "https://api.osv.dev/v1/query"
 BOTH_SIDES = ("3.10", "3.12")
-"""The lock has one condition, Python below 3.11 or not: these two see each pin of it."""
+"""The lock has one condition, Python below 3.11 or not: these two versions cover every pin."""
 
 
 def main() -> int:
-    """Ask, and say what is known."""
-    parser = CommandParser(prog="audit", description="Known vulnerabilities of the pinned versions; asks the network.")
-    parser.add_argument("--service", default=SERVICE, metavar="URL", help=f"that speaks OSV's protocol ({SERVICE})")
+    """Query the service and print the known vulnerabilities."""
+    parser = CommandParser(prog="audit", description="Known vulnerabilities of the pinned versions; needs a network.")
+    parser.add_argument("--service", default=SERVICE, metavar="URL", help=f"service with OSV's protocol ({SERVICE})")
     return run_command(parser, _audit, None)
 
 
 def _audit(options: argparse.Namespace) -> int:
     lock = LOCK.read_text(encoding="utf-8")
     wanted = sorted({pin for python in BOTH_SIDES for pin in pins(lock, python)})
-    print(f"audit: {len(wanted)} pinned versions, asked of {options.service}", flush=True)
+    print(f"audit: {len(wanted)} pinned versions, query to {options.service}", flush=True)
     with tempfile.TemporaryDirectory() as work:
         found, unanswered = judge(_asked(wanted, options.service, Path(work)), wanted)
-    for line in found + [f"{pin}: no answer" for pin in unanswered]:
+    for line in found + [f"{pin}: no result" for pin in unanswered]:
         print(f"audit: {line}", file=sys.stderr)
-    print(f"audit: {len(found)} known vulnerabilities, {len(unanswered)} of {len(wanted)} versions without an answer")
-    print("audit: advisories about ROS and Fast DDS themselves are not filed under wheels: look there, too")
+    print(f"audit: {len(found)} known vulnerabilities, {len(unanswered)} of {len(wanted)} versions without a result")
+    print("audit: advisories about ROS and Fast DDS are not listed under wheels: check those separately")
     return EXIT_BOUND_NOT_MET if found or unanswered else EXIT_DONE
 
 
 def judge(report: dict[str, Any], wanted: list[str]) -> tuple[list[str], list[str]]:
-    """One line for each vulnerability of a report of pip-audit, and the pins about which it says nothing.
+    """Return one line per vulnerability in a pip-audit report, and the pins that the report does not contain.
 
-    A wheel that pip-audit left out counts as unanswered: silence is no health.
+    A wheel that pip-audit left out counts as unanswered, not as free of vulnerabilities.
     """
     told = [entry for entry in report["dependencies"] if "vulns" in entry]
     answered = {f"{entry['name']}=={entry['version']}": entry["vulns"] for entry in told}
     found = [
-        f"{pin}: {flaw['id']}, mended in {', '.join(flaw['fix_versions']) or 'no version yet'}"
+        f"{pin}: {flaw['id']}, fixed in {', '.join(flaw['fix_versions']) or 'no version yet'}"
         for pin, flaws in sorted(answered.items())
         for flaw in flaws
     ]
@@ -63,7 +63,7 @@ def judge(report: dict[str, Any], wanted: list[str]) -> tuple[list[str], list[st
 
 
 def _asked(wanted: list[str], service: str, work: Path) -> dict[str, Any]:
-    """The report of pip-audit. Two versions of one wheel go into two calls: pip-audit takes no more than one."""
+    """Return the report of pip-audit; two versions of one wheel need two calls, as pip-audit accepts one version."""
     python = _environment(work)
     dependencies: list[Any] = []
     rest = wanted
@@ -77,19 +77,19 @@ def _asked(wanted: list[str], service: str, work: Path) -> dict[str, Any]:
 
 
 def _environment(work: Path) -> Path:
-    """The Python of a new environment that has pip-audit: it is no part of the lock."""
+    """Return the Python of a new environment with pip-audit, which is not in the lock."""
     venv.create(work / "venv", with_pip=True)
     python = work / "venv" / "bin" / "python"
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-input", PIP_AUDIT]
     answer = subprocess.run(pip, env=_own(), capture_output=True, text=True, check=False)
     if answer.returncode:
         why = "no network" if any(sign in answer.stderr for sign in NETWORK_SIGNS) else _last(answer.stderr)
-        raise BadInput(f"{PIP_AUDIT} is not to be had, nothing is known of vulnerabilities: {why}")
+        raise BadInput(f"{PIP_AUDIT} is not available, vulnerabilities not checked: {why}")
     return python
 
 
 def _one_report(python: Path, wanted: list[str], service: str, work: Path) -> list[Any]:
-    """What pip-audit says about these."""
+    """Return the entries of the report of pip-audit about these versions."""
     (work / "requirements.txt").write_text("\n".join(wanted) + "\n")
     report = work / "report.json"
     report.unlink(missing_ok=True)
@@ -98,17 +98,17 @@ def _one_report(python: Path, wanted: list[str], service: str, work: Path) -> li
     command += ["--format", "json", "--output", str(report)]
     answer = subprocess.run(command, env=_own(), capture_output=True, text=True, check=False)
     if not report.is_file() or not report.stat().st_size:
-        raise BadInput(f"{service} could not be asked, nothing is known of vulnerabilities: {_last(answer.stderr)}")
+        raise BadInput(f"{service}: query failed, vulnerabilities not checked: {_last(answer.stderr)}")
     return list(json.loads(report.read_text())["dependencies"])
 
 
 def _own() -> dict[str, str]:
-    """The environment without the paths of the suite."""
+    """Return the environment variables without the paths of the suite."""
     return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
 
 def _last(text: str) -> str:
-    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it said nothing")
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "no output")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Availability of the ship's attitude under clouds, star vectors beside [P15]'s peers: tables and figure of the docs.
+"""Availability of the ship's attitude under clouds, star vectors and the peers of [P15]: tables and figure of the docs.
 
-Writes the tables between the marks of docs/explanation/availability.md and draws docs/figures/availability.png. Prints
-them too. A thousand exposures take about five minutes on two cores; fewer are drawn with --exposures, and then nothing
-is written unless --page and --figure say where.
+Writes the tables between the marks of docs/explanation/availability.md, draws docs/figures/availability.png and prints
+the tables. A thousand exposures take about five minutes on two cores. With fewer, given by --exposures, nothing is
+written unless --page and --figure are given.
 """
 
 import argparse
@@ -24,14 +24,14 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "test") not in sys.path:
     sys.path.insert(0, str(ROOT / "test"))
 
-# The peers and the study are shared with the tests, and no package.
+# The peers and the study are in the tests, which are no package.
 from ship_testing import availability_study as trials  # noqa: E402
 
 PAGE = ROOT / "docs" / "explanation" / "availability.md"
 FIGURE = ROOT / "docs" / "figures" / "availability.png"
 EXPOSURES, SMALL_PART = 1000, 20
 _PART = 10
-"""Exposures that a process makes at once."""
+"""Exposures per task of a process."""
 
 BEGIN, END = "<!-- {name}: python tools/availability.py -->", "<!-- end of {name} -->"
 
@@ -45,15 +45,15 @@ _LINES = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Make the study, print and write what it found."""
+    """Run the study; print and write its results."""
     first, _, *others = __doc__.splitlines()
     parser = CommandParser(
         prog="availability", description=first, epilog=" ".join(others), example="python tools/availability.py"
     )
-    parser.add_argument("--exposures", type=int, default=EXPOSURES, help=f"how many ({EXPOSURES})")
+    parser.add_argument("--exposures", type=int, default=EXPOSURES, help=f"number of exposures ({EXPOSURES})")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (2)")
-    parser.add_argument("--page", type=Path, help="page with the marks (the one of the docs, where all are made)")
-    parser.add_argument("--figure", type=Path, help="PNG to draw (the one of the docs, where all are made)")
+    parser.add_argument("--page", type=Path, help="page with the marks (that of the docs, if all exposures are made)")
+    parser.add_argument("--figure", type=Path, help="PNG to draw (that of the docs, if all exposures are made)")
     return run_command(parser, _run, arguments)
 
 
@@ -93,18 +93,18 @@ def _study(exposures: int, processes: int) -> trials.Results:
 
 
 def star_table(results: trials.Results) -> str:
-    """Stars in the one sensor and in the other against method."""
+    """Return the table of the number of stars in each sensor and the method."""
     return _table("stars", [trials.count_case(counts) for counts in sorted(trials.COUNTS)], results)
 
 
 def cloud_table(results: trials.Results) -> str:
-    """Clouds against method."""
+    """Return the table of cloud cover and method."""
     patches = [(cover, patch) for patch in trials.PATCHES_DEG for cover in trials.COVERS if cover]
     return _table("clouds", [trials.cloud_case(*one) for one in patches], results)
 
 
 def small_table(results: trials.Results) -> str:
-    """The first exposures alone: what a test computes anew."""
+    """Return the table of the first exposures only, which a test recomputes."""
     counts = [trials.count_case(one) for one in ((1, 1), (2, 2), (4, 4), (5, 3))]
     cases = [*counts, *(trials.cloud_case(0.5, patch) for patch in trials.PATCHES_DEG)]
     return _table("stars, or clouds", cases, results)
@@ -125,7 +125,7 @@ def _cell(values: np.ndarray) -> str:
 
 
 def honesty_table(results: trials.Results) -> str:
-    """Attitudes called VALID, and those whose error is beyond their covariance."""
+    """Return the table of attitudes with status VALID, and of those with an error beyond their covariance."""
     lines = ["| stars | INS | VALID | beyond the covariance | mean NEES |", "|---|---|---:|---:|---:|"]
     for counts in sorted(trials.COUNTS):
         for method, told in ((trials.ALONE, "no"), (trials.WITH_INS, "yes")):
@@ -139,7 +139,7 @@ def honesty_table(results: trials.Results) -> str:
 
 
 def put(text: str, name: str, table: str) -> str:
-    """The page with a table between its marks.
+    """Return the page with a table between its marks.
 
     Raises:
         ValueError: the page has no such marks.
@@ -156,7 +156,7 @@ def put(text: str, name: str, table: str) -> str:
 
 
 def draw(results: trials.Results, path: Path) -> None:
-    """Availability over stars per sensor, and over clouds."""
+    """Draw availability over stars per sensor and over cloud cover."""
     style = {"font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "savefig.facecolor": "white"}
     with plt.rc_context(style):
         figure, (left, *right) = plt.subplots(1, 3, figsize=(15, 5.2), sharey=True, layout="constrained")

@@ -1,8 +1,8 @@
-"""``make bench``: speed, as ratios of two things measured in one run, so that they hold on any machine.
+"""``make bench``: speed, as ratios of two values measured in one run, which are comparable between machines.
 
-Each benchmark is a function in BENCHMARKS that returns rows; a row with a bound decides the exit code. Processor times
-are in s. The rows are kept as JSON, from which ``python tools/bench_page.py`` writes docs/reference/performance.md.
-Those of other benchmarks of the same day and machine stay there with ``--only``.
+Each benchmark is a function in BENCHMARKS that returns rows; rows with a bound determine the exit code. Processor times
+are in s. The rows are saved as JSON, from which ``python tools/bench_page.py`` writes docs/reference/performance.md.
+``--only`` replaces rows in this file; rows of other benchmarks of the same day and machine remain.
 Exit code 0 done; 1 a bound was not met or a process failed; 2 bad usage.
 """
 
@@ -62,8 +62,8 @@ def main() -> int:
     """Run the benchmarks."""
     parser = CommandParser(prog="bench", description=__doc__)
     choices = sorted(BENCHMARKS)
-    parser.add_argument("--only", action="append", choices=choices, help="one of them, may be repeated (all)")
-    parser.add_argument("--json", type=Path, default=JSON_FILE, metavar="FILE", help="takes the rows (out/bench.json)")
+    parser.add_argument("--only", action="append", choices=choices, help="a benchmark, may be repeated (all)")
+    parser.add_argument("--json", type=Path, default=JSON_FILE, metavar="FILE", help="the rows (out/bench.json)")
     return run_command(parser, _bench, None)
 
 
@@ -92,7 +92,7 @@ def _bench(options: argparse.Namespace) -> int:
 
 
 def _beside(done: list[dict[str, Any]], circumstances: dict[str, Any], file: Path) -> list[dict[str, Any]]:
-    """Rows measured now, and those of other benchmarks in a file of the same day and machine, in their order."""
+    """Return the new rows, and those of other benchmarks in a file of the same day and machine, in their order."""
     kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"rows": []}
     if any(kept.get(name) != circumstances[name] for name in circumstances if name != "load"):
         return done
@@ -102,7 +102,7 @@ def _beside(done: list[dict[str, Any]], circumstances: dict[str, Any], file: Pat
 
 
 def _circumstances() -> dict[str, Any]:
-    """When and on what this was measured: a figure in seconds says nothing without."""
+    """Return date, machine and versions of the measurement, which times in seconds depend on."""
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {

@@ -1,7 +1,7 @@
-"""How long an INS output waits behind a star message: what the node does between the one's bytes and the other's.
+"""Time for which an INS output waits behind a star message: the node's work from the input bytes to the output bytes.
 
-In one process, without the middleware: each message of a voyage is read, given to the node's adapter, and what comes of
-it made into bytes, as the live node does it.
+In one process, without the middleware: each message of a voyage is read, passed to the node's adapter, and each output
+encoded as bytes, as in the live node.
 """
 
 import dataclasses
@@ -31,16 +31,16 @@ SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 VOYAGE_S, SETTLED_S = 15.0, 5.0
 ROUNDS = 3
 LATE_SENSOR_S = 1.9
-"""Just within the two seconds of ``lag_s``."""
+"""Less than the two seconds of ``lag_s``."""
 
 MOST_ON_TIME_MS, MOST_LATE_MS = 1.0 * WITH_INTEGRITY, 2.0 * WITH_INTEGRITY
 LATE_WITH_OPTICS = 1.3
-"""Of late single stars, which are applied again: each camera has four states more, its optics."""
+"""For late single stars, which are applied again: each camera adds four states for its optics."""
 _INS, _SENSOR = "ins/imu", "fore"
 
 
 def behind_star_cost() -> list[Row]:
-    """Attitudes by star sensors and single stars, on time and with one of two sensors late."""
+    """Measure with attitudes by star sensors and with single stars, on time and with one of two sensors late."""
     return [*_rows("paper", "an attitude by stars"), *_rows("paper_stars", "eight single stars", LATE_WITH_OPTICS)]
 
 
@@ -60,7 +60,7 @@ def _rows(name: str, what: str, late_share: float = 1.0) -> list[Row]:
 
 
 def _arrivals(scenario: Scenario) -> list[BagRecord]:
-    """The messages of a voyage in order of arrival."""
+    """Return the messages of a voyage in order of arrival."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "voyage.mcap"
         write_bag(scenario, 1, path, b"")
@@ -69,9 +69,9 @@ def _arrivals(scenario: Scenario) -> list[BagRecord]:
 
 
 def _waits_ms(scenario: Scenario, records: list[BagRecord]) -> list[float]:
-    """For each message of the sensor: what it takes, and the INS sample behind it, until that sample's output is made.
+    """Return, for each message of the sensor, the time of it and of the next INS sample until that sample's output, ms.
 
-    Those of the first seconds are left out.
+    Messages of the first seconds are left out.
     """
     factory = RosidlFactory()
     adapter = ShipAttitudeAdapter(build(ShipAttitudeConfig, suite_configuration(scenario)), factory)

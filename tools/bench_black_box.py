@@ -1,4 +1,4 @@
-"""What a black box costs the node that keeps it: processor time over the demo bag, with and without."""
+"""Cost of a black box for its node: processor time over the demo bag, with and without it."""
 
 import tempfile
 from pathlib import Path
@@ -11,18 +11,18 @@ BAG = Path(__file__).resolve().parents[1] / "bags" / "demo.mcap"
 RATE = 6.0
 PAIRS = 3
 GREATEST_BOX_RATIO = 1.10
-"""A black box may cost a tenth of its node."""
+"""A black box may cost a tenth of its node's processor time."""
 
 
 def black_box_cost() -> list[Row]:
-    """Processor time of the live node over the demo bag, with and without its black box, by turns."""
+    """Measure the processor time of the live node over the demo bag, with and without its black box, by turns."""
     without, with_box = [], []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for number in range(PAIRS):
             without.append(_node_cpu_s(folder / f"without_{number}", {}))
             with_box.append(_node_cpu_s(folder / f"with_{number}", {"black_box": f"{folder}/box.mcap"}))
-    # The least of several: what else the machine does only adds.
+    # The minimum: other load of the machine only adds.
     return [
         Row("node over the demo bag, processor time", min(without), "s"),
         Row("the same with its black box", min(with_box), "s"),
@@ -31,7 +31,7 @@ def black_box_cost() -> list[Row]:
 
 
 def _node_cpu_s(folder: Path, parameters: dict[str, str]) -> float:
-    """Processor time that the node spends on the demo bag, its start left out."""
+    """Return the processor time of the node for the demo bag, without its start, s."""
     with LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", folder, parameters) as run:
         begin_s = process_cpu_s(run.node.pid)
         run.play(RATE)

@@ -1,4 +1,4 @@
-"""A campaign by two workers over the same by one; and a Monte Carlo, which asks whether a filter is honest."""
+"""Cost of a campaign with two workers relative to one, and of a Monte Carlo test of a filter's consistency."""
 
 import dataclasses
 import tempfile
@@ -20,24 +20,24 @@ from ship_simulation.scenario.scenario_file import load_scenario
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 ROUNDS = 3
 MOST_WORKERS_RATIO = 1.0 / 1.8
-"""On two processors that have nothing else to do."""
+"""On two otherwise idle processors."""
 
 MONTE_CARLO_RUNS, MONTE_CARLO_RUN_S, MONTE_CARLO_INS_HZ = 200, 600.0, 20.0
-"""Of the ship's attitude by two star sensors; the runs of a seed each, as the campaigns ask them."""
+"""Of the ship's attitude by two star sensors; runs of one seed each, as in the campaigns."""
 
 RUNS_MEASURED = 4
 MOST_MONTE_CARLO_S = 60.0 * WITH_INTEGRITY
-"""On two processors, simulation included."""
+"""On two processors, including simulation."""
 
 
 def campaign_workers() -> list[Row]:
-    """Wall time of six voyages of ten seconds, by turns; the least of several, as what else runs only adds."""
+    """Measure the wall time of six voyages of ten seconds, by turns; take the minimum, as other load only adds."""
     with tempfile.TemporaryDirectory() as name:
         scenario = Path(name) / "voyage.yaml"
         text = (SCENARIOS / "demo.yaml").read_text(encoding="utf-8")
         scenario.write_text(text.replace("duration_s: 120.0", "duration_s: 10.0"), encoding="utf-8")
         items = items_of([scenario], [], range(6))
-        _wall_s(items[:1], 1)  # starts the server of processes
+        _wall_s(items[:1], 1)  # starts the fork server
         by_one_s, by_two_s = by_turns(ROUNDS, lambda: _wall_s(items, 1), lambda: _wall_s(items, 2))
     one_s, two_s = min(by_one_s), min(by_two_s)
     return [
@@ -48,11 +48,11 @@ def campaign_workers() -> list[Row]:
 
 
 def monte_carlo_cost() -> list[Row]:
-    """Processor time of some of the runs of a Monte Carlo, and of all of them shared by two processors."""
+    """Measure the processor time of some runs of a Monte Carlo, and the time of all runs on two processors."""
     paper = load_scenario(SCENARIOS / "paper.yaml")
     ins = dataclasses.replace(paper.ins, rate_hz=MONTE_CARLO_INS_HZ)
     scenario = dataclasses.replace(paper, ins=ins, duration_s=MONTE_CARLO_RUN_S)
-    final_error(dataclasses.replace(scenario, duration_s=20.0), 0)  # reads the modules and the tables
+    final_error(dataclasses.replace(scenario, duration_s=20.0), 0)  # imports the modules and loads the tables
     run_s = [own_cpu_s(partial(final_error, scenario, seed)) for seed in range(RUNS_MEASURED)]
     both_s = 0.5 * MONTE_CARLO_RUNS * float(np.mean(run_s))
     what = f"Monte Carlo, {MONTE_CARLO_RUNS} runs of {MONTE_CARLO_RUN_S:g} s"

@@ -1,4 +1,4 @@
-"""The filters' steps: over a yardstick that no release moves far, numpy's 3 x 3 SVD; with integrity over without."""
+"""Cost of the filters' steps: relative to numpy's 3 x 3 SVD as a stable reference, and with and without integrity."""
 
 import dataclasses
 import time
@@ -27,11 +27,11 @@ STEP_ROUNDS = 5
 INTEGRITY_PAIRS = 7
 MOST_STEP_US = 30.0
 MOST_INTEGRITY_RATIO = 1.6
-"""Of the filter's step with the estimates without each source, and without them."""
+"""Ratio of the filter's step with the estimates that exclude one source to the step without them."""
 
 
 def step_cost() -> list[Row]:
-    """Median of the steps of a run, by turns with numpy's 3 x 3 SVD."""
+    """Measure the median step time of a run, by turns with numpy's 3 x 3 SVD."""
     run = run_of("paper", 30.0)
     model = core_for(run.scenario).filter.model
     states, parts = model.size, len(model.sources)
@@ -53,7 +53,7 @@ def step_cost() -> list[Row]:
 
 
 class _WithPairs(ShipFilter):
-    """The step with the estimates without each pair of sources, too."""
+    """The step that also computes the estimates without each pair of sources."""
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         pairs = dataclasses.replace(config.integrity, pairs=True, max_hypotheses=64)
@@ -61,7 +61,7 @@ class _WithPairs(ShipFilter):
 
 
 def integrity_cost() -> list[Row]:
-    """The filters' steps, with the estimates without each source beside them and without them, by turns."""
+    """Measure the filters' steps with and without the estimates that exclude one source, by turns."""
     ship, theodolite = run_of("three_sensors", 20.0), run_of("theodolite", 60.0)
     of_ship = "ship's step by three star sensors"
     return [
@@ -82,7 +82,7 @@ def _integrity_rows(
     most: float | None = MOST_INTEGRITY_RATIO,
 ) -> list[Row]:
     pairs = [(steps_us(run, without), steps_us(run, with_)) for _ in range(INTEGRITY_PAIRS)]
-    # Of each step the least of several: what else the machine does only adds.
+    # The minimum of each step: other load of the machine only adds.
     without_us, with_us = np.median(np.min(pairs, axis=0), axis=-1)
     return [
         Row(f"{what}, one estimate: median", without_us, "us"),
@@ -92,13 +92,13 @@ def _integrity_rows(
 
 
 def run_of(scenario: str, duration_s: float) -> SimulatedRun:
-    """A scenario of the repository over some seconds, simulated."""
+    """Simulate some seconds of a scenario of the repository."""
     found = load_scenario(SCENARIOS / f"{scenario}.yaml")
     return simulate(dataclasses.replace(found, duration_s=duration_s), seed=1)
 
 
 def ship_steps_us(run: SimulatedRun, kind: type[ShipFilter]) -> list[float]:
-    """The time of each step of a filter over a run."""
+    """Return the time of each step of a filter over a run, us."""
     core = core_for(run.scenario)
     core.filter = kind(core.config)
     core.reset()
@@ -108,7 +108,7 @@ def ship_steps_us(run: SimulatedRun, kind: type[ShipFilter]) -> list[float]:
 
 
 def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[float]:
-    """The time of each step over a session."""
+    """Return the time of each step over a session, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config)
     core._step_to, times_us = _timed(kind(config, core.filter))
@@ -117,7 +117,7 @@ def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[fl
 
 
 def _theodolite_star_steps_us(run: SimulatedRun) -> list[float]:
-    """The time of each step by an exposure of stars over a session."""
+    """Return the time of each step by an exposure of stars over a session, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config, watch=installed_sky(config.sky))
     core._step_to_stars, times_us = _timed(core._step_to_stars)  # type: ignore[arg-type]
@@ -126,7 +126,7 @@ def _theodolite_star_steps_us(run: SimulatedRun) -> list[float]:
 
 
 def _timed(step: Callable[..., Any]) -> tuple[Any, list[float]]:
-    """A step that notes how long each call of it takes, us."""
+    """Return a step that records the duration of each of its calls, us."""
     times_us: list[float] = []
 
     def timed(*arguments: Any) -> Any:

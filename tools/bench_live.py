@@ -1,7 +1,7 @@
-"""The live node beside a bare relay of the same messages: times there and back, processor time, and what is lost.
+"""Cost of the live node relative to a bare relay of the same messages: round-trip time, processor time, lost messages.
 
-This program sends Imu and gets them back, from the node as its ``ship/imu``. The relay does what every node must, and
-no more. All have a ROS domain to themselves, and the suite's DDS profile.
+This program publishes Imu messages and receives them back, from the node as its ``ship/imu``. The relay only forwards
+each message, the minimum of any node. All use a separate ROS domain and the suite's DDS profile.
 """
 
 import math
@@ -54,7 +54,7 @@ rclpy.spin(node)
 
 
 class Passage(NamedTuple):
-    """What came of some messages: their times there and back in us, how many are lost, the program's processor time."""
+    """Result of some messages: round-trip times in us, number of lost ones, the program's processor time."""
 
     times_us: list[float]
     lost: int
@@ -62,17 +62,17 @@ class Passage(NamedTuple):
 
     @property
     def median_us(self) -> float:
-        """The median of the times."""
+        """Return the median of the round-trip times, us."""
         return float(np.median(self.times_us))
 
     @property
     def most_us(self) -> float:
-        """The time that one in a hundred takes longer than."""
+        """Return the time that one message in a hundred exceeds, us."""
         return float(np.quantile(self.times_us, 0.99))
 
 
 def live_cost() -> list[Row]:
-    """The node and the relay by turns, at the rate of an INS, and at ten times that."""
+    """Measure the node and the relay by turns, at the rate of an INS and at ten times that rate."""
     use_dds_profile()
     with tempfile.TemporaryDirectory() as folder, _Ends(Path(folder)) as ends:
         node = _RoundTrips(ends, "ins/imu", "ship/imu", ends.start(_node_command(), "ship_attitude"))
@@ -122,10 +122,10 @@ def _of_a_core(cpu_s: list[float], duration_s: float) -> float:
 
 
 class _Ends:
-    """The ROS node of this program, and the programs beside it; use it in a ``with`` statement.
+    """ROS node of this program, and the programs under test; for a ``with`` statement.
 
     Args:
-        folder: takes logs.
+        folder: folder of the logs.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -143,7 +143,7 @@ class _Ends:
         return self._running.enter_context(process)
 
     def executor(self) -> EventsExecutor:
-        """What calls the callbacks of the node."""
+        """Return the executor of the node's callbacks."""
         executor = EventsExecutor(context=self._context)
         executor.add_node(self.node)
         return executor
@@ -164,8 +164,8 @@ class _RoundTrips:
 
     Args:
         ends: this program's node.
-        there: topic to which the program listens.
-        back: topic on which it answers, with the stamp of what it answers to.
+        there: topic to which the program subscribes.
+        back: topic of its responses, which have the stamp of the message received.
         process: the program.
     """
 
@@ -180,11 +180,11 @@ class _RoundTrips:
         deadline_s = time.monotonic() + _START_S
         while not (self._publisher.get_subscription_count() and ends.node.count_publishers(back)):
             if process.exit_code is not None or time.monotonic() > deadline_s:
-                raise LiveFailure(f"{there}: nobody listens; the log of who should:\n{process.log()}")
+                raise LiveFailure(f"{there}: no subscriber; the log of the program:\n{process.log()}")
             time.sleep(_LOOK_S)
 
     def run(self, rate_hz: float, duration_s: float) -> Passage:
-        """Send for some time, and wait for what is still on its way."""
+        """Publish for some time, then wait for the messages still in transit."""
         self._sent, self._times_us = {}, []
         executor, before_s = self._ends.executor(), process_cpu_s(self._process.pid)
         count, begin_s = round(rate_hz * duration_s), time.monotonic()
@@ -201,7 +201,7 @@ class _RoundTrips:
         return Passage(self._times_us, len(self._sent), process_cpu_s(self._process.pid) - before_s)
 
     def _send(self) -> None:
-        """Send the attitude of a ship that rolls in a swell."""
+        """Publish the attitude of a ship that rolls in a swell."""
         message, time_ns = self._message, time.time_ns()
         phase = _SWELL_PER_S * (time_ns / NS_PER_S)
         roll = _SWELL_RAD * math.sin(phase)
@@ -219,5 +219,5 @@ class _RoundTrips:
 
 
 def _stamp_bytes(second: int, nanosecond: int) -> bytes:
-    """A stamp as it lies in a message."""
+    """Return a stamp as it is encoded in a message."""
     return second.to_bytes(4, "little") + nanosecond.to_bytes(4, "little")

@@ -1,4 +1,4 @@
-"""A message made as bytes and read by templates, over the same by message objects."""
+"""Cost of encoding and decoding a message by templates, relative to the same by message objects."""
 
 from typing import Any
 
@@ -15,13 +15,13 @@ from ship_node.edge.ins_messages import ins_sample
 ROUNDS = 5
 MOST_TEMPLATE_RATIO = 0.5
 MOST_READ_RATIO = 0.85
-"""Of bytes to the same by message objects: made, and read and checked."""
+"""Of encoding, and of decoding with checks, to the same by message objects."""
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 
 
 def message_cost() -> list[Row]:
-    """A sensor_msgs/Imu made as bytes and read, by templates and by the message objects of rosbags and of rclpy."""
+    """Measure encoding and decoding of a sensor_msgs/Imu by templates and by objects of rosbags and rclpy."""
     offline, live, kind = RosbagsFactory(), RosidlFactory(), message_class(_IMU_TYPE)
     vector = dict.fromkeys("xyz", 0.25)
     unknown = (0.0,) * 9

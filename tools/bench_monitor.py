@@ -1,8 +1,8 @@
-"""What the live page costs the estimator that it watches: processor time and latency, with pages open and without.
+"""Cost of the live page for the estimator it shows: processor time and latency, with pages open and without.
 
-The same bag is played through the live node without a monitor, with one that nobody looks at, and with three pages
-open. A page is what the server sees of a browser: a session over the websocket, which takes every update. Drawing it is
-the work of the watch officer's own computer.
+The same bag is played through the live node without a monitor, with a monitor without pages, and with three open pages.
+An open page is simulated as a websocket session that receives every update. Drawing is not measured: it runs on the
+computer of the browser.
 """
 
 import asyncio
@@ -30,8 +30,7 @@ from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "demo.mcap"
 RATE = 3.0
-"""Seconds of the bag per second: its 20 INS samples a second come at 60 Hz. A node that fell behind
-would tell nothing of the monitor."""
+"""Seconds of the bag per second: its 20 INS samples a second are played at 60 Hz. The node must keep up with them."""
 ROUNDS = 3
 PAGES = 3
 MOST_WITH_PAGES = 1.1
@@ -45,12 +44,12 @@ _TYPES = {_SAMPLE: "sensor_msgs/msg/Imu", _ATTITUDE: "ship_msgs/msg/ShipAttitude
 
 @dataclass
 class Cost:
-    """What runs of one kind took.
+    """Measurements of the runs of one kind.
 
     Attributes:
-        node_s: processor time of the node over the bag, s, a run each.
-        latency_s: median of the time from a sample's publication to that of its attitude, s, a run each.
-        monitor: processor time of the monitor over the time that passed, a run each.
+        node_s: processor time of the node over the bag, s, one value per run.
+        latency_s: median of the time from a sample's publication to that of its attitude, s, one value per run.
+        monitor: processor time of the monitor per elapsed time, one value per run.
     """
 
     node_s: list[float] = field(default_factory=list)
@@ -59,7 +58,7 @@ class Cost:
 
 
 def monitor_cost() -> list[Row]:
-    """The node alone, watched by nobody's monitor, and with three pages open, by turns."""
+    """Measure the node alone, with a monitor without pages, and with three open pages, by turns."""
     alone, watched, looked_at = Cost(), Cost(), Cost()
     with tempfile.TemporaryDirectory() as name:
         for number in range(ROUNDS):
@@ -77,7 +76,7 @@ def monitor_cost() -> list[Row]:
 
 
 def _rows(what: str, one: Cost, other: Cost, most: float) -> list[Row]:
-    # The least of several: what else the machine does only adds.
+    # The minimum: other load of the machine only adds.
     return [
         Row(f"ratio: node's processor time, {what}", min(one.node_s) / min(other.node_s), "x", most),
         Row(f"ratio: latency, {what}", min(one.latency_s) / min(other.latency_s), "x", most),
@@ -85,7 +84,7 @@ def _rows(what: str, one: Cost, other: Cost, most: float) -> list[Row]:
 
 
 def _add_run(cost: Cost, folder: Path, pages: int | None) -> None:
-    """Play the bag once; ``pages`` None is no monitor at all."""
+    """Play the bag once; ``pages`` None runs without a monitor."""
     with LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", folder) as run, contextlib.ExitStack() as stack:
         published = _publication_times(run)
         monitor = stack.enter_context(_monitor(run, folder)) if pages is not None else None
@@ -101,7 +100,7 @@ def _add_run(cost: Cost, folder: Path, pages: int | None) -> None:
     sample, attitude = published[_SAMPLE], published[_ATTITUDE]
     told = sorted(sample.keys() & attitude.keys())
     if not told:
-        raise LiveFailure("no attitude was heard that belongs to an INS sample")
+        raise LiveFailure("no attitude with the stamp of an INS sample was received")
     cost.latency_s.append(1e-9 * float(np.median([attitude[stamp] - sample[stamp] for stamp in told])))
 
 
@@ -110,7 +109,7 @@ def _serve(run: LiveRun, duration_s: float) -> None:
 
 
 def _publication_times(run: LiveRun) -> dict[str, dict[tuple[int, int], int]]:
-    """Topic → stamp → when DDS took the message from its publisher, ns: later reading does not change it."""
+    """Return topic → stamp → time of publication by DDS, ns, which does not depend on the time of reading."""
     published: dict[str, dict[tuple[int, int], int]] = {topic: {} for topic in _TYPES}
     for topic, type_name in _TYPES.items():
 
@@ -137,7 +136,7 @@ def _monitor(run: LiveRun, folder: Path) -> Iterator[LiveProcess]:
 
 @contextlib.contextmanager
 def _open_pages(count: int) -> Iterator[None]:
-    """Pages as the server sees them: each asked for, and its updates taken, in a thread of their own."""
+    """Open pages as a browser does: request each page and receive its updates, in a thread per page."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
@@ -145,7 +144,7 @@ def _open_pages(count: int) -> Iterator[None]:
     try:
         yield
         if ended := [page.exception() for page in pages if page.done()]:
-            raise LiveFailure(f"a page lost its server: {ended[0]}")
+            raise LiveFailure(f"a page lost the connection to its server: {ended[0]}")
     finally:
         for page in pages:
             page.cancel()
@@ -158,7 +157,7 @@ async def _hold_page() -> None:
     answer = await AsyncHTTPClient().fetch(f"http://127.0.0.1:{_PAGE_PORT}/")
     token = re.search(r'"token":"([^"]+)"', answer.body.decode())
     if token is None:
-        raise LiveFailure("the page names no session")
+        raise LiveFailure("the page has no session token")
     url = f"ws://127.0.0.1:{_PAGE_PORT}/ws"
     connection = await websocket_connect(url, subprotocols=["bokeh", token.group(1)])
     updates = 0

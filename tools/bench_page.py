@@ -1,4 +1,4 @@
-"""Writes docs/reference/performance.md from the rows that ``make bench`` keeps: python tools/bench_page.py [FILE]."""
+"""Writes docs/reference/performance.md from the rows that ``make bench`` saves: python tools/bench_page.py [FILE]."""
 
 import argparse
 import json
@@ -13,16 +13,16 @@ PAGE = ROOT / "docs" / "reference" / "performance.md"
 
 HEAD = """# Performance
 
-How fast the suite is, as `make bench` measures it. Seconds and microseconds belong to the machine; ratios, both sides
-measured by turns in one run, hold for others. The bounds are those of issue 10; the nodes and the replay always keep
-the estimates without each source beside the one by all (integrity), which may cost 1.6 times as much: that factor is in
-the bounds of what they do. Why a bound is not met, [profiles](../explanation/where_time_goes.md) tell.
+Speed of the suite, measured by `make bench`. Seconds and microseconds depend on the machine; ratios, both sides
+measured by turns in one run, are comparable between machines. The nodes and the replay always compute the estimates
+that exclude one source (integrity), which may cost 1.6 times as much: that factor is included in their bounds. Reasons
+of a bound that is not met are in the [profiles](../explanation/where_time_goes.md).
 
 Measured on {date}: {processor}, {cores}, Python {python}, numpy {numpy};
-load {load} in the mean of 15 minutes. On a busy machine times that pass are too long, and ratios of them uncertain;
-processor times are less so.
+load {load}, mean of 15 minutes. On a busy machine elapsed times are too long, and their ratios uncertain; processor
+times are affected less.
 
-This page is written by `python tools/bench_page.py` from `out/bench.json`, where `make bench` keeps its rows.
+This page is written by `python tools/bench_page.py` from `out/bench.json`, the rows of `make bench`.
 """
 
 
@@ -42,7 +42,7 @@ def _write(options: argparse.Namespace) -> int:
 
 
 def page(measured: dict[str, Any]) -> str:
-    """The text of the page, of what a run kept."""
+    """Return the text of the page for the rows of a run."""
     cores = "1 core" if measured["cores"] == 1 else f"{measured['cores']} cores"
     text = HEAD.format(**measured | {"cores": cores})
     section = ""

@@ -1,9 +1,9 @@
-"""Peers: the ship's filter beside GTSAM's smoothers over the same measurements, and beside a step of filterpy.
+"""Cost of the ship's filter relative to GTSAM's smoothers with the same measurements, and to a step of filterpy.
 
-The peers are given what the filter works out in its step, each measurement linearised and weighed, and keep none of its
-budget by sources. Their time is that of taking a measurement and of telling the state and its covariance after it.
-GTSAM comes with ``make setup-all`` from Python 3.11 on, filterpy by ``pip install filterpy``; without them their rows
-are left out.
+The peers receive each measurement linearised and weighted by the filter, and do not keep its error budget by source.
+The time of a peer is that of adding a measurement and computing the state and its covariance after it.
+GTSAM is installed by ``make setup-all`` from Python 3.11 on, filterpy by ``pip install filterpy``; the rows of a peer
+that is not installed are left out.
 """
 
 import importlib
@@ -26,20 +26,20 @@ DURATION_S, ROUNDS = 60.0, 3
 LAG_S = 2.0
 MOST_OF_SMOOTHER = 0.1
 MOST_DIFFERENCE_ARCSEC = 0.05
-"""Of the INS's error, as it is estimated after each measurement."""
+"""Of the estimated INS error after each measurement."""
 
 _INS_ERROR = slice(0, 3)
-"""States that stand first in the filter, and in what a smoother knows of a moment."""
+"""First states of the filter, and of each time of a smoother."""
 
 
 class Measured(NamedTuple):
-    """A measurement as the filter has used it.
+    """Measurement as the filter has used it.
 
     Attributes:
-        time_s: of the measurement, since the start.
-        linear: linearised at the state predicted to it.
-        at_mean: that state.
-        mean: the state after it.
+        time_s: time since the start of the run.
+        linear: the measurement linearised at the predicted state.
+        at_mean: predicted state.
+        mean: state after the measurement.
     """
 
     time_s: float
@@ -49,7 +49,7 @@ class Measured(NamedTuple):
 
 
 def peers_cost() -> list[Row]:
-    """The ship's filter and each peer that is installed, by turns."""
+    """Measure the ship's filter and each peer that is installed, by turns."""
     run = run_of("paper", DURATION_S)
     rows: list[Row] = []
     if (gtsam := _installed("gtsam")) is not None:
@@ -63,7 +63,7 @@ def _installed(module: str) -> ModuleType | None:
     try:
         return importlib.import_module(module)
     except Exception as problem:
-        # Whatever a library of others raises where it does not fit this machine.
+        # Any exception of a third-party library that does not fit this machine.
         print(f"bench: peers: no rows of {module.partition('.')[0]}, which cannot be imported: {problem}")
         return None
 
@@ -91,7 +91,7 @@ def _smoother_rows(gtsam: ModuleType, run: SimulatedRun) -> list[Row]:
 
 
 def _measured(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
-    """The model of the ship's filter, and all that the filter uses in a run."""
+    """Return the model of the ship's filter and all measurements that the filter uses in a run."""
     core = core_for(run.scenario)
     core.filter = WithoutIntegrity(core.config)
     core.reset()
@@ -118,7 +118,7 @@ def _measured(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
 def _smoothed(
     gtsam: ModuleType, model: ShipStateModel, measured: list[Measured], lag_s: float | None
 ) -> tuple[float, float]:
-    """Mean time for a measurement, us, and the greatest difference of the INS's error from the filter's, arcsec."""
+    """Return the mean time per measurement, us, and the largest difference of INS error from the filter's, arcsec."""
     smoother = _Smoother(gtsam, model, lag_s)
     spent_s, means = 0.0, []
     for one in measured:
@@ -131,22 +131,22 @@ def _smoothed(
 
 
 class _Smoother:
-    """The filter's model as a graph of factors: a variable for each moment, and one for what does not change.
+    """The filter's model as a factor graph: a variable for each time, and one for the constant states.
 
-    States that are known to be zero are left out.
+    States with a known value of zero are left out.
 
     Args:
         gtsam: the library.
         model: of the filter.
-        lag_s: moments that are older are marginalised; None where all are kept.
+        lag_s: older times are marginalised; None where all are kept.
     """
 
     _CONSTANT = 0
-    """Key of what does not change; moments are numbered from 1."""
+    """Key of the constant states; times are numbered from 1."""
 
     def __init__(self, gtsam: ModuleType, model: ShipStateModel, lag_s: float | None) -> None:
         parameters = gtsam.ISAM2Params()
-        # The factors are linear already.
+        # The factors are linear.
         parameters.enableRelinearization = False
         self._lags = lag_s is not None
         self._smoother = gtsam.IncrementalFixedLagSmoother(lag_s, parameters) if lag_s else gtsam.ISAM2(parameters)
@@ -159,7 +159,7 @@ class _Smoother:
         self._moment, self._time_s = 0, 0.0
 
     def take(self, measured: Measured) -> tuple[FloatArray, FloatArray]:
-        """The states of the moment after a measurement of it, and their covariance."""
+        """Add a measurement; return the states at its time and their covariance."""
         graph, values = self._gtsam.NonlinearFactorGraph(), self._gtsam.Values()
         if self._moment == 0:
             for key, rows in ((self._CONSTANT, self._constant), (1, self._moving)):
@@ -183,7 +183,7 @@ class _Smoother:
         return self._after(graph, values)
 
     def _factor(self, found: FloatArray, by_state: dict[int, FloatArray]) -> Any:
-        """The factor of ``found`` = sum of ``by_state`` times the states, with noise of one."""
+        """Return the factor of ``found`` = sum of ``by_state`` times the states, with unit noise."""
         terms = [term for pair in by_state.items() for term in pair]
         noise = self._gtsam.noiseModel.Unit.Create(len(found))
         at_zero = self._gtsam.Values()
@@ -193,7 +193,7 @@ class _Smoother:
 
     def _after(self, graph: Any, values: Any) -> tuple[FloatArray, FloatArray]:
         if self._lags:
-            # What does not change is as new as the newest moment: it stays.
+            # The constant states have the time of the newest one, so that they are not marginalised.
             self._smoother.update(graph, values, {self._CONSTANT: self._time_s, self._moment: self._time_s})
             known = self._smoother.getISAM2()
         else:
@@ -203,7 +203,7 @@ class _Smoother:
 
 
 def _filterpy_rows(filterpy: ModuleType, run: SimulatedRun) -> list[Row]:
-    """The step of the ship's filter over prediction and update of as many states by three components in filterpy."""
+    """Compare the filter's step with filterpy's prediction and update of as many states by three components."""
     model, measured = _measured(run)
     linear = measured[-1].linear
     peer = filterpy.KalmanFilter(dim_x=model.size, dim_z=len(linear.residual))

@@ -1,4 +1,4 @@
-"""Replay, one message at a time and in blocks, over what rosbags takes to copy the same bag, each message decoded."""
+"""Cost of replay, message by message and in blocks, relative to a copy of the same bag by rosbags with decoding."""
 
 import dataclasses
 import subprocess
@@ -20,16 +20,16 @@ from ship_simulation.simulate_command import write_bag
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 ROUNDS = 3
 DEMO_S, SUITE_S = 30.0, 15.0
-"""Length of the voyages one message at a time, s: of the demo, and with every device."""
+"""Length of the voyages replayed message by message, s: of the demo, and with every device."""
 SHIP_S, LONG_SUITE_S = 3600.0, 900.0
-"""Length of the voyages in blocks, s: of the ship's attitude at 100 Hz and twice 5 Hz, and with every device."""
+"""Length of the voyages replayed in blocks, s: ship's attitude at 100 Hz and twice 5 Hz, and with every device."""
 SHORT_SHIP_S, SHORT_SUITE_S = 300.0, 60.0
-"""Of shorter ones, which are replayed one message at a time, too; the memory of the first is seen not to grow."""
+"""Length of shorter ones, also replayed message by message; the memory of the first is the reference of the growth."""
 
 MOST_OF_DEMO, MOST_OF_SUITE = 6.0 * WITH_INTEGRITY, 12.0 * WITH_INTEGRITY
-"""What issue 10 asks of replay, one message at a time, over a copy."""
+"""Bounds of replay, message by message, relative to a copy."""
 MOST_IN_BLOCKS, MOST_OF_SUITE_IN_BLOCKS = 0.25 * WITH_INTEGRITY, 0.5 * WITH_INTEGRITY
-"""The same of replay in blocks."""
+"""Bounds of replay in blocks, relative to a copy."""
 MOST_MB, MOST_GROWTH = 250.0, 1.05
 
 _COPY = "rosbags copy of the bag, each message decoded and encoded"
@@ -41,11 +41,11 @@ from ship_replay.offline.replay import replay
 replay(Path(sys.argv[1]), Path(sys.argv[2]), ADAPTERS)
 print(re.search(r"VmHWM:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1])
 """
-"""What getrusage tells counts the process that started this one, too."""
+"""It prints VmHWM, as getrusage also counts the parent process."""
 
 
 def replay_cost() -> list[Row]:
-    """Processor time of replay one message at a time, of rosbags' copy and of rosbags' decoding, by turns."""
+    """Measure the processor time of replay message by message, of rosbags' copy and of its decoding, by turns."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         return [
@@ -55,7 +55,7 @@ def replay_cost() -> list[Row]:
 
 
 def block_cost() -> list[Row]:
-    """Processor time of replay in blocks, over rosbags' copy and over one message at a time, by turns; its memory."""
+    """Measure replay in blocks, relative to rosbags' copy and to replay message by message; and its peak memory."""
     with tempfile.TemporaryDirectory() as name:
         long, short = Path(name) / "long", Path(name) / "short"
         long.mkdir()
@@ -119,7 +119,7 @@ def _over_one_by_one(what: str, bag: Path, folder: Path) -> Row:
 
 
 def _memory_mb(bag: Path, folder: Path) -> float:
-    """The most memory that a process takes which replays a bag."""
+    """Return the peak memory of a process that replays a bag, MB."""
     command = [sys.executable, "-c", _REPLAYED, str(bag), str(folder / "memory.mcap")]
     return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout) / 1024.0
 

@@ -1,6 +1,6 @@
-"""The time ``make setup`` takes from nothing: in a copy of this checkout, with an environment and pip cache of its own.
+"""Time of ``make setup`` from nothing: in a copy of this checkout, with a separate environment and pip cache.
 
-The first run fills the cache: how long that takes depends on the network. The second run is what has a bound.
+The first run fills the cache and depends on the network. The bound applies to the second run.
 """
 
 import os
@@ -23,7 +23,7 @@ _COMPILING = re.compile(r"^setup: messages and compiled modules: (\d+) s$", re.M
 
 
 def setup_cost() -> list[Row]:
-    """Return rows of set-up without and with wheels in pip's cache, its compiling, a second call, and size on disk."""
+    """Return rows of setup without and with wheels in pip's cache, compilation, a second call, and size on disk."""
     with tempfile.TemporaryDirectory() as folder:
         cache = Path(folder) / "cache"
         cold_s, _ = _set_up(_copy(Path(folder) / "cold"), cache)
@@ -59,7 +59,7 @@ def _copy(folder: Path) -> Path:
 
 
 def _set_up(checkout: Path, cache: Path) -> tuple[float, str]:
-    """Return the time that ``make setup`` takes, s, and what it prints."""
+    """Run ``make setup``; return its duration, s, and its output."""
     kept = {name: value for name, value in os.environ.items() if name == "HOME" or name.startswith("PIP_")}
     own = str(ROOT / ".venv" / "bin")
     path = os.pathsep.join(place for place in os.environ["PATH"].split(os.pathsep) if place != own)

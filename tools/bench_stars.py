@@ -1,4 +1,4 @@
-"""Stars: the solution of two sensors of eight, over scipy's and numpy's decompositions; what a late sensor costs."""
+"""Cost of the solution of two sensors of eight stars, relative to scipy and numpy, and cost of a late sensor."""
 
 import dataclasses
 from pathlib import Path
@@ -21,15 +21,15 @@ from ship_simulation.suite.suite import star_attitude_configuration
 
 SCENARIO = Path(__file__).resolve().parents[1] / "bags" / "scenarios" / "paper_stars.yaml"
 MOST_SOLUTION_RATIO = 150.0 / 46.0
-"""150 us where scipy's align_vectors with sensitivity takes 46 us."""
+"""150 us, relative to 46 us of scipy's align_vectors with sensitivity."""
 
 YARDSTICK_SVDS = 5
 """Of a matrix (3, 3)."""
 
 MOST_SVD_RATIO = 5.5
-"""A second linearisation, in which the errors of both cameras' optics weight the stars, is half of it."""
+"""Half of it is a second linearisation, in which the errors of both cameras' optics weight the stars."""
 LATE_SENSOR_S = 1.9
-"""Just within the two seconds of ``lag_s``."""
+"""Less than the two seconds of ``lag_s``."""
 
 MOST_LATE_RATIO, MOST_STEPS = 2.0, 1.1
 STEPS_COUNTED_S = 60.0
@@ -39,7 +39,7 @@ _SCIPY = "scipy align_vectors with sensitivity"
 
 
 def star_solution() -> list[Row]:
-    """Two sensors of eight real stars: attitude, covariance by source and residuals, full refreshes apart."""
+    """Measure the solution of two sensors of eight real stars: attitude, covariance by source and residuals."""
     scenario = dataclasses.replace(load_scenario(SCENARIO), duration_s=1.0)
     run = simulate(scenario, seed=1)
     config = build(StarAttitudeConfig, star_attitude_configuration(scenario))
@@ -65,7 +65,7 @@ def star_solution() -> list[Row]:
         lambda: median_us(lambda: [np.linalg.svd(solved.rotation_nb) for _ in range(YARDSTICK_SVDS)], CALLS),
         lambda: median_us(lambda: Rotation.align_vectors(reference, measured, return_sensitivity=True), CALLS),
     )
-    # What a moment was asked it keeps: each time of a sky that was not asked before.
+    # A sky caches its results: use a new one each time.
     place_us = median_us(
         lambda: [dataclasses.replace(watch.at(time_ns), _kept={}).apparent(one.positions) for one in exposures]
     )
@@ -80,10 +80,10 @@ def star_solution() -> list[Row]:
 
 
 def late_star_cost() -> list[Row]:
-    """Processor time of the ship's core over ten seconds, by turns: two sensors on time, and one of them late.
+    """Measure the ship's core over ten seconds, by turns: two sensors on time, and one of them late.
 
-    Where all come on time, each exposure is one step, but for those before the first fix of the position: a later fix
-    changes none of them.
+    With all exposures on time each is one step, except those before the first position fix: later fixes change none of
+    them.
     """
     scenario = dataclasses.replace(load_scenario(SCENARIO), duration_s=10.0)
     late = dataclasses.replace(scenario.star_sensors["fore"], latency_s=LATE_SENSOR_S)
@@ -103,6 +103,6 @@ def late_star_cost() -> list[Row]:
 
 
 def _core_cpu_s(run: SimulatedRun) -> float:
-    """Processor time of the ship's core over a run; an attitude is asked for at the end alone."""
+    """Return the processor time of the ship's core over a run, with an attitude computed only at its end, s."""
     core = core_for(run.scenario)
     return own_cpu_s(lambda: feed_attitude(core, run))

@@ -1,7 +1,7 @@
-"""How fast a live node starts: reading its modules, and from exec until another process sees its subscription.
+"""Start time of a live node: importing its modules, and from exec until another process discovers its subscription.
 
-The yardsticks are what any node needs: ``import rclpy``, and a node of rclpy alone with one subscription. Python's
-compiled files are there: the first round, which makes them, is not counted.
+The references are the minimum of any node: ``import rclpy``, and a node of rclpy with one subscription. Python's
+compiled files exist: the first round, which creates them, is not counted.
 """
 
 import os
@@ -48,7 +48,7 @@ rclpy.spin(node)
 
 
 def import_cost() -> list[Row]:
-    """Processor time of reading each node's modules, and of ``import rclpy``."""
+    """Measure the processor time of importing each node's modules, and of ``import rclpy``."""
     modules = {name: f"ship_node.live.node_shell, {adapter}" for name, (_, adapter, _) in _NODES.items()}
     statements = {"rclpy": "rclpy", "rclpy.node": "rclpy.node", **modules}
     figures = by_turns(IMPORT_ROUNDS + 1, *(lambda s=s: _import_cpu_s(s) for s in statements.values()))
@@ -62,7 +62,7 @@ def import_cost() -> list[Row]:
 
 
 def start_cost() -> list[Row]:
-    """From exec to the subscription seen elsewhere, of each node and of a bare one."""
+    """Measure from exec to the discovery of the subscription, for each node and for a bare one."""
     commands = {"a bare node": ([sys.executable, "-c", _BARE_NODE], "bare/imu")}
     arguments = ["--ros-args", "--params-file", str(SUITE)]
     for name, (package, _, topic) in _NODES.items():
@@ -100,7 +100,7 @@ def _import_cpu_s(modules: str) -> float:
 def _started(
     command: Sequence[str], topic: str, log: Path, environment: dict[str, str], observer: GraphObserver
 ) -> tuple[float, float]:
-    """Time that passes, and processor time that a node takes, until its subscription is seen, s."""
+    """Return elapsed and processor time of a node until its subscription is discovered, s."""
     begin_s = time.monotonic()
     with LiveProcess(command, log, environment) as process:
         while not observer.node.count_subscribers(topic):

@@ -1,7 +1,7 @@
-"""A long live run with everything that a watch may do, and its black boxes replayed to the last bit.
+"""A long live run with all operations of a watch, whose black boxes are replayed and compared bit by bit.
 
-Four parameter changes, a star sensor taken out and back among them, and a refused one, a save, a reset and a load;
-then the node starts anew with its saved alignment.
+Four parameter changes, among them removing and adding a star sensor, a rejected change, a save, a reset and a load;
+then the node is restarted with the saved alignment.
 Exit code 0 all boxes verified; 1 one was not, or a process failed; 2 bad input or usage.
 """
 
@@ -28,7 +28,7 @@ SCENARIO = ROOT / "bags" / "scenarios" / "demo.yaml"
 SERVICE_TIMEOUT_S = 20.0
 
 Action = tuple[float, Callable[[LiveRun], None]]
-"""Part of the run, what is done then."""
+"""Fraction of the run, action at that time."""
 
 
 def main() -> int:
@@ -36,7 +36,7 @@ def main() -> int:
     parser = CommandParser(prog="black_box_run", description=__doc__, epilog="times are of the simulated ship")
     parser.add_argument("--minutes", type=float, default=10.0, metavar="MIN", help="length of the voyage, min (10)")
     parser.add_argument("--rate", type=float, default=1.0, metavar="R", help="seconds of the voyage per second (1)")
-    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "black_box", help="takes bags and boxes")
+    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "black_box", help="folder of bags and boxes")
     return run_command(parser, _run, None)
 
 
@@ -56,10 +56,10 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
-    """Two runs of the node over one voyage, the second with the alignment that the first saved.
+    """Run the node twice over one voyage, the second time with the alignment saved by the first.
 
     Args:
-        folder: takes everything; boxes of earlier runs stay.
+        folder: folder of all files; boxes of earlier runs are not removed.
         duration_s: length of the voyage.
         rate: seconds of the voyage per second.
 
@@ -67,7 +67,7 @@ def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
         The boxes of both runs.
 
     Raises:
-        LiveFailure: a process failed, or the node did not answer as it should.
+        LiveFailure: a process failed, or a response of the node was not the expected one.
     """
     folder.mkdir(parents=True, exist_ok=True)
     alignment_path = folder / "alignment.yaml"
@@ -87,24 +87,24 @@ def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
 
 
 def verified(box: Path) -> "subprocess.CompletedProcess[str]":
-    """The outcome of ``replay --verify`` in a process of its own."""
+    """Run ``replay --verify`` in a separate process; return its result."""
     command = [*executable("ship_replay", "replay"), str(box), "--verify"]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def call(run: LiveRun, kind: Any, name: str, request: Any) -> Any:
-    """The answer of a service of the node."""
+    """Return the response of a service of the node."""
     client = run.observer.node.create_client(kind, f"/ship_attitude/{name}")
     if not run.observer.spin_until(client.service_is_ready, SERVICE_TIMEOUT_S):
-        raise LiveFailure(f"service {name} is not there")
+        raise LiveFailure(f"service {name} is not available")
     answer = client.call_async(request)
     if not run.observer.spin_until(answer.done, SERVICE_TIMEOUT_S):
-        raise LiveFailure(f"service {name} does not answer")
+        raise LiveFailure(f"service {name} does not respond")
     return answer.result()
 
 
 def set_parameter(run: LiveRun, name: str, value: float | list[str]) -> Any:
-    """What the node says to a live change."""
+    """Return the node's result of a live parameter change."""
     request = SetParametersAtomically.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     return call(run, SetParametersAtomically, "set_parameters_atomically", request).result
 
@@ -113,7 +113,7 @@ def _changed(name: str, value: float | list[str], wanted: bool) -> Callable[[Liv
     def act(run: LiveRun) -> None:
         result = set_parameter(run, name, value)
         if result.successful != wanted:
-            raise LiveFailure(f"{name} = {value}: {result.reason or 'taken, which it must not be'}")
+            raise LiveFailure(f"{name} = {value}: {result.reason or 'accepted, but must be rejected'}")
 
     return act
 
@@ -147,18 +147,18 @@ class _Plan:
         self._due = [(part * length_s, act) for part, act in actions]
 
     def watch(self, elapsed_s: float) -> None:
-        """Do what is due."""
+        """Run the actions that are due."""
         while self._due and elapsed_s >= self._due[0][0]:
             self._due.pop(0)[1](self._run)
 
     def finish(self) -> None:
-        """All must have been done."""
+        """Raise if an action was not run."""
         if self._due:
-            raise LiveFailure(f"{len(self._due)} actions were still to come when the voyage was over")
+            raise LiveFailure(f"{len(self._due)} actions had not been run at the end of the voyage")
 
 
 def _voyage(folder: Path, duration_s: float) -> Path:
-    """The simulated bag."""
+    """Simulate the voyage; return its bag."""
     scenario = yaml.safe_load(SCENARIO.read_text(encoding="utf-8"))
     scenario["duration_s"] = duration_s
     scenario_path, bag_path = folder / "scenario.yaml", folder / "voyage.mcap"
@@ -169,10 +169,10 @@ def _voyage(folder: Path, duration_s: float) -> Path:
 
 
 def _box_path(log: str) -> Path:
-    """The box that a node says it writes."""
+    """Return the path of the black box from the node's log."""
     lines = [line for line in log.splitlines() if "black box: " in line]
     if not lines:
-        raise LiveFailure(f"the node says nothing of a black box:\n{log}")
+        raise LiveFailure(f"no black box in the log of the node:\n{log}")
     return Path(lines[0].partition("black box: ")[2])
 
 

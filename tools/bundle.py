@@ -1,9 +1,9 @@
-"""``make bundle``: one tar with the tracked files of HEAD and all wheels of its lock, to set up without a network.
+"""``make bundle``: one tar with the tracked files of HEAD and all wheels of its lock, for a setup without a network.
 
-``make release`` leaves the wheels out. Both hold the C that Cython makes of compiled modules. The same commit, Python,
-machine and wheels give the same bytes. What was changed and not committed is not in it.
+``make release`` leaves the wheels out. Both contain the C that Cython generates of compiled modules. The same commit,
+Python, machine and wheels give the same bytes. Uncommitted changes are not included.
 
-Exit code 0 done; 2 bad input, or a wheel cannot be had.
+Exit code 0 done; 2 bad input, or a wheel is not available.
 """
 
 import argparse
@@ -31,11 +31,11 @@ OWN_PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
 def main() -> int:
-    """Make it."""
+    """Create the tar."""
     parser = CommandParser(prog="bundle", description=__doc__.splitlines()[0].partition(": ")[2])
     parser.add_argument("--for", dest="python", default=OWN_PYTHON, choices=PYTHONS, help=f"Python ({OWN_PYTHON})")
     parser.add_argument("--out", type=Path, default=ROOT / "out", metavar="DIR", help="folder for the tar (out/)")
-    parser.add_argument("--no-wheels", action="store_true", help="a release: what colcon builds, and no wheels")
+    parser.add_argument("--no-wheels", action="store_true", help="a release: sources for colcon, without wheels")
     return run_command(parser, _bundle, None)
 
 
@@ -43,7 +43,7 @@ def _bundle(options: argparse.Namespace) -> int:
     commit, time_s = _git("log", "-1", "--format=%H %ct").decode().split()
     changed = len(_git("status", "--porcelain", "--untracked-files=no").splitlines())
     if changed:
-        print(f"bundle: {changed} files differ from HEAD: the tar holds them as they are in HEAD", flush=True)
+        print(f"bundle: {changed} files differ from HEAD: the tar has the versions of HEAD", flush=True)
     name = f"ship_suite-{commit[:12]}"
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out) as work:
@@ -69,7 +69,7 @@ def _bundle(options: argparse.Namespace) -> int:
 
 
 def _git(*arguments: str) -> bytes:
-    """What git says about this checkout."""
+    """Return the output of a git command in this checkout."""
     try:
         answer = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, check=False)
     except FileNotFoundError:
@@ -80,14 +80,14 @@ def _git(*arguments: str) -> bytes:
 
 
 def pins(lock: str, python: str) -> list[str]:
-    """The lines of a lock that hold for a Python, as 3.12, without their conditions."""
+    """Return the lines of a lock that apply to a Python version, as 3.12, without their conditions."""
     lines = [line for line in lock.splitlines() if re.match(r"[A-Za-z0-9]", line)]
     wanted = [(line, Requirement(line).marker) for line in lines]
     return [pinned(line) for line, marker in wanted if not marker or marker.evaluate({"python_version": python})]
 
 
 def _download(wanted: list[str], python: str, folder: Path) -> list[Path]:
-    """The wheel of each pin, by name."""
+    """Download and return the wheel of each pin, by name."""
     print(f"bundle: {len(wanted)} wheels for Python {python}, a minute or two", flush=True)
     folder.mkdir()
     platforms = [option for tag in platform_tags() for option in ("--platform", tag)]
@@ -103,7 +103,7 @@ def _download(wanted: list[str], python: str, folder: Path) -> list[Path]:
 
 
 def _pip(command: str, *arguments: str) -> None:
-    """Run pip; what it builds from sources is the same each time, by the pinned setuptools and with fixed times."""
+    """Run pip; wheels built from sources are reproducible, by the pinned setuptools and fixed times."""
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", command, "--quiet", "--no-input", "--no-deps"]
     answer = subprocess.run(
         [*pip, "--prefer-binary", "--no-build-isolation", *arguments],
@@ -122,7 +122,7 @@ def _pip(command: str, *arguments: str) -> None:
 
 
 def _append(tar: Path, files: dict[Path, Path], time_s: int) -> None:
-    """Put files behind those of a tar, by their places in it; of their owners and times nothing is kept."""
+    """Append files to a tar at the given paths, with fixed owner and time."""
     with tarfile.open(tar, "a", format=tarfile.GNU_FORMAT) as archive:
         for path, place in files.items():
             entry = tarfile.TarInfo(str(place))

@@ -1,7 +1,7 @@
-"""``make campaign``: is the covariance honest over many seeds? Prints one line a case, exits 1 outside a band.
+"""``make campaign``: is the covariance consistent over many seeds? Prints one line a case, exits 1 outside a band.
 
-Bands are two-sided chi² at 99.9 % by the number of seeds: for 2000 mean NEES in [2.82, 3.18], RMS/sigma in
-[0.95, 1.05]; for 200 in [2.46, 3.60] and [0.84, 1.17]. Last come the runs that GTSAM smooths beside the filter.
+Bands are two-sided chi² at 99.9 % for the number of seeds: for 2000 mean NEES in [2.82, 3.18], RMS/sigma in
+[0.95, 1.05]; for 200 in [2.46, 3.60] and [0.84, 1.17]. Last are the runs that GTSAM smooths for comparison.
 """
 
 import argparse
@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "test") not in sys.path:
     sys.path.insert(0, str(ROOT / "test"))
 
-# The cases and the peer are shared with the tests, and no package.
+# The cases and the peer are in the tests, which are no package.
 from ship_testing.campaign_cases import CASES, WITHOUT_RECORDING, case_at_length, case_in_short  # noqa: E402
 from ship_testing.isam2_peer import isam2_error  # noqa: E402
 
@@ -36,13 +36,13 @@ PEER_SEEDS = 200
 
 
 def main() -> int:
-    """Run the campaign; 0 where every case is in its bands."""
+    """Run the campaign; return 0 if every case is in its bands."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
     parser.add_argument("cases", nargs="*", default=(*WITHOUT_RECORDING, PEER), help=", ".join((*CASES, PEER)))
     parser.add_argument("--seeds", type=int, default=SEEDS, help=f"runs of each case (default {SEEDS})")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (default 2)")
-    parser.add_argument("--recording", type=Path, help="bag whose motion the ship takes in the case `recorded`")
-    parser.add_argument("--in-short", action="store_true", help="each case as the tests run it: an hour for 2000 seeds")
+    parser.add_argument("--recording", type=Path, help="bag with the ship's motion for the case `recorded`")
+    parser.add_argument("--in-short", action="store_true", help="cases as short as in tests: an hour for 2000 seeds")
     arguments = parser.parse_args()
     unknown = sorted(set(arguments.cases) - {*CASES, PEER})
     if unknown:
@@ -73,7 +73,7 @@ def _errors(
 
 
 def _beside_a_peer(console: Console, pool: Executor, seeds: int) -> bool:
-    """Runs of a minute by the filter, and the same by GTSAM's iSAM2, where it is installed."""
+    """Run a minute by the filter and by GTSAM's iSAM2, if it is installed; True if both are in their bands."""
     if find_spec("gtsam") is None:
         console.print(f"{PEER}: left out, GTSAM is not installed (pip install gtsam)")
         return True
@@ -86,7 +86,7 @@ def _beside_a_peer(console: Console, pool: Executor, seeds: int) -> bool:
 
 
 def _judged(console: Console, name: str, results: list[FinalError]) -> bool:
-    """Print the line of one case as soon as it is there; True where it is in its bands."""
+    """Print the line of one case; True if it is in its bands."""
     angles = np.array([result.angles for result in results])
     sigma = np.array([result.sigma for result in results])
     ratio = np.sqrt(np.mean((angles / sigma) ** 2, axis=0))

@@ -1,7 +1,8 @@
-"""Hours without faults: false exclusions, doubts, availability, errors beyond levels, NEES and RMS.
+"""Hours without faults: false exclusions, open suspicions, availability, errors beyond levels, NEES and RMS.
 
-Each voyage is a line in a file of results as soon as it is made; a run that was killed goes on where it was. Exits 1
-where a voyage raised an exception or a bound is not met. The INS has 20 Hz, in one voyage in ten that of its scenario.
+Each voyage is saved as a line of a results file when complete; a run that was killed continues there.
+Exits with 1 if a voyage raised an exception or a bound is not met. The INS has 20 Hz, in one voyage in ten the rate of
+its scenario.
 """
 
 import argparse
@@ -33,20 +34,20 @@ _LENGTH_S = 1800.0
 _MOST_EXCLUSIONS_PER_H = 0.02
 _LEAST_AVAILABILITY = 0.995
 _HEAD = (
-    "voyages", "hours", "exclusions", "doubts", "limit", "available", "worst level", "worst/level", "beyond level",
+    "voyages", "hours", "exclusions", "suspicions", "limit", "available", "worst level", "worst/level", "beyond level",
     "beyond 5σ", "RMS: three angles", "NEES", "band", "speed",
 )  # fmt: skip
 
 
 def main() -> int:
-    """Make the voyages and print the table."""
+    """Run the voyages and print the table."""
     parser = CommandParser(prog="clean_hours", description=__doc__.splitlines()[0], epilog=__doc__.splitlines()[2])
-    parser.add_argument("--hours", type=float, default=100.0, help="of all voyages together (100)")
-    parser.add_argument("--length-s", type=float, default=_LENGTH_S, help="of a voyage (1800)")
+    parser.add_argument("--hours", type=float, default=100.0, help="total length of all voyages, h (100)")
+    parser.add_argument("--length-s", type=float, default=_LENGTH_S, help="length of a voyage, s (1800)")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (2)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "clean_hours", help="folder of the results")
-    parser.add_argument("--fresh", action="store_true", help="begin anew: forget the results that are there")
-    parser.add_argument("--table", action="store_true", help="print the table of the results that are there")
+    parser.add_argument("--fresh", action="store_true", help="delete existing results first")
+    parser.add_argument("--table", action="store_true", help="print only the table of existing results")
     return run_command(parser, _run, None)
 
 
@@ -73,8 +74,8 @@ def _report(results: list[Result]) -> int:
     console = Console(width=190)
     console.print(
         f"Independent tests: a separation (K_fa, K_md; K_0 of the level) {TESTS_PER_H} an hour for each hypothesis and "
-        "angle; running means over N measurements 18 000/N an hour for each source. Outputs are looked at once a "
-        f"second; availability, doubts and RMS from {SETTLED_S:.0f} s on. INS at 20 Hz, one voyage in ten at 100 Hz.",
+        "angle; running means over N measurements 18 000/N an hour for each source. Outputs are evaluated once a "
+        f"second; availability, suspicions and RMS from {SETTLED_S:.0f} s. INS at 20 Hz, one voyage in ten at 100 Hz.",
         soft_wrap=True,
     )
     table, sound = Table(), True
@@ -106,7 +107,7 @@ def _report(results: list[Result]) -> int:
 
 
 def _row(kind: str, found: list[Result]) -> tuple[list[str], bool]:
-    """The row of one kind, and whether it is within its bounds."""
+    """Return the row of one kind of voyage, and True if it is within its bounds."""
     hours, settled = sum(one["length_s"] for one in found) / 3600.0, sum(one["settled"] for one in found)
     total = {name: sum(one[name] for one in found) for name in ("available", "beyond_level", "beyond_sigmas")}
     rms = np.sqrt(np.sum([one["squares"] for one in found], axis=0) / max(settled, 1))
@@ -114,7 +115,7 @@ def _row(kind: str, found: list[Result]) -> tuple[list[str], bool]:
     available = total["available"] / settled if settled else float("nan")
     met = not total["beyond_level"] and not total["beyond_sigmas"]
     if kind != THEODOLITE:
-        # Axis errors, drawn once, last through a session of the theodolite: its errors are judged by their levels.
+        # Axis errors, drawn once, are constant over a theodolite session: its errors are compared with the levels only.
         met = met and low <= nees <= high and available >= _LEAST_AVAILABILITY
     limited = kind in ALERT_LIMIT_ARCSEC
     return [

@@ -3,8 +3,8 @@
 First the ship's attitude from INS and stars, then the theodolite's optical axis from the lights of two drones.
 ``--offline`` replays the first bag without nodes (``make quick``).
 
-Exit code 0 done; 1 a process failed or a node published nothing; 2 bad input or usage. A computer that is too slow for
-the live nodes is no failure: what it cost is said in a sentence. Tests hold the bounds (test/test_live_replay.py).
+Exit code 0 done; 1 a process failed or a node published nothing; 2 bad input or usage. Messages lost on a computer that
+is too slow for the live nodes are reported, and are no failure; tests check the bounds (test/test_live_replay.py).
 """
 
 import argparse
@@ -42,11 +42,11 @@ class Leg:
     """One bag through one node.
 
     Attributes:
-        bag: its name.
+        bag: name of the bag.
         adapter: of the node.
         package: of the node's executable.
-        orientation: what the node publishes, one for each sample.
-        sample_topic: where these come.
+        orientation: output of the node, one for each sample.
+        sample_topic: topic of these samples.
         rate: seconds of the bag per second.
         title: of the figure.
     """
@@ -61,7 +61,7 @@ class Leg:
 
     @property
     def bag_path(self) -> Path:
-        """The bag."""
+        """Return the path of the bag."""
         return ROOT / "bags" / f"{self.bag}.mcap"
 
 
@@ -128,11 +128,11 @@ def _replay(leg: Leg) -> Path:
 
 
 def _sail(leg: Leg, rate: float, console: Console) -> Path:
-    """Play the bag through the live node, and print what was lost on the way; return the recording."""
+    """Play the bag through the live node and print the lost messages; return the recording."""
     with read_bag(leg.bag_path) as bag:
         length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
     node = leg.adapter.node_name
-    print(f"{_shown(leg.bag_path)}: {length_s:.0f} s, played at {rate:g} times real time through the live {node}")
+    print(f"{_shown(leg.bag_path)}: {length_s:.0f} s, played at {rate:g} times real time to the live node {node}")
     with LiveRun(leg.bag_path, leg.adapter, leg.package, FOLDER / leg.bag) as run:
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("sailing", total=length_s)
@@ -156,12 +156,12 @@ def _show(leg: Leg, recorded_path: Path, figures: Path, console: Console) -> Non
 
 
 def _about(leg: Leg, evaluation: Evaluation) -> Evaluation:
-    """The part of an evaluation that is about what the node publishes."""
+    """Return the part of an evaluation about the node's output."""
     return replace(evaluation, errors=[e for e in evaluation.errors if e.channels == leg.orientation.channels])
 
 
 def _print_losses(leg: Leg, recorded_path: Path, played_topics: list[str]) -> None:
-    """Print how many messages of each topic were recorded, and, where some are missing, how busy the computer was."""
+    """Print the number of recorded messages of each topic, and the load of the computer if some are missing."""
     sent, received = _counts(leg.bag_path), _counts(recorded_path)
     result = leg.orientation.topic
     received[result] = _valid_outputs(recorded_path, result)
@@ -175,7 +175,7 @@ def _print_losses(leg: Leg, recorded_path: Path, played_topics: list[str]) -> No
 
 
 def _require_outputs(leg: Leg, recorded_path: Path) -> None:
-    """Refuse a recording in which the node published nothing that is valid."""
+    """Raise if the node published no valid output."""
     if not _valid_outputs(recorded_path, leg.orientation.topic):
         raise LiveFailure(f"{leg.adapter.node_name} published nothing on {leg.orientation.topic} that is valid")
 
@@ -198,7 +198,7 @@ def _counts(path: Path) -> dict[str, int]:
 
 
 def _shown(path: Path) -> Path:
-    """The path from here where that is shorter."""
+    """Return the path relative to the current folder, if that is shorter."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 

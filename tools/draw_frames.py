@@ -26,16 +26,16 @@ _IDENTITY = np.eye(3)
 _UP = _IDENTITY[1]
 _ORIGIN = np.zeros(3)
 _HALO = (withStroke(linewidth=3.0, foreground="white"),)
-"""Around each label, so that no line crosses it."""
+"""White outline of each label, over which no line is drawn."""
 
 
 class Panel:
-    """One drawing: points (North, Up, East) seen from above and from the southwest.
+    """One drawing of points (North, Up, East), seen from above and from the southwest.
 
     Args:
         axes: where to draw.
         title: its heading.
-        view: azimuth and elevation from which the eye looks on, degrees.
+        view: azimuth and elevation of the view direction, degrees.
     """
 
     def __init__(self, axes: Axes, title: str, view: tuple[float, float] = (208.0, 27.0)) -> None:
@@ -49,24 +49,24 @@ class Panel:
         axes.set_ylim(-1.0, 1.32)
 
     def flat(self, points_n: FloatArray) -> FloatArray:
-        """Where points are on the paper, shape (..., 2)."""
+        """Return the positions of points on the page, shape (..., 2)."""
         return np.asarray(points_n, dtype=float) @ self._screen
 
     def line(self, points_n: FloatArray, **style: object) -> None:
-        """A line through points, shape (k, 3)."""
+        """Draw a line through points, shape (k, 3)."""
         self._axes.plot(*self.flat(points_n).T, **({"color": GREY, "lw": 1.0} | style))
 
     def shape(self, points_n: FloatArray, colour: str = "#dfe5ea") -> None:
-        """A filled outline, shape (k, 3)."""
+        """Draw a filled outline, shape (k, 3)."""
         self._axes.fill(*self.flat(points_n).T, facecolor=colour, edgecolor=GREY, lw=1.0, zorder=0.5)
 
     def text(self, point_n: FloatArray, words: str, colour: str = INK, **style: object) -> None:
-        """Words at a point."""
+        """Draw text at a point."""
         options = {"fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6, "path_effects": _HALO} | style
         self._axes.text(*self.flat(point_n), words, color=colour, **options)
 
     def arrow(self, start_n: FloatArray, along_n: FloatArray, words: str, colour: str, dashed: bool = False) -> None:
-        """An arrow with its name beyond its point."""
+        """Draw an arrow with its name beyond its point."""
         start, end = self.flat(start_n), self.flat(np.add(start_n, along_n))
         style = {"arrowstyle": "-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
         self._axes.annotate("", end, start, arrowprops=style | ({"linestyle": "--"} if dashed else {}), zorder=4)
@@ -81,7 +81,7 @@ class Panel:
     def frame(
         self, origin_n: FloatArray, rotation: FloatArray, names: tuple[str, ...], length: float = 1.0, **style: bool
     ) -> None:
-        """Three axes: columns of a rotation into (North, Up, East)."""
+        """Draw three axes: columns of a rotation into (North, Up, East)."""
         for axis_n, name, colour in zip(rotation.T, names, DEVICE, strict=True):
             self.arrow(origin_n, length * axis_n, name, colour, **style)
 
@@ -94,14 +94,14 @@ class Panel:
         label: tuple[float, float],
         centre_n: FloatArray = _ORIGIN,
     ) -> None:
-        """Draw the path of a direction that turns by a rotation vector, and a leader from its middle to its label.
+        """Draw the path of a direction rotated by a rotation vector, and a line from its middle to its label.
 
         Args:
             start_n: direction at the beginning.
             turn_n: rotation vector.
             words: the label.
             radius: of the path.
-            label: centre of the label on the paper.
+            label: centre of the label on the page.
             centre_n: centre of the path.
         """
         path = np.array([radius * exp_rotation(part * turn_n) @ start_n for part in np.linspace(0.0, 1.0, 41)])
@@ -114,7 +114,7 @@ class Panel:
     def circle(
         self, radius: float, normal_n: FloatArray = _UP, centre_n: FloatArray = _ORIGIN, **style: object
     ) -> None:
-        """A circle about a normal."""
+        """Draw a circle about a normal."""
         first = np.cross(normal_n, [0.3, 0.2, 0.9])
         first = first / np.linalg.norm(first)
         turns = [exp_rotation(angle * np.asarray(normal_n)) @ first for angle in np.linspace(0.0, 2.0 * np.pi, 91)]
@@ -122,14 +122,14 @@ class Panel:
 
 
 def hull(rotation_nd: FloatArray, scale: float = 1.0) -> FloatArray:
-    """Outline of a ship's deck, points (North, Up, East)."""
+    """Return the outline of a ship's deck, points (North, Up, East)."""
     bow, starboard = rotation_nd[:, 0], rotation_nd[:, 2]
     outline = ((1.25, 0.0), (0.8, 0.26), (0.2, 0.34), (-0.9, 0.3), (-0.9, -0.3), (0.2, -0.34), (0.8, -0.26))
     return scale * np.array([ahead * bow + aside * starboard for ahead, aside in outline])
 
 
 def box(centre_n: FloatArray, rotation: FloatArray, panel: Panel, size: tuple[float, float, float]) -> None:
-    """A device as a box: the three faces of a cuboid that are towards the eye."""
+    """Draw a device as a box: the three visible faces of a cuboid."""
     half = 0.5 * np.array(size)
     for axis in range(3):
         for side in (-1.0, 1.0):
@@ -144,7 +144,7 @@ def box(centre_n: FloatArray, rotation: FloatArray, panel: Panel, size: tuple[fl
 
 
 def draw_horizon(panel: Panel) -> None:
-    """The horizon n, and the two angles of a direction in it."""
+    """Draw the horizon n, and the two angles of a direction in it."""
     panel.circle(1.0)
     panel.frame(_ORIGIN, _IDENTITY, ("North", "Up", "East"))
     star = rotation_from_angles(*np.deg2rad([155.0, 42.0, 0.0]))
@@ -156,7 +156,7 @@ def draw_horizon(panel: Panel) -> None:
 
 
 def draw_deck(panel: Panel) -> None:
-    """The deck d in n."""
+    """Draw the deck d in n."""
     rotation_nd = rotation_from_angles(*np.deg2rad([105.0, 8.0, 10.0]))
     panel.circle(1.0)
     panel.shape(hull(rotation_nd, 0.75))
@@ -166,7 +166,7 @@ def draw_deck(panel: Panel) -> None:
 
 
 def draw_star_sensor(panel: Panel) -> None:
-    """A star sensor s on the deck."""
+    """Draw a star sensor s on the deck."""
     panel.shape(hull(_IDENTITY, 0.9))
     panel.arrow(_ORIGIN, 1.9 * _IDENTITY[0], "bow", GREY)
     rotation_ds = rotation_from_angles(*np.deg2rad([60.0, 40.0, 0.0]))
@@ -179,14 +179,14 @@ def draw_star_sensor(panel: Panel) -> None:
 
 
 def draw_device(panel: Panel) -> None:
-    """Devices i, r and v."""
+    """Draw the devices i, r and v."""
     rotation = rotation_from_angles(*np.deg2rad([75.0, 10.0, -8.0]))
     box(_ORIGIN, rotation, panel, (0.8, 0.35, 0.5))
     panel.frame(_ORIGIN, rotation, ("forward", "up", "right"), 1.15)
 
 
 def draw_drone(panel: Panel) -> None:
-    """A drone b, with its light and the lever to it."""
+    """Draw a drone b, with its light and the lever arm to it."""
     rotation_nb = rotation_from_angles(*np.deg2rad([70.0, 6.0, 5.0]))
     for angle in (45.0, 135.0, 225.0, 315.0):
         arm = 0.7 * rotation_nb @ rotation_from_angles(np.deg2rad(angle), 0.0, 0.0)[:, 0]
@@ -200,7 +200,7 @@ def draw_drone(panel: Panel) -> None:
 
 
 def draw_theodolite(panel: Panel) -> None:
-    """The theodolite: f, x, m and t."""
+    """Draw the theodolite: f, x, m and t."""
     foot, top = np.array([0.0, -0.72, 0.0]), np.array([0.0, 0.3, 0.0])
     panel.shape(foot + hull(_IDENTITY, 0.6))
     panel.frame(foot, _IDENTITY, ("f: bow", "", "f: starboard"), 0.95, dashed=True)
@@ -218,7 +218,7 @@ def draw_theodolite(panel: Panel) -> None:
 
 
 def draw_earth(panel: Panel) -> None:
-    """Earth e, sky c, and n on the Earth, in a world whose Up is the Earth's pole."""
+    """Draw Earth e, sky c, and n on the Earth, with the Earth's pole up."""
     world_from_ecef = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     world_from_ecef = exp_rotation(np.deg2rad(-255.0) * _UP) @ world_from_ecef
     for tilt in (0.0, 45.0, 90.0, 135.0):
@@ -236,7 +236,7 @@ def draw_earth(panel: Panel) -> None:
 
 
 def draw_ros(panel: Panel) -> None:
-    """The frames of ROS beside n and d of a ship that heads north."""
+    """Draw the frames of ROS at n and d of a ship that heads north."""
     panel.shape(hull(_IDENTITY, 0.8))
     names_n, names_d = ("North", "Up", "East"), ("bow", "up", "starboard")
     enu = [f"ENU {'xyz'[int(np.argmax(column))]}" for column in ENU_FROM_HORIZON.T]

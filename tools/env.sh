@@ -1,4 +1,4 @@
-# Source this from bash: the environment in which this checkout's packages run, whatever ROS was or was not sourced before.
+# Source this from bash: the environment of this checkout's packages, independent of a ROS sourced before.
 # Used by the Makefile, ./ros2run and tools/setup_environment.py.
 _ship_root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 _ship_venv=$_ship_root/.venv
@@ -17,7 +17,7 @@ _ship_sources=() _ship_prefixes=() _ship_python=() _ship_libraries=()
 for _ship_package in "$_ship_root"/src/*/ "$_ship_root"/tools/wheels_only/*/; do
     _ship_package=${_ship_package%/}
     _ship_name=${_ship_package##*/}
-    # Python packages run from src/; their metadata (executables) lies in build/.
+    # Python packages run from src/; their metadata (executables) is in build/.
     [ -e "$_ship_package/setup.py" ] && _ship_sources+=("$_ship_package") && _ship_python+=("$_ship_root/build/$_ship_name")
     _ship_prefixes+=("$_ship_root/install/$_ship_name")
     _ship_python+=("$_ship_root/install/$_ship_name"/lib/python3*/site-packages
@@ -26,7 +26,7 @@ for _ship_package in "$_ship_root"/src/*/ "$_ship_root"/tools/wheels_only/*/; do
 done
 
 if [ -f "$_ship_venv/.ros_prefix" ]; then
-    # Over a Jazzy installation: everything of its own stays.
+    # Over a Jazzy installation, whose paths are kept.
     if [ "${ROS_DISTRO:-}" != jazzy ]; then
         case $- in *u*) _ship_u=-u; set +u ;; *) _ship_u= ;; esac
         . "$(cat "$_ship_venv/.ros_prefix")/setup.bash"
@@ -39,8 +39,8 @@ if [ -f "$_ship_venv/.ros_prefix" ]; then
     export LD_LIBRARY_PATH="$(_ship_join "${_ship_libraries[@]}")$(_ship_tail "${LD_LIBRARY_PATH:-}")"
     unset -f _ship_tail
 else
-    # Over the wheels: nothing of another ROS may remain. The wheels would set LD_LIBRARY_PATH themselves by starting
-    # Python a second time; set here, with their guard, they need not.
+    # Over the wheels: remove paths of another ROS. The wheels would set LD_LIBRARY_PATH by starting Python a second
+    # time; with the path and their guard variable set here they do not.
     unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION
     export AMENT_PREFIX_PATH="$(_ship_join "${_ship_prefixes[@]}" "$_ship_venv")"
     export CMAKE_PREFIX_PATH=$AMENT_PREFIX_PATH
@@ -51,7 +51,7 @@ else
 fi
 export VIRTUAL_ENV=$_ship_venv
 case ":$PATH:" in *":$_ship_venv/bin:"*) ;; *) export PATH="$_ship_venv/bin:$PATH" ;; esac
-# The matrices here are small: threads of BLAS would only wait for one another.
+# The matrices are small: threads of BLAS would only wait for one another.
 export OPENBLAS_NUM_THREADS=${OPENBLAS_NUM_THREADS:-1} OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
 
 unset -f _ship_join

@@ -1,7 +1,7 @@
-"""Voyages with faults, drawn by seed: is each told, is the right source named, is anything VALID that is wrong?
+"""Voyages with faults, drawn by seed: is each reported, is the right source named, is any wrong output VALID?
 
-Each voyage is a line in a file of results as soon as it is made; a run that was killed goes on where it was. Prints
-each bound that the voyages are held to, and exits 1 where one is not met.
+Each voyage is saved as a line of a results file when complete; a run that was killed continues there. Prints each
+bound of the voyages, and exits with 1 if one is not met.
 """
 
 import argparse
@@ -31,21 +31,21 @@ from ship_replay.trials.threats import OVERLAPPING, SINGLE
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ROOT / "bags" / "scenarios"
 LENGTHS_S = {"demo": 120.0, "theodolite": 120.0, "paper_stars": 150.0, "everything": 120.0}
-"""Scenario → length of its voyages at most, s."""
+"""Scenario → longest duration of its voyages, s."""
 
 
 def main() -> int:
-    """Make the voyages and print the tables."""
+    """Run the voyages and print the tables."""
     first, _, *others = __doc__.splitlines()
     parser = CommandParser(prog="faults", description=first, epilog=" ".join(others))
-    parser.add_argument("--voyages", type=int, default=1000, help="how many (1000)")
+    parser.add_argument("--voyages", type=int, default=1000, help="number of voyages (1000)")
     parser.add_argument("--mode", choices=(SINGLE, OVERLAPPING, "both"), default="both", help="of the faults (both)")
     parser.add_argument("--bags", nargs="*", default=list(LENGTHS_S), choices=list(LENGTHS_S), help="scenarios (all)")
     parser.add_argument("--bag-seeds", type=int, default=2, help="seeds of each scenario (2)")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (2)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "faults", help="folder of bags and results")
-    parser.add_argument("--fresh", action="store_true", help="begin anew: forget the results that are there")
-    parser.add_argument("--table", action="store_true", help="print the tables of the results that are there")
+    parser.add_argument("--fresh", action="store_true", help="delete existing results first")
+    parser.add_argument("--table", action="store_true", help="print only the tables of existing results")
     parser.add_argument(
         "--one", metavar="FAULT", help="one fault on the first of --bags, in words: "
         "'topic: ins/imu, kind: bias, start_s: 20, up_arcsec: 30'"
@@ -79,7 +79,7 @@ def _bag(name: str, seed: int, path: Path) -> None:
 
 
 def _make(wanted: list[Voyage], results: ResultsFile, processes: int) -> None:
-    """Make voyages, those without faults first, which each of them is compared with."""
+    """Run voyages, first those without faults, with which the others are compared."""
 
     def submit(pool: Executor) -> list[Future[Result]]:
         bags = sorted({voyage.bag for voyage in wanted})

@@ -1,4 +1,4 @@
-"""The C that Cython makes of compiled modules: in releases and bundles, for machines without Cython 3.1."""
+"""The C that Cython generates of compiled modules: in releases and bundles, for machines without Cython 3.1."""
 
 import os
 import subprocess
@@ -14,13 +14,13 @@ _GENERATE = (
 
 
 def generate_c(src: Path) -> list[Path]:
-    """Let the setup.py of each package with compiled modules generate C beside its sources, and compile nothing.
+    """Generate C in the source folders of each package with compiled modules, by its setup.py, and compile nothing.
 
     Args:
-        src: folder of packages, as exported from a commit: nothing built lies in it.
+        src: folder of packages as exported from a commit, without build products.
 
     Returns:
-        The files made, sorted: C, and of each package the digest of the sources that its C was generated from.
+        The generated files, sorted: C, and for each package the digest of the sources of its C.
 
     Raises:
         BadInput: a package's C cannot be generated.
@@ -32,6 +32,6 @@ def generate_c(src: Path) -> list[Path]:
         answer = subprocess.run(command, cwd=package, env=environment, capture_output=True, text=True, check=False)
         if answer.returncode:
             last = (answer.stderr or answer.stdout).strip().splitlines()[-1]
-            raise BadInput(f"{package.name}: its C cannot be generated: {last}")
+            raise BadInput(f"{package.name}: cannot generate its C: {last}")
         made += [*package.rglob("compiled_*.c"), *package.rglob("compiled_sources.sha256")]
     return sorted(made)

@@ -1,6 +1,6 @@
-"""Kills `record` and a node with its black box (kill -9) at random moments and counts what is lost.
+"""Kills `record` and a node with its black box (kill -9) at random times and counts the lost messages.
 
-Exits 1 where more than a flush period is lost, or the recovered file is not read whole by rosbags and mcap.
+Exits with 1 if more than a flush period is lost, or if rosbags and mcap do not read the whole recovered file.
 """
 
 import argparse
@@ -18,7 +18,7 @@ BOX_FLUSH_PERIOD_S = 0.1
 
 
 def main() -> int:
-    """Run the campaign; 0 where nothing but the last flush period is ever lost."""
+    """Run the campaign; return 0 if no more than the last flush period is lost."""
     first, _, last = __doc__.splitlines()[:3]
     parser = argparse.ArgumentParser(description=first, epilog=last, allow_abbrev=False)
     parser.add_argument("--kills", type=int, default=40, help="of each of the two (default 40)")

@@ -1,7 +1,7 @@
-"""Writes docs/reference/licences.md: the licence of every wheel of the lock, as the wheel itself states it.
+"""Writes docs/reference/licences.md: the licence of every wheel of the lock, as stated in the wheel.
 
-With --check nothing is written. Exit code 1 where a licence is not known, or does not let the wheel be distributed
-beside this suite, which is under Apache-2.0.
+With --check nothing is written. Exits with 1 if a licence is not known, or does not permit distribution with this
+suite, which is under Apache-2.0.
 """
 
 import argparse
@@ -18,16 +18,16 @@ PAGE = ROOT / "docs" / "reference" / "licences.md"
 
 STATED_ELSEWHERE = {
     "apsw": ("Zlib", "its LICENSE; or any that OSI approves"),
-    "docutils": ("CC-PDDC AND BSD-2-Clause AND 0BSD", "its COPYING; GPL-3.0 is an Emacs file that the wheel has not"),
+    "docutils": ("CC-PDDC AND BSD-2-Clause AND 0BSD", "its COPYING; GPL-3.0 is an Emacs file, not in the wheel"),
     "empy": ("LGPL-2.1-or-later", "`__license__` in its em.py"),
-    "exceptiongroup": ("MIT", "its metadata on PyPI; Python 3.10 alone"),
+    "exceptiongroup": ("MIT", "its metadata on PyPI; Python 3.10 only"),
     "python-dateutil": ("Apache-2.0 OR BSD-3-Clause", "its LICENSE"),
     "ros-fastcdr": ("Apache-2.0", "its LICENSE"),
     "ros-fastrtps": ("Apache-2.0", "its LICENSE"),
     "setuptools": ("MIT", "its LICENSE"),
-    "tomli": ("MIT", "its metadata on PyPI; Python 3.10 alone"),
+    "tomli": ("MIT", "its metadata on PyPI; Python 3.10 only"),
 }
-"""Distribution → licence and where it stands, where the metadata that is installed does not say it."""
+"""Distribution → licence and its source, if the installed metadata does not state it."""
 
 _SPDX = {
     "0BSD": ("0BSD",),
@@ -45,21 +45,21 @@ _SPDX = {
     "LGPL-2.1-or-later": (),
     "MPL-2.0": ("Mozilla Public License 2.0 (MPL 2.0)",),
 }
-"""Licences with which a wheel may be distributed beside Apache-2.0 → other names of theirs."""
+"""Licences that permit distribution with Apache-2.0 → their other names."""
 _NAMES = {name: spdx for spdx, others in _SPDX.items() for name in (spdx, *others)}
 _SHARED_ALIKE = ("LGPL-2.1-or-later", "MPL-2.0")
 
 HEAD = """# Licences
 
-The suite itself is under Apache-2.0. Each wheel that [`make setup`](../how-to/install.md) installs stays under its own
-licence, also in the tar of `make bundle`, which holds it unchanged. Wheels under MPL-2.0 or LGPL (marked *) ask that
-their source goes with them or is named: they are that source themselves, but for hypothesis, whose source is on PyPI.
-Who changes one of them passes on the change under the same licence.
+The suite itself is under Apache-2.0. Each wheel that [`make setup`](../how-to/install.md) installs has its own licence,
+also in the tar of `make bundle`, which has it unchanged. Wheels under MPL-2.0 or LGPL (marked *) require that their
+source is distributed with them or named: they are that source, except hypothesis, whose source is on PyPI. Changes of
+one of them must be distributed under the same licence.
 
-Some wheels hold libraries of others: numpy and scipy have OpenBLAS and runtime libraries of GCC (GPL-3.0 with the
-exception for runtime libraries; libquadmath LGPL). The licences of these lie in the wheels, in `*.dist-info/`.
+Some wheels contain third-party libraries: numpy and scipy have OpenBLAS and runtime libraries of GCC (GPL-3.0 with the
+exception for runtime libraries; libquadmath LGPL). Their licences are in the wheels, in `*.dist-info/`.
 
-*From* tells where the licence stands: in the metadata of the wheel, in its `package.xml`, or elsewhere.
+*From* is the source of the licence: the metadata of the wheel, its `package.xml`, or another file.
 
 This page is written by `python tools/licences.py`; a test compares it with the wheels that are installed.
 
@@ -69,13 +69,13 @@ This page is written by `python tools/licences.py`; a test compares it with the 
 
 
 def distributions() -> list[str]:
-    """Names of the wheels of the lock, each once."""
+    """Return the names of the wheels of the lock, each once."""
     names = re.findall(r"^([A-Za-z0-9][\w.-]*)==", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
     return sorted(set(names), key=str.lower)
 
 
 def licence(name: str) -> tuple[str, str]:
-    """The licence of a wheel in the names of SPDX, and where that stands; empty where it is not known."""
+    """Return the SPDX licence of a wheel and its source in the wheel; empty licence if not known."""
     if name in STATED_ELSEWHERE:
         return STATED_ELSEWHERE[name]
     try:
@@ -95,7 +95,7 @@ def licence(name: str) -> tuple[str, str]:
 
 
 def _in_package_xml(name: str) -> list[str]:
-    """Licences in the package.xml of a ROS wheel."""
+    """Return the licences in the package.xml of a ROS wheel."""
     package = re.sub("^ros-(jazzy-)?", "", name).replace("-", "_")
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if name.startswith("ros-") else []:
         path = Path(prefix) / "share" / package / "package.xml"
@@ -105,13 +105,13 @@ def _in_package_xml(name: str) -> list[str]:
 
 
 def fits(expression: str) -> bool:
-    """Whether one of the licences that may be chosen lets a wheel be distributed beside Apache-2.0."""
+    """True if one of the alternative licences permits distribution with Apache-2.0."""
     choices = [re.split(r" AND ", choice.strip("() ")) for choice in expression.split(" OR ")]
     return any(all(part.strip("() ") in _SPDX for part in parts) for parts in choices)
 
 
 def page() -> str:
-    """The text of docs/reference/licences.md."""
+    """Return the text of docs/reference/licences.md."""
     text = HEAD
     for name in distributions():
         stated, place = licence(name)
@@ -121,7 +121,7 @@ def page() -> str:
 
 
 def unfit() -> list[str]:
-    """One line for each wheel that must not be distributed, as far as is known."""
+    """Return one line for each wheel that must not be distributed, or whose licence is not known."""
     lines = []
     for name in distributions():
         stated, place = licence(name)
@@ -131,9 +131,9 @@ def unfit() -> list[str]:
 
 
 def main() -> int:
-    """Write the page, or check."""
+    """Write the page, or check the licences."""
     parser = argparse.ArgumentParser(description="The licences of all wheels of the lock.", allow_abbrev=False)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 where a licence does not fit")
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a licence does not fit")
     options = parser.parse_args()
     if not options.check:
         PAGE.write_text(page(), encoding="utf-8")

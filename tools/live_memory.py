@@ -1,7 +1,7 @@
-"""A live node for as long as a voyage lasts, played faster than it sailed: does its memory stay where it is?
+"""Memory of a live node over a voyage that is played faster than real time: its growth must stay within bounds.
 
-The node is a process of its own and hears simulated data over DDS. Its resident memory is noted now and then. Exit code
-0 within the bounds; 1 it grows, is too large, or a process failed; 2 bad input or usage.
+The node is a separate process that receives simulated data over DDS. Its resident memory is sampled periodically. Exit
+code 0 within the bounds; 1 the growth or the memory is too large, or a process failed; 2 bad input or usage.
 """
 
 import argparse
@@ -33,7 +33,7 @@ MOST_MB, MOST_GROWTH_MB = 130.0, 1.0
 _START_S = 30.0
 _LOOK_S = 2.0
 _BEGIN_SHARE = 0.05
-"""Of what is looked at: so much at its beginning and at its end is held against each other."""
+"""Share of the samples at the beginning and at the end, whose medians are compared."""
 _MOST_MISSED_S = 60.0
 _STATM_RESIDENT = 1
 _LINES = 12
@@ -45,7 +45,7 @@ def main() -> int:
     parser.add_argument("--hours", type=float, default=24.0, metavar="H", help="length of the voyage, h (24)")
     parser.add_argument("--settled-h", type=float, default=1.0, metavar="H", help="growth counts from here, h (1)")
     parser.add_argument("--rate", type=float, default=10.0, metavar="R", help="seconds of the voyage per second (10)")
-    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "live_memory", help="takes bag and logs")
+    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "live_memory", help="folder of bag and logs")
     return run_command(parser, _run, None)
 
 
@@ -68,12 +68,12 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def growth(hours: np.ndarray, resident_mb: np.ndarray, settled_h: float) -> float:
-    """Resident memory at the end less that at a time, MB: medians over a twentieth of what lies between.
+    """Return the resident memory at the end minus that at a time, MB: medians over a twentieth of the span between.
 
     Args:
         hours: since the start of the voyage, increasing, shape (n,).
-        resident_mb: at these moments, shape (n,).
-        settled_h: from where growth counts.
+        resident_mb: at these times, shape (n,).
+        settled_h: start of the span.
     """
     share_h = _BEGIN_SHARE * (hours[-1] - settled_h)
     begin = (hours >= settled_h) & (hours <= settled_h + share_h)
@@ -81,10 +81,10 @@ def growth(hours: np.ndarray, resident_mb: np.ndarray, settled_h: float) -> floa
 
 
 def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Hours of the voyage, and the node's resident memory then, MB.
+    """Return the hours of the voyage, and the node's resident memory at these times, MB.
 
     Args:
-        folder: takes bag, configuration and logs.
+        folder: folder of bag, configuration and logs.
         length_h: of the voyage, h.
         rate: seconds of the voyage per second.
 
@@ -112,14 +112,14 @@ def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray,
             raise LiveFailure(f"play ended with exit code {player.exit_code}:\n{player.log()}")
     missed_s = scenario.duration_s - (told_ns - start_of(scenario.start_utc)) / NS_PER_S
     if missed_s > _MOST_MISSED_S:
-        raise LiveFailure(f"the node told its alignment for the last time {missed_s:.0f} s before the voyage's end")
+        raise LiveFailure(f"the node published its last alignment {missed_s:.0f} s before the voyage's end")
     return np.array([hours for hours, _ in samples]), np.array([resident_mb for _, resident_mb in samples])
 
 
 def _watched(
     node: LiveProcess, player: LiveProcess, observer: GraphObserver, rate: float
 ) -> tuple[list[tuple[float, float]], int]:
-    """Until the player ends: (hours of the voyage, resident memory of the node, MB); and the last stamp of the node."""
+    """Return hours of the voyage and the node's memory, MB, until the player ends; and the node's last stamp."""
     samples, told_ns = [], 0
 
     def note(message: AlignmentState) -> None:

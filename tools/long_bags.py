@@ -1,7 +1,7 @@
-"""`simulate` and `replay` over voyages of growing length: memory that does not grow, and a cost that grows with it.
+"""`simulate` and `replay` over voyages of increasing length: constant memory, and processor time per hour.
 
-Each is a process of its own. Exit code 0 within the bounds; 1 more memory, or an hour that costs more in a long voyage
-than in the shortest; 2 bad usage.
+Each runs in a separate process. Exit code 0 within the bounds; 1 the memory is above its bound, or an hour of a long
+voyage costs more than one of the shortest; 2 bad usage.
 """
 
 import argparse
@@ -43,7 +43,7 @@ replay(Path(sys.argv[1]), Path(sys.argv[2]), ADAPTERS)
 
 
 class Cost(NamedTuple):
-    """What a process took: processor time, s, and the most memory, MB."""
+    """Processor time, s, and peak memory, MB, of a process."""
 
     cpu_s: float
     memory_mb: float
@@ -55,7 +55,7 @@ def main() -> int:
     parser.add_argument(
         "--hours", type=float, nargs="+", default=[1.0, 10.0], metavar="H", help="lengths of the voyages, h (1 10)"
     )
-    parser.add_argument("--folder", type=Path, help="takes the bags, 80 MB an hour (a temporary one)")
+    parser.add_argument("--folder", type=Path, help="folder of the bags, 80 MB an hour (a temporary one)")
     return run_command(parser, _run, None)
 
 

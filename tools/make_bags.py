@@ -1,6 +1,6 @@
-"""Makes the bags in bags/ from their scenarios: ``make bags``. The same scenario and seed give the same bytes.
+"""Creates the bags in bags/ from their scenarios: ``make bags``. The same scenario and seed give the same bytes.
 
-Exit code 0 made; 2 bad input or usage.
+Exit code 0 done; 2 bad input or usage.
 """
 
 import argparse
@@ -18,7 +18,7 @@ SEEDS = {"demo": 1, "theodolite": 1}
 
 
 def main() -> int:
-    """Make all bags and their sums."""
+    """Create all bags and their checksums."""
     parser = CommandParser(prog="make_bags", description="Make the bags in bags/ and their sha256 sums.")
     parser.add_argument("--out", type=Path, default=FOLDER, metavar="DIR", help="folder to write to (bags)")
     return run_command(parser, _make, None)

@@ -1,7 +1,7 @@
-"""``make wheels``: wheels of our own packages for this Python and machine, in prebuilt/, where set-up finds them.
+"""``make wheels``: builds wheels of our own packages for this Python and machine into prebuilt/, for later setups.
 
-A checkout of the same sources that has this folder is set up without a compiler. Exit code 0 done; 2 a package could
-not be built.
+A checkout of the same sources with this folder is set up without a compiler. Exit code 0 done; 2 a package could not
+be built.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _FIXED_TIME = (2000, 1, 1, 0, 0, 0)
 
 
 def main() -> int:
-    """Make them."""
+    """Build the wheels."""
     own = Path(PREBUILT) / own_target()
     parser = argparse.ArgumentParser(prog="wheels", description=__doc__, allow_abbrev=False)
     parser.add_argument("--out", type=Path, default=ROOT / own, metavar="DIR", help=f"folder for the wheels ({own})")
@@ -61,7 +61,7 @@ def main() -> int:
 
 
 def _build(package: Path, content: str, out: Path) -> None:
-    """Build a wheel of a Python package from a copy, so that nothing stays in the sources."""
+    """Build a wheel of a Python package from a copy, which leaves no files in the sources."""
     with tempfile.TemporaryDirectory() as work:
         copy = Path(work) / package.name
         made = shutil.ignore_patterns("test", "__pycache__", "*.egg-info", "*.so", "compiled_*.c", "compiled_*.sha256")
@@ -76,9 +76,9 @@ def _build(package: Path, content: str, out: Path) -> None:
 
 
 def _pack_messages(package: Path, content: str, out: Path) -> None:
-    """Pack what colcon installed of a package of messages, as the wheels of ROS itself do: below the prefix."""
+    """Pack the installed files of a message package below the prefix, as the wheels of ROS do."""
     if read_stamp(stamp_of(package)) != content:
-        raise OSError("what is installed was built from other sources: run make setup")
+        raise OSError("the installed files were built from other sources: run make setup")
     root = ET.parse(package / "package.xml").getroot()
     version = f"{root.findtext('version')}{local_version(content)}"
     tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
@@ -106,7 +106,7 @@ def _pack_messages(package: Path, content: str, out: Path) -> None:
 
 
 def _record_hash(content: bytes) -> str:
-    """Return a file's hash as RECORD has it."""
+    """Return the hash of a file in the format of RECORD."""
     return base64.urlsafe_b64encode(hashlib.sha256(content).digest()).decode().rstrip("=")
 
 

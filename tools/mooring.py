@@ -1,8 +1,8 @@
 """Stars minus INS alongside, as Fig. 4 of Pan et al. (2015): draws docs/figures/mooring.png.
 
-Sails the scenario mooring and replays it; with a bag of one's own and what replay made of it, draws these. Of each
-joint solution that is VALID it takes heading, pitch and roll minus those of ins/imu, interpolated to its stamp. Prints
-mean and standard deviation of each difference in arcsec. Where the bag has the truth, that minus the INS is drawn too.
+Simulates the scenario mooring and replays it, or uses a given bag and its replayed outputs. For each VALID joint
+solution, computes heading, pitch and roll minus those of ins/imu, interpolated to its stamp. Prints mean and standard
+deviation of each difference in arcsec. If the bag has the truth, truth minus INS is drawn too.
 """
 
 import argparse
@@ -50,7 +50,7 @@ class Differences:
 
     Attributes:
         start_ns: first stamp.
-        time_s: after it, shape (n,).
+        time_s: time since the first stamp, shape (n,).
         arcsec: heading, pitch, roll by the stars minus those by the INS, shape (n, 3).
         sigma_arcsec: of the attitude by the stars, shape (n, 3).
         true_arcsec: truth minus INS at the same stamps, shape (n, 3); NaN where there is no truth.
@@ -72,11 +72,11 @@ def main(arguments: list[str] | None = None) -> int:
         epilog=" ".join(others),
         example="python tools/mooring.py --bag night.mcap --replayed replayed.mcap --figure night.png",
     )
-    parser.add_argument("--bag", type=Path, help="bag with ins/imu (the scenario is sailed)")
+    parser.add_argument("--bag", type=Path, help="bag with ins/imu (a simulation of the scenario)")
     parser.add_argument("--replayed", type=Path, help="bag with star/joint/solution (--bag is replayed)")
-    parser.add_argument("--length-s", type=float, default=LENGTH_S, help="of the scenario's voyage (1800)")
-    parser.add_argument("--seed", type=int, default=1, help="of the scenario's voyage (1)")
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "mooring", help="folder of what is made")
+    parser.add_argument("--length-s", type=float, default=LENGTH_S, help="length of the scenario's voyage, s (1800)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the scenario's voyage (1)")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "mooring", help="folder of the bags")
     parser.add_argument("--figure", type=Path, default=FIGURE, help="PNG to draw (docs/figures/mooring.png)")
     return run_command(parser, _run, arguments)
 
@@ -104,10 +104,10 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def stars_minus_ins(bag_path: Path, replayed_path: Path) -> Differences:
-    """What the bags tell.
+    """Return the differences between the bags.
 
     Raises:
-        BadInput: they hold no suite file, or no joint solution at a moment that the INS tells of.
+        BadInput: the suite file is missing, or no joint solution has an INS attitude at its time.
     """
     truth = Truth(SHIP_ATTITUDE)
     with read_bag(bag_path) as bag:
@@ -130,7 +130,7 @@ def stars_minus_ins(bag_path: Path, replayed_path: Path) -> Differences:
             true = np.full(3, np.nan) if true_nd is None else wrap_pi(angles_from_rotation(true_nd) - told)
             rows.append((time_ns, wrap_pi(by_stars - told), sigma, true))
     if not rows:
-        raise BadInput(f"{replayed_path}: {JOINT_SOLUTION}: no VALID solution at a time of {_INS} in {bag_path}")
+        raise BadInput(f"{replayed_path}: {JOINT_SOLUTION}: no VALID solution within the times of {_INS} in {bag_path}")
     time_ns = np.array([row[0] for row in rows])
     arcsec = [np.array([row[column] for row in rows]) / ARCSEC for column in (1, 2, 3)]
     return Differences(int(time_ns[0]), (time_ns - time_ns[0]) / NS_PER_S, *arcsec)
@@ -150,7 +150,7 @@ def _messages(bag: Bag, topic: str) -> list[Any]:
 
 
 def draw(found: Differences, path: Path) -> None:
-    """Three panels, one an angle, over minutes."""
+    """Draw three panels, one for each angle, over minutes."""
     style = {"font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "savefig.facecolor": "white"}
     with plt.rc_context(style):
         figure, panels = plt.subplots(3, 1, figsize=(9.5, 7.5), sharex=True, layout="constrained")

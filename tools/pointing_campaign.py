@@ -1,8 +1,9 @@
-"""How good is the theodolite's axis, and is its covariance honest, over many seeds of bags/scenarios/theodolite_sweep?
+"""Campaign of the theodolite's axis: accuracy, and consistency of its covariance, over many seeds of one scenario.
 
-Prints one line a span of time: with lights, the first half minute without, the end. Exit code 1 where RMS/sigma is
-outside its band, or the axis worse than it must be: 8.5" in the first half minute, 31" after ten minutes, 9 and 2.4
-times better than INS and encoders with axis errors that nobody knows.
+The scenario is bags/scenarios/theodolite_sweep. Prints one line per time span: with lights, the first half minute
+without, the end. Exits with 1 if RMS/sigma is outside its band, or the axis worse than its bound. The bounds are 8.5"
+in the first half minute, 31" after ten minutes, and 9 and 2.4 times better than INS and encoders with unmodelled axis
+errors.
 """
 
 import argparse
@@ -29,14 +30,14 @@ BAND = (0.88, 1.12)
 
 @dataclass(frozen=True)
 class Span:
-    """A span of time.
+    """A time span.
 
     Attributes:
         name: for people.
         start_s: after the start, excluded.
         end_s: included.
-        worst_arcsec: RMS that must not be exceeded.
-        times_better: than INS and encoders, at least.
+        worst_arcsec: bound of the RMS.
+        times_better: minimum ratio of the RMS of INS and encoders to it.
     """
 
     name: str
@@ -54,7 +55,7 @@ SPANS = (
 
 
 def main() -> int:
-    """Run the campaign; 0 where all is as it must be."""
+    """Run the campaign; return 0 if all bounds are met."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
     parser.add_argument("--seeds", type=int, default=200, help="number of runs (default 200)")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (default 2)")
@@ -71,7 +72,7 @@ def main() -> int:
 
 
 def _quick(scenario: Scenario) -> Scenario:
-    """The scenario at the lowest rates at which nothing is lost: devices that speak at the moments of the exposures."""
+    """Return the scenario at the lowest rates without loss: devices sample at the times of the exposures."""
     theodolite = dataclasses.replace(
         scenario.theodolite,
         encoder=dataclasses.replace(scenario.theodolite.encoder, rate_hz=6.0),
@@ -95,7 +96,7 @@ def _quick(scenario: Scenario) -> Scenario:
 
 
 def _squares(scenario: Scenario, seed: int) -> FloatArray:
-    """Mean squares of one run, rad², shape (spans, 3)."""
+    """Return mean squares of one run, rad², shape (spans, 3)."""
     errors = pointing_errors(scenario, seed)
     return np.array([_of_span(errors, span) for span in SPANS])
 
@@ -107,11 +108,11 @@ def _of_span(errors: PointingErrors, span: Span) -> list[float]:
 
 
 def _judged(console: Console, span: Span, means: FloatArray) -> bool:
-    """Print the line of a span; True where it is as it must be."""
+    """Print the line of a span; True if its bounds are met."""
     rms, sigma, alone = np.sqrt(means) / ARCSEC
     ratio, better = rms / sigma, alone / rms
     good = BAND[0] <= ratio <= BAND[1] and rms <= span.worst_arcsec and better >= span.times_better
-    verdict = "good" if good else "NOT GOOD"
+    verdict = "met" if good else "NOT MET"
     console.print(f"{span.name:22}{rms:8.2f}{sigma:8.2f}{ratio:11.3f}{alone:13.1f}{better:14.1f}   {verdict}")
     return good
 

@@ -1,10 +1,10 @@
-"""Prebuilt wheels of our own packages: what ``make wheels`` writes, and set-up takes instead of compiling.
+"""Prebuilt wheels of our own packages: built by ``make wheels``, and used by setup instead of compiling.
 
-They lie in prebuilt/, a folder for each Python and machine. The version of a wheel ends in the digest of what the
-package was built from, so that set-up knows from its name whether it fits the sources that are here. Set-up takes only
-what a compiler makes, compiled modules and messages; Python sources are always those of the checkout.
+They are in prebuilt/, in a folder for each Python and machine. The version of a wheel ends in the digest of the
+package's sources, by which setup checks that it fits the sources of the checkout. Setup uses only the compiled parts,
+modules and messages; Python sources are always those of the checkout.
 
-Only what Python itself brings is imported here: set-up begins before there is anything else.
+Only Python's standard library is imported: setup starts before other packages are installed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _NAME = re.compile(rf"(\w+)-[\d.]+\+([0-9a-f]{{{_DIGEST_LENGTH}}})-[\w.]+-[\w.]+
 
 
 def digest(*parts: str | bytes) -> str:
-    """Return one hexadecimal number for all parts."""
+    """Return one hexadecimal digest of all parts."""
     total = hashlib.sha256()
     for part in parts:
         total.update(part.encode() if isinstance(part, str) else part)
@@ -35,14 +35,14 @@ def digest(*parts: str | bytes) -> str:
 
 
 def package_digests(folders: list[Path], tools: str) -> dict[Path, str]:
-    """Return for each package the digest of what must be built again when it changes.
+    """Return for each package the digest of the files that require a new build when they change.
 
-    With symlinks an edited Python file is no such change; an edited compiled module is one, and so is a new file that
+    With symlinks an edited Python file requires none; an edited compiled module does, and so does a new file that
     setup.py lists.
 
     Args:
         folders: of the packages.
-        tools: what builds them: versions, Python, machine.
+        tools: versions of the build tools, Python, machine.
     """
     return {folder: digest(tools, *_content(folder)) for folder in folders}
 
@@ -56,7 +56,7 @@ def _content(folder: Path) -> list[str | bytes]:
         if path.name in _READ or path.suffix in (".msg", ".srv", ".action"):
             parts += ["/".join(inner), path.read_bytes()]
         elif path.name.startswith("compiled_"):
-            # C and compiled modules lie next to their source.
+            # C and compiled modules are in the folder of their source.
             parts += ["/".join(inner), path.read_bytes()] if path.suffix in (".py", ".pxd") else []
         elif path.suffix not in (".py", ".pyc", ".pyi"):
             parts.append("/".join(inner))  # launch, parameter and resource files
@@ -64,7 +64,7 @@ def _content(folder: Path) -> list[str | bytes]:
 
 
 def local_version(content: str) -> str:
-    """Return the end of a wheel's version that stands for a digest of :func:`package_digests`."""
+    """Return the end of a wheel's version for a digest of :func:`package_digests`."""
     return f"+{content[:_DIGEST_LENGTH]}"
 
 
@@ -81,7 +81,7 @@ class Prebuilt:
     wheel: Path
 
     def take(self, install: Path) -> None:
-        """Unpack compiled modules next to their sources, and messages into install/, as colcon would leave them.
+        """Unpack compiled modules next to their sources, and messages into install/, in colcon's layout.
 
         Args:
             install: colcon's folder of installed packages.
@@ -99,12 +99,12 @@ class Prebuilt:
                     elif not is_of_messages and name.endswith(COMPILED_SUFFIX):
                         _unpack(archive, name, self.folder / name)
         except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-            raise OSError(f"{self.wheel} is damaged ({error}): copy or make it again") from error
+            raise OSError(f"{self.wheel} is damaged ({error}): copy or build it again") from error
 
 
 def _unpack(archive: zipfile.ZipFile, name: str, path: Path) -> None:
     if ".." in Path(name).parts:
-        raise OSError(f"{archive.filename}: {name} points out of its folder")
+        raise OSError(f"{archive.filename}: {name} is a path outside the folder")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.unlink(missing_ok=True)
     with archive.open(name) as source, path.open("wb") as target:
@@ -112,7 +112,7 @@ def _unpack(archive: zipfile.ZipFile, name: str, path: Path) -> None:
 
 
 def find_prebuilt(place: Path, wanted: dict[Path, str]) -> tuple[list[Prebuilt], list[str]]:
-    """Return the wheels that fit, and a line for each package whose wheel was built from something else.
+    """Return the wheels that fit, and a line for each package whose wheel was built from other sources.
 
     Args:
         place: the folder of wheels for this Python and machine; it may be missing.

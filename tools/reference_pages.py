@@ -1,4 +1,4 @@
-"""Writes docs/reference: parameters, messages, topics and executables, each page from the code that it is about."""
+"""Writes docs/reference: parameters, messages, topics and executables, each page generated from the code."""
 
 import contextlib
 import importlib
@@ -39,40 +39,40 @@ _PARAMETER_COLUMNS = "| parameter | default | unit | allowed | |\n|---|---|---|-
 PARAMETERS_HEAD = f"""# Parameters
 
 Units are in the names. `<id>` stands for the id of a star sensor, a camera or a beacon, or the name of a reference, of
-a sink or of a source: naming it declares it. A parameter marked *live* may be changed while the node runs
-(`ros2 param set`); the others are read at the start. An unknown parameter, or one out of its range, stops the node at
-the start and is refused later, each time with the reason.
+a sink or of a source: a parameter with this name declares it. A parameter marked *live* may be changed while the node
+runs (`ros2 param set`); the others are read at the start. An unknown parameter, or one out of its range, ends the node
+at the start and is rejected later, each time with the reason.
 
-A parameter file holds a section for each node. `/**/ship_attitude:` is for the node of that name in every namespace,
-`/**:` for all nodes; `ship_attitude:` alone fits the node without a namespace and no other. A file in which no section
-fits the node, but one has (nearly) its name, ends the node at the start with both names; a file about other nodes is a
-warning. `check_config` and `replay` judge names in the same way.
+A parameter file has a section for each node. `/**/ship_attitude:` is for the node of that name in every namespace,
+`/**:` for all nodes; `ship_attitude:` alone is only for the node without a namespace. If no section of a file fits the
+node, but one has (nearly) its name, the node ends at the start with both names; a file with sections for other nodes
+only is a warning. `check_config` and `replay` compare names in the same way.
 
-Every estimator has `black_box` besides: a file (`.mcap`) or folder that takes everything the node uses and gives, in
-that order; `replay BOX.mcap --verify` runs it again to the last bit. A file that is there is kept: the next box is
-`BOX_2.mcap`. After `black_box_part_mb` (`1000`; 0 for never) it goes on in `BOX.part2.mcap`.
-Every node has `reliable_inputs` (`false`): what is lost on the way to its inputs is sent again
-([lossy links](../how-to/lossy_links.md)). Every node has the map `topics`: the ship's names of its inputs, where they
-are other ones ([topics under other names](../how-to/replay_a_night.md#topics-under-other-names)).
+Every estimator also has `black_box`: a file (`.mcap`) or folder in which all inputs and outputs of the node are
+recorded in their order; `replay BOX.mcap --verify` repeats them bit by bit. An existing file is not overwritten: the
+next box is `BOX_2.mcap`. After `black_box_part_mb` (`1000`; 0 for never) it continues in `BOX.part2.mcap`.
+Every node has `reliable_inputs` (`false`): messages to its inputs that were lost are sent again
+([lossy links](../how-to/lossy_links.md)). Every node has the map `topics`: the ship's names of its inputs, if they
+differ ([topics under other names](../how-to/replay_a_night.md#topics-under-other-names)).
 
 {_WRITTEN}"""
 
 SCENARIO_HEAD = f"""# Keys of a scenario
 
-What `simulate` reads, nested at the dots; `<id>` is any name. Units are in the names.
-[bags/README.md](../../bags/README.md) tells what is drawn from it, and which scenarios are there.
+Input of `simulate`, nested at the dots; `<id>` is any name. Units are in the names.
+[bags/README.md](../../bags/README.md) describes what is simulated from it, and lists the scenarios.
 
 {_WRITTEN}
 """
 
 LIMITS_HEAD = f"""# Limits of a ship
 
-What page, terminal, alerts and report hold a suite against: a YAML file that a ship has for herself, given with
-`--limits FILE`. What the file does not name keeps its default. An unknown key or a value out of its range is one line
-with file, line, key and what was expected.
+Limits with which page, terminal, alerts and report compare a suite: a YAML file of the ship, given with
+`--limits FILE`. A key that is not in the file has its default. An unknown key or a value out of its range is an error
+of one line with file, line, key and the expected value.
 
-Limits of heading, tilt and pointing are those of the task; their defaults are of no task. `suite --bag BAG --limits`
-shows how much of the time they would be held ([Watch a suite](../how-to/watch.md#limits-for-your-task)).
+Limits of heading, tilt and pointing depend on the task; their defaults are of no task. `suite --bag BAG --limits`
+shows the share of time within them ([Watch a suite](../how-to/watch.md#limits-for-your-task)).
 
 `<id>` is a source or a kind of sources: `ins`, `star`, `reference`, `lights`, `encoder`, `baselines`, `ship_attitude`,
 `gnss`, `weather`, or one of several, as `star_bow` for `star.bow`. A source takes the limits of its own name, else
@@ -89,30 +89,31 @@ those of its kind, else `every_input`.
 
 MESSAGES_HEAD = f"""# Messages
 
-The messages of the package `ship_msgs`. Constants come first in each table, then the fields. Beside them the nodes use
-messages of ROS 2 itself; [topics.md](topics.md) says where.
+The messages of the package `ship_msgs`. Constants come first in each table, then the fields. The nodes also use
+messages of ROS 2 itself; they are listed in [topics.md](topics.md).
 
 {_WRITTEN}"""
 
 TOPICS_HEAD = f"""# Topics
 
-Names are relative: a ship puts all of them in a namespace of its own (`-r __ns:=/aurora`). `<id>` is the id of a star
-sensor or of a beacon, or the name of a reference. Inputs are best effort unless `qos_overrides` say otherwise; outputs
-are reliable, and a *latched* one gives its last message to who comes later. An input is *required* where the node is of
-no use without it.
+Names are relative: a ship sets a namespace for all of them (`-r __ns:=/aurora`). `<id>` is the id of a star sensor or
+of a beacon, or the name of a reference. Inputs are best effort unless set by `qos_overrides`; outputs are reliable, and
+of a *latched* one late subscribers receive the last message. An input is *required* if the node has no valid output
+without it.
 
 {_WRITTEN}"""
 
 EXECUTABLES_HEAD = f"""# Executables
 
-What `./ros2run PACKAGE EXECUTABLE` starts, or `ros2 run` where ROS 2 is installed. Each prints its help with `--help`.
+Each is started with `./ros2run PACKAGE EXECUTABLE`, or `ros2 run` where ROS 2 is installed, and prints its help with
+`--help`.
 The parameters of nodes are in [parameters.md](parameters.md), the keys of a scenario in [scenario.md](scenario.md).
 
 {_WRITTEN}"""
 
 
 def parameters_page() -> str:
-    """Every parameter of every node, from the dataclasses that the nodes themselves use."""
+    """Every parameter of every node, from the dataclasses of the nodes."""
     text = PARAMETERS_HEAD
     for node in (*ADAPTERS, *COMPANIONS):
         text += f"\n## `{node.node_name}`\n\n{_PARAMETER_COLUMNS}"
@@ -168,7 +169,7 @@ def _message(name: str, text: str) -> str:
             comment += _in_cell(line[1:])
             follows_declaration = False
         else:
-            # A declaration without a comment of its own shares the one above.
+            # A declaration without a comment has the one above.
             kind, declared = line.split(maxsplit=1)
             rows += f"| `{kind}` | `{declared.replace('=', ' = ')}` | {comment.strip()} |\n"
             follows_declaration = True
@@ -176,7 +177,7 @@ def _message(name: str, text: str) -> str:
 
 
 def _in_cell(line: str) -> str:
-    """A line of a comment as part of a table's cell; the entries of a list stay lines."""
+    """Return a line of a comment as part of a table cell; the entries of a list stay lines."""
     plain = line.strip().replace("<", "&lt;").replace("|", r"\|")
     aligned = re.sub(r"  +", ": ", plain, count=1)
     indent = len(line) - len(line.lstrip())
@@ -194,11 +195,11 @@ def topics_page() -> str:
         text += "".join(f"| `{topic}` | {_type(kind)} | {latched} |\n" for topic, kind, latched in outputs)
         text += "\nServices (`std_srvs/srv/Trigger`): " + ", ".join(f"`~/{name}`" for name in adapter.services) + ".\n"
     rows = "".join(f"| `{topic}` | {_type(kind)} |\n" for topic, kind in sorted(TRUTH_TYPES.items()))
-    return text + f"\n## Truth in simulated bags, which no node sees\n\n| topic | type |\n|---|---|\n{rows}"
+    return text + f"\n## Truth in simulated bags, which no node receives\n\n| topic | type |\n|---|---|\n{rows}"
 
 
 def _condition(need: str) -> str:
-    """Whether a topic is required, with the parameter that makes it so as code."""
+    """Return if a topic is required, with the parameter that makes it so as code."""
     return re.sub(r"with (.*)", r"with `\1`", need)
 
 
@@ -227,7 +228,7 @@ def _setup_files() -> list[Path]:
 
 
 def _executables(package: str) -> list[tuple[str, str]]:
-    """Name and module of each, without the hints that tell where an executable has moved."""
+    """Return name and module of each executable, without those that only print its new package."""
     text = (ROOT / "src" / package / "setup.py").read_text(encoding="utf-8")
     found = re.findall(r'"(\w+) = ([\w.]+):\w+"', text)
     return [(name, module) for name, module in found if not module.endswith(".moved")]
@@ -248,7 +249,7 @@ def _help_of(package: str, name: str, module: str) -> str:
 
 
 def _cut(shown: str) -> str:
-    """The help without the parameters of a node and the keys of a scenario."""
+    """Return the help without the parameters of a node and the keys of a scenario."""
     for block, instead in ((r"parameters \(", "parameters: parameters.md"), ("keys of SCENARIO", "keys: scenario.md")):
         shown = re.sub(rf"^{block}.*?\n\n", f"{instead}\n\n", shown, flags=re.MULTILINE | re.DOTALL)
     return shown
@@ -262,7 +263,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "topics": topics_page,
     "executables": executables_page,
 }
-"""Name of each page → what makes its text."""
+"""Name of each page → function that returns its text."""
 
 
 if __name__ == "__main__":

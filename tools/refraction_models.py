@@ -1,6 +1,6 @@
-"""Error, sigma and cost of the models of refraction over the elevation: prints the table of the docs, draws its figure.
+"""Error, sigma and cost of the models of refraction over elevation: prints the table of the docs, draws its figure.
 
-Errors are those against a traced ray, in the weather that is given. Costs are of this machine.
+Errors are relative to a traced ray in the given weather. Costs are those of this machine.
 
 Example:
     python tools/refraction_models.py --figure docs/figures/refraction.png
@@ -27,12 +27,12 @@ _STARS, _CALLS = 10, 300
 
 
 def main() -> int:
-    """Print the table and, where asked, the costs; draw the figure where asked."""
+    """Print the table and optionally the costs; draw the figure if requested."""
     parser = CommandParser(prog="refraction_models", description=__doc__.splitlines()[0])
     parser.add_argument("--pressure", type=float, default=1013.25, help="air pressure, hPa (1013.25)")
     parser.add_argument("--temperature", type=float, default=15.0, help="air temperature, deg C (15)")
     parser.add_argument("--humidity", type=float, default=0.7, help="relative humidity, 0 to 1 (0.7)")
-    parser.add_argument("--costs", action="store_true", help="measure what a new weather and a star cost, us")
+    parser.add_argument("--costs", action="store_true", help="measure the cost of a new weather and of a star, us")
     parser.add_argument("--figure", type=Path, help="PNG file to draw")
     return run_command(parser, _run, None)
 
@@ -51,8 +51,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def errors(model: ModelName, elevation: FloatArray, weather: Weather) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A model's angle, its error against the ray that is seen at the same place, and its sigma, all in arcseconds."""
-    # The ray's zenith distance with air from that without: the air's slope, 4 % at 5°, is left over by each step.
+    """Return a model's angle, its error relative to the ray at the same apparent place, and its sigma, arcsec."""
+    # Iterate the ray's zenith distance with air from that without: each step leaves the slope of refraction, 4 % at 5°.
     ray = np.zeros_like(elevation)
     for _ in range(12):
         seen = 0.5 * np.pi - elevation - ray
@@ -68,7 +68,7 @@ def errors(model: ModelName, elevation: FloatArray, weather: Weather) -> tuple[F
 
 
 def table(weather: Weather) -> list[str]:
-    """Lines of the table: at each elevation the refraction, and error and sigma of each model."""
+    """Return the lines of the table: at each elevation the refraction, and error and sigma of each model."""
     elevation = np.deg2rad(ELEVATIONS_DEG)
     columns = {model: errors(model, elevation, weather) for model in MODELS}
     angle = columns["ray_trace"][0]
@@ -84,7 +84,7 @@ def table(weather: Weather) -> list[str]:
 
 
 def costs(weather: Weather) -> list[str]:
-    """Lines of a table: what a weather that was not there before costs, and each of ten stars in one that was."""
+    """Return the lines of a table: cost of a new weather, and of each of ten stars in the same weather."""
     elevation = np.full(_STARS, np.deg2rad(45.0))
     lines = ["| model | a new weather | a star |", "|---|---:|---:|"]
     for model in MODELS:
@@ -96,7 +96,7 @@ def costs(weather: Weather) -> list[str]:
 
 
 def _seconds(model: ModelName, elevation: FloatArray, weathers: list[Weather]) -> float:
-    """Median time of a call in one weather after the other, s."""
+    """Return the median time of a call in each of the weathers in turn, s."""
     times = []
     for weather in weathers:
         begun = time.perf_counter()
@@ -106,7 +106,7 @@ def _seconds(model: ModelName, elevation: FloatArray, weathers: list[Weather]) -
 
 
 def draw(weather: Weather, path: Path) -> None:
-    """Sizes of the errors as lines and sigmas as dashed ones, over the elevation."""
+    """Draw sizes of the errors as lines and sigmas as dashed ones, over elevation."""
     figure = Figure(figsize=(9.0, 4.8), layout="constrained")
     axes = figure.subplots()
     for model in MODELS:

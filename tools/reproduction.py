@@ -1,6 +1,6 @@
-"""Writes docs/reproduction.md and its pictures: what the three papers print, what comes out here, and why they differ.
+"""Writes docs/reproduction.md and its figures: results of the three papers, results of the suite, and why they differ.
 
-Exits with 0 when written, 2 on bad usage. All draws have fixed seeds. It takes a minute.
+Exits with 0 when written, 2 on bad usage. All random draws have fixed seeds. It takes a minute.
 
 Example:
     make reproduction
@@ -19,26 +19,26 @@ from tools.papers.figures import figures
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reproduction.md"
 PICTURES = "figures/reproduction"
-"""From the page."""
+"""Relative to the page."""
 
-HEAD = """# What the papers print, and what comes out here
+HEAD = """# Results of the papers and of the suite
 
-Every figure, table and number of the three papers ([sources](sources.md)) that is left in the texts that we have: as
+Every figure, table and number of the three papers ([sources](sources.md)) that our copies of the papers contain: as
 printed, ours, and why they differ. Misprints are in the [errata](explanation/errata.md). The papers' own methods are
-peers: they are in `tools/papers` and `test/ship_testing`, and the suite uses none of them.
+peers: they are in `tools/papers` and `test/ship_testing`, and the suite does not use them.
 
-This page is written by `make reproduction`; a test compares it with what that computes.
+This page is written by `make reproduction`; a test compares it with the computed values.
 """
 
 
 def page() -> str:
-    """The page, every value of ours computed."""
+    """Return the page, with all values of the suite computed."""
     parts = [HEAD, z14.section(PICTURES), p15.section(), w18.section(f"{PICTURES}/w18_figure_4.png")]
     return "\n".join(parts)
 
 
 def main() -> int:
-    """Write page and pictures."""
+    """Write page and figures."""
     parser = CommandParser(prog="reproduction", description=__doc__.splitlines()[0], epilog=__doc__.splitlines()[2])
     parser.add_argument("--out", type=Path, default=PAGE, help="the page (docs/reproduction.md)")
     return run_command(parser, _run, None)

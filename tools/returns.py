@@ -1,7 +1,7 @@
-"""The return matrix: after every fault of every input the outputs are VALID again within their bounds, by themselves.
+"""The return matrix: after every fault of every input the outputs become VALID again, within their bounds.
 
-Each cell is a line in a file of results as soon as it is made; a run that was ended goes on where it was. Prints the
-table, a few lines for each cell that failed, and exits with 1 if there is one. --table writes the table into the page.
+Each cell is saved as a line of a results file when complete; an interrupted run continues there. Prints the table and a
+few lines for each cell that failed, and exits with 1 if there is one. --table writes the table into the page.
 """
 
 import argparse
@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "test") not in sys.path:
     sys.path.insert(0, str(ROOT / "test"))
 
-# The matrix is shared with the tests, and no package.
+# The matrix is in the tests, which are no package.
 from ship_testing.returns.cells import all_cells, some_cells  # noqa: E402
 from ship_testing.returns.run_cell import run_cell  # noqa: E402
 from ship_testing.returns.table import HEAD, failed, failure_lines, results_file, rows, unseen_lines  # noqa: E402
@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", default="", help="cells whose name contains this text")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (2)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "returns", help="folder of bags and results")
-    parser.add_argument("--fresh", action="store_true", help="forget the results that are there")
+    parser.add_argument("--fresh", action="store_true", help="delete existing results first")
     parser.add_argument(
         "--table", action="store_true", help="run nothing; write the table of all results into the page"
     )
@@ -72,7 +72,7 @@ def _report(results: list[Result]) -> int:
         table.add_row(*row)
     console.print(table)
     for line in unseen_lines(results):
-        console.print(f"no data can show {line}", highlight=False)
+        console.print(f"not detectable: {line}", highlight=False)
     bad = failed(results)
     for result in bad:
         console.print("\n".join(failure_lines(result)), soft_wrap=True, highlight=False, markup=False)
@@ -87,7 +87,7 @@ def write_table(page: Path, results: list[Result]) -> None:
     before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
     _, _, after = rest.partition(END)
     page.write_text(
-        f"{before}{BEGIN}\n\n{table}\n\nNo data can show these:\n\n{unseen}\n\n{END}{after}", encoding="utf-8"
+        f"{before}{BEGIN}\n\n{table}\n\nNot detectable from the data:\n\n{unseen}\n\n{END}{after}", encoding="utf-8"
     )
 
 

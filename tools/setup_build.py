@@ -1,4 +1,4 @@
-"""Building: compiled modules and messages, or what prebuilt wheels hold of them, and all packages by colcon."""
+"""Building: compiled modules and messages, or their prebuilt wheels, and all packages by colcon."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from setup_common import (
 
 from wheelhouse import own_target
 
-WHEELS_ONLY = ROOT / "tools" / "wheels_only"  # packages that a Jazzy installation brings and no wheel does
+WHEELS_ONLY = ROOT / "tools" / "wheels_only"  # packages of a Jazzy installation that have no wheel
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class Workspace:
 
     Attributes:
         prefix: prefix of a sourced Jazzy installation; empty where ROS comes as wheels.
-        digests: folder of each package, in the order of their names → digest of what it is built from.
+        digests: folder of each package, sorted by name → digest of its sources.
     """
 
     prefix: str
     digests: dict[Path, str]
 
     def compiled(self, changed_only: bool) -> dict[Path, str]:
-        """Return those with compiled parts; or only those whose parts are missing or made from something else."""
+        """Return the packages with compiled parts; or only those with missing or outdated parts."""
         return {
             folder: content
             for folder, content in self.digests.items()
@@ -58,11 +58,11 @@ class Workspace:
 
 
 def read_workspace(prefix: str, tools: str) -> Workspace:
-    """Return the packages of src/, and over the wheels also those that they lack of Jazzy.
+    """Return the packages of src/, and without a Jazzy installation also those that are missing in the wheels.
 
     Args:
         prefix: of a sourced Jazzy installation, or empty.
-        tools: what builds them: versions, Python, machine.
+        tools: versions of the build tools, Python, machine.
     """
     lacking = [] if prefix else [path.parent for path in WHEELS_ONLY.glob("*/package.xml")]
     folders = sorted([*lacking, *(path.parent for path in SRC.glob("*/package.xml"))])
@@ -75,12 +75,12 @@ def is_of_messages(folder: Path) -> bool:
 
 
 def is_compiled(folder: Path) -> bool:
-    """True if a package holds something that a compiler must make."""
+    """True if a package has parts that need a compiler."""
     return is_of_messages(folder) or any(folder.glob("**/compiled_*.py"))
 
 
 def has_compiled_parts(folder: Path) -> bool:
-    """True if there is something compiled for all that a package has to compile."""
+    """True if all compiled parts of a package exist."""
     if is_of_messages(folder):
         return (INSTALL / folder.name).is_dir()
     sources = folder.glob("**/compiled_*.py")
@@ -89,7 +89,7 @@ def has_compiled_parts(folder: Path) -> bool:
 
 @dataclass(frozen=True)
 class CompiledParts:
-    """Compiled parts that are missing, by where they come from.
+    """Compiled parts that are missing, by their source.
 
     Attributes:
         prebuilt: wheels that fit.
@@ -101,10 +101,10 @@ class CompiledParts:
 
 
 def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
-    """Return from where the compiled parts of packages come.
+    """Find the source of the compiled parts of packages.
 
     Args:
-        wanted: folder of each package → digest of what it is built from.
+        wanted: folder of each package → digest of its sources.
 
     Raises:
         SetupError: some must be compiled, and there is no compiler.
@@ -120,7 +120,7 @@ def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
 
 
 def check_compiler(for_what: str) -> None:
-    """Refuse to compile where there is no compiler, or no header of Python."""
+    """Raise if there is no compiler, or no header of Python."""
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     for variable, names in (("CC", ("cc", "gcc", "clang")), ("CXX", ("c++", "g++", "clang++"))):
         chosen = os.environ.get(variable, "").split()
@@ -134,7 +134,7 @@ def check_compiler(for_what: str) -> None:
 
 
 def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
-    """Take or make the compiled parts, all at the same time."""
+    """Unpack or compile the compiled parts, in parallel."""
     if parts.prebuilt:
         with step(f"compiled parts from {len(parts.prebuilt)} prebuilt wheels"):
             for wheel in parts.prebuilt:
@@ -155,7 +155,7 @@ def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
 
 
 def remove_compiled(folder: Path) -> None:
-    """Remove a package's compiled parts and generated C, which may be newer than a source that they do not fit."""
+    """Remove a package's compiled parts and generated C, which may be newer than an outdated source."""
     stamp_of(folder).unlink(missing_ok=True)
     if is_of_messages(folder):
         for place in (BUILD, INSTALL):
@@ -177,22 +177,22 @@ def compile_modules(folder: Path) -> None:
 
 
 def build_messages(folders: list[Path], prefix: str) -> None:
-    """Build the packages of messages; over the wheels without C++, which no node of the suite needs."""
+    """Build the message packages; without C++ if ROS comes as wheels, as no node of the suite needs it."""
     for folder in folders:
         remove_compiled(folder)
     colcon("messages", folders, [] if prefix else ["-DSHIP_MSGS_CPP=OFF"])
 
 
 def build_packages(workspace: Workspace) -> None:
-    """Let colcon install the Python packages with symlinks: executables, entry points, shared files."""
+    """Install the Python packages by colcon with symlinks: executables, entry points, shared files."""
     with step("packages"):
         colcon("packages", [folder for folder in workspace.digests if not is_of_messages(folder)], [])
 
 
 def colcon(log: str, folders: list[Path], cmake_arguments: list[str]) -> None:
-    """Run colcon for some packages, whose modules it does not compile: compile_modules does.
+    """Run colcon for some packages, without compiling modules, which :func:`compile_modules` does.
 
-    Two calls may run at the same time, for other packages and with a folder of their own below log/.
+    Two calls may run at the same time, for different packages and with separate folders below log/.
     """
     paths = " ".join(str(folder.relative_to(ROOT)) for folder in folders)
     command = (
@@ -200,7 +200,7 @@ def colcon(log: str, folders: list[Path], cmake_arguments: list[str]) -> None:
         ' --event-handlers console_cohesion+ --cmake-args -G Ninja "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python" '
         + " ".join(cmake_arguments)
     )
-    # Left to itself colcon adds a load limit, with which a busy machine compiles one file at a time.
+    # Without MAKEFLAGS colcon adds a load limit, with which a busy machine compiles one file at a time.
     env = {**os.environ, "MAKEFLAGS": f"-j{CORES + 1}", "SHIP_SUITE_IS_COMPILED": "1"}
     try:
         run(["bash", "-c", command], env)
@@ -209,13 +209,13 @@ def colcon(log: str, folders: list[Path], cmake_arguments: list[str]) -> None:
 
 
 def stamp_of(folder: Path) -> Path:
-    """Return the file that holds the digest of what a package's compiled parts were made from."""
+    """Return the file with the digest of the sources of a package's compiled parts."""
     return BUILD / f".stamp_{folder.name}"
 
 
 def first_error(output: str) -> str:
     """Return the first line of a build's output that reports an error, and the file with the rest."""
-    # rosidl, Cython, a compiler, CMake, anything else. colcon's first look at an empty folder is no error.
+    # rosidl, Cython, a compiler, CMake, anything else. The message of an empty build folder is no error.
     signs = (r"^\s*Error processing", r"^\S+\.(py|pxd):\d+:\d+: ", r": error:", r"CMake Error", r"[Ee]rror|Failed")
     lines = [line.strip() for line in output.splitlines() if "loading 'build.ninja'" not in line]
     found = (line for sign in signs for line in lines if re.search(sign, line))
@@ -224,15 +224,15 @@ def first_error(output: str) -> str:
 
 
 def prepare_build() -> None:
-    """Make the build folder; what another colcon call left there, without symlinks, does not mix with this one's."""
+    """Create the build folder; remove the output of another colcon call without symlinks."""
     if (BUILD.exists() or INSTALL.exists()) and not (BUILD / ".by_setup").exists():
-        print_progress("build/ and install/ of another colcon call are removed: with and without symlinks do not mix")
+        print_progress("removing build/ and install/ of another colcon call: not compatible with symlinks")
         shutil.rmtree(BUILD, ignore_errors=True)
         shutil.rmtree(INSTALL, ignore_errors=True)
     BUILD.mkdir(exist_ok=True)
     INSTALL.mkdir(exist_ok=True)
     (BUILD / ".by_setup").touch()
     (BUILD / "COLCON_IGNORE").touch()
-    # colcon marks its folders so; two of them that begin at the same time would read each other's empty files.
+    # colcon's marker files; two calls that start at the same time would read each other's empty files.
     (BUILD / ".built_by").write_text("colcon\n")
     (INSTALL / ".colcon_install_layout").write_text("isolated\n")

@@ -1,4 +1,4 @@
-"""Places, progress lines, commands and stamps that the steps of set-up share."""
+"""Paths, progress lines, commands and stamps shared by the steps of setup."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ CORES = len(os.sched_getaffinity(0))
 
 
 class SetupError(Exception):
-    """Set-up cannot go on; the text says in one line what the user has to do."""
+    """Setup cannot continue; the text is one line with the action needed."""
 
 
 def print_progress(text: str) -> None:
-    """Print one line of progress at once."""
+    """Print one line of progress, unbuffered."""
     print(f"setup: {text}", flush=True)
 
 
 @contextmanager
 def step(what: str) -> Iterator[None]:
-    """Print a step with the time it took, once it is done."""
+    """Print a step with its duration when it is done."""
     begin_s = time.monotonic()
     yield
     print_progress(f"{what}: {time.monotonic() - begin_s:.0f} s")
@@ -42,10 +42,10 @@ _ended = threading.Event()
 
 
 def run(command: list[str], env: dict[str, str] | None = None, cwd: Path = ROOT) -> str:
-    """Run a command with its output into the log; return the output.
+    """Run a command with its output appended to the log; return the output.
 
     Raises:
-        CalledProcessError: it failed; the error holds the output.
+        CalledProcessError: it failed; the error has the output.
         SetupError: end_commands() was called before.
     """
     if _ended.is_set():
@@ -63,7 +63,7 @@ def run(command: list[str], env: dict[str, str] | None = None, cwd: Path = ROOT)
 
 
 def end_commands() -> None:
-    """End the commands that run, with what they started, so that a failed step need not wait for the others."""
+    """End the running commands and their children, for a failed step not to wait for the others."""
     _ended.set()
     for process in list(_running):
         with suppress(ProcessLookupError):
@@ -79,7 +79,7 @@ def read_stamp(path: Path) -> str:
 
 
 def last_line(text: str, containing: str = "") -> str:
-    """Return the last line that is not empty and contains the word."""
+    """Return the last line that is not empty and contains the text."""
     lines = [line.strip() for line in text.splitlines() if line.strip() and containing in line]
     return lines[-1] if lines else "no output"
 

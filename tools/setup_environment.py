@@ -1,14 +1,15 @@
 """Set up this checkout: virtual environment, pinned wheels, compiled modules, messages, packages.
 
-Each step leaves a stamp when it is done. So a second run takes a moment, a change redoes only the steps that depend on
-it, and an interrupted run is completed by running it again. Where the user has to do something, one line says what,
-with exit code 2. ``--all`` also installs the wheels that few people use (section ``[all]`` of requirements.lock).
+Each step writes a stamp when it is done. A second run therefore takes a moment, a change repeats only the steps that
+depend on it, and an interrupted run is completed by running it again. If an action of the user is needed, it prints one
+line and exits with code 2. ``--all`` also installs the wheels that few people use (section ``[all]`` of
+requirements.lock).
 
-ROS 2 Jazzy comes as wheels into the virtual environment. Where a Jazzy installation is sourced, it is used instead, and
-the virtual environment on top of it holds the other wheels only.
+ROS 2 Jazzy is installed as wheels into the virtual environment. If a Jazzy installation is sourced, it is used instead,
+and the virtual environment on top of it has only the other wheels.
 
-Steps that do not depend on each other run at the same time. The wheels of ROS and of the build tools come first;
-messages and modules are compiled while the other wheels are installed.
+Independent steps run in parallel. The wheels of ROS and of the build tools are first; messages and modules are compiled
+while the other wheels are installed.
 """
 
 from __future__ import annotations
@@ -57,17 +58,17 @@ STAMP_BUILD = BUILD / ".stamp_build"
 COLCON_META = ROOT / "colcon.meta"
 
 Job: TypeAlias = tuple[Group, list[str], list[str]]
-"""A group of wheels, lines for pip, and pip's options that say where the wheels are."""
+"""A group of wheels, lines for pip, and pip's options for the location of the wheels."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The parts to set up, with the digests by which one that is there is recognised.
+    """The parts to set up, with the digests that identify an existing part.
 
     Attributes:
         workspace: the packages to build.
         groups: the groups of wheels.
-        venv: digest of what the virtual environment depends on.
+        venv: digest of the inputs of the virtual environment.
         build: digest of all that is built.
     """
 
@@ -78,10 +79,10 @@ class Plan:
 
     @property
     def fresh(self) -> bool:
-        """True if set-up starts from nothing.
+        """True if setup starts from nothing.
 
-        Wheels half installed look like whole ones: a group has no stamp while it is installed. Over a Jazzy
-        installation wheels of an older lock may hide its packages, and are removed too.
+        A partly installed group looks like a complete one: during an installation a group has no stamp.
+        Over a Jazzy installation wheels of an older lock may hide its packages, and are removed too.
         """
         done = {group.name: read_stamp(group.stamp) for group in self.groups}
         if read_stamp(STAMP_VENV) != self.venv or not all(stamp for name, stamp in done.items() if name != ALL_OTHER):
@@ -112,7 +113,7 @@ def make_plan(everything: bool = False) -> Plan:
 
 
 def set_up(everything: bool) -> None:
-    """Do all steps, each only if needed."""
+    """Run all steps, each only if needed."""
     begin_s = time.monotonic()
     plan = make_plan(everything)
     fresh, prefix = plan.fresh, plan.workspace.prefix
@@ -125,9 +126,9 @@ def set_up(everything: bool) -> None:
     parts = compiled_parts(to_compile) if needs_build else None
     jobs = [(group, *requirements(group.lines)) for group in groups]
     if jobs and (bundled := own_wheels(ROOT)):
-        print_progress(f"the wheels of {bundled.relative_to(ROOT)} are whole: no network is asked")
+        print_progress(f"the wheels of {bundled.relative_to(ROOT)} are complete: no network is used")
     if fresh:
-        print_progress("from nothing this takes one to three minutes, with wheels from the network more")
+        print_progress("the first setup takes one to three minutes, more with wheels from the network")
         make_venv(prefix)
         STAMP_VENV.write_text(plan.venv)
     if parts:
@@ -140,14 +141,14 @@ def set_up(everything: bool) -> None:
 
 
 def install_and_build(workspace: Workspace, jobs: list[Job], parts: CompiledParts | None) -> None:
-    """Install wheels, and build as soon as the tools for it are there; a step that fails ends the others.
+    """Install wheels, and build as soon as the build tools are installed; a step that fails ends the others.
 
     Args:
         workspace: the packages to build.
         jobs: each group of wheels to install, with lines and options for pip.
-        parts: compiled parts to make; None where nothing is to be built.
+        parts: compiled parts to build; None where nothing is to be built.
     """
-    with ThreadPoolExecutor(max_workers=8) as pool:  # some wait for others
+    with ThreadPoolExecutor(max_workers=8) as pool:  # some jobs wait for others
         installing = {group.name: pool.submit(install_wheels, group, *pip, workspace.prefix) for group, *pip in jobs}
 
         def build(step: Callable[[], None]) -> None:
@@ -173,7 +174,7 @@ def install_and_build(workspace: Workspace, jobs: list[Job], parts: CompiledPart
 
 
 def main() -> int:
-    """Set up under a lock, so that two calls at once do not meet."""
+    """Set up under a lock, which excludes a second call at the same time."""
     parser = argparse.ArgumentParser(prog="setup", description=__doc__, allow_abbrev=False)
     parser.add_argument("--all", action="store_true", help="also the wheels that few people use")
     options = parser.parse_args()
@@ -182,7 +183,7 @@ def main() -> int:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                print_progress("waiting for another set-up of this checkout")
+                print_progress("waiting for another setup of this checkout")
                 fcntl.flock(lock, fcntl.LOCK_EX)
             set_up(options.all)
     except (SetupError, WheelsRefused, OSError) as error:

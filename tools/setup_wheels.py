@@ -1,4 +1,4 @@
-"""The virtual environment of set-up and the pinned wheels in it."""
+"""Virtual environment of setup, and the pinned wheels in it."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from setup_common import (
 
 from wheelhouse import NETWORK_SIGNS, hashed_requirements, own_wheels, pinned
 
-ROS_PREFIX_FILE = VENV / ".ros_prefix"  # holds the prefix of the sourced Jazzy installation; absent with wheels
+ROS_PREFIX_FILE = VENV / ".ros_prefix"  # prefix of the sourced Jazzy installation; absent with wheels
 
 BUILD_TOOLS, PYTHON, ALL_OTHER = "ROS and build wheels", "python wheels", "all other wheels"
 SECTIONS_OF_GROUPS = {BUILD_TOOLS: ("ros", "build"), PYTHON: ("python",), ALL_OTHER: ("all",)}
 """Group of wheels → its sections of requirements.lock."""
 
 SPACE_NEEDED_GB = {BUILD_TOOLS: 0.5, PYTHON: 0.7, ALL_OTHER: 0.6}
-"""Of them 0.9 GB stay, and 0.4 GB of the last; the rest is taken while wheels are unpacked."""
+"""0.9 GB of it is permanent, and 0.4 GB of the last; the rest is temporary, for unpacking."""
 
 
 def ros_prefix() -> str:
@@ -50,25 +50,25 @@ def ros_prefix() -> str:
 
 
 def check_machine(groups: list[Group]) -> None:
-    """Refuse with one line what would fail late with many.
+    """Raise with one line if the machine cannot run the setup.
 
     Args:
-        groups: those whose wheels need space that is not taken yet.
+        groups: the wheels still to be installed, which need disk space.
     """
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     if not (3, 10) <= sys.version_info[:2] <= (3, 12):
-        raise SetupError(f"Python {version} does not fit: install Python 3.10, 3.11 or 3.12")
+        raise SetupError(f"Python {version} is not supported: install Python 3.10, 3.11 or 3.12")
     if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
         raise SetupError(f"{sys.executable} has no venv module: install python{version}-venv (or python3-venv)")
     free_gb, needed_gb = shutil.disk_usage(ROOT).free / 1e9, sum(SPACE_NEEDED_GB[group.name] for group in groups)
     if free_gb < needed_gb:
-        raise SetupError(f"{free_gb:.1f} GB free in {ROOT}, {needed_gb:.1f} GB needed: make room")
+        raise SetupError(f"{free_gb:.1f} GB free in {ROOT}, {needed_gb:.1f} GB needed: free some space")
 
 
 def make_venv(prefix: str) -> None:
-    """Create the virtual environment; what was built for an older one goes."""
+    """Create the virtual environment; remove files built for an older one."""
     if VENV.exists():
-        print_progress("an older or unfinished .venv is removed")
+        print_progress("removing an older or incomplete .venv")
         shutil.rmtree(VENV)
     shutil.rmtree(BUILD, ignore_errors=True)
     shutil.rmtree(INSTALL, ignore_errors=True)
@@ -93,7 +93,7 @@ class Group:
     Attributes:
         name: of the group.
         lines: requirements of the lock.
-        venv: digest of the virtual environment that they are installed into.
+        venv: digest of the virtual environment.
     """
 
     name: str
@@ -102,12 +102,12 @@ class Group:
 
     @property
     def stamp(self) -> Path:
-        """File that holds the digest of what is installed; it is missing while something is."""
+        """File with the digest of the installed wheels; missing during an installation."""
         return VENV / f".stamp_{self.name.replace(' ', '_')}"
 
     @property
     def digest(self) -> str:
-        """Digest of what is to be installed."""
+        """Digest of the wheels to be installed."""
         return digest(self.venv, *self.lines)
 
     @property
@@ -117,13 +117,13 @@ class Group:
 
 
 def lines_to_install(lock: dict[str, list[str]], sections: tuple[str, ...], prefix: str) -> list[str]:
-    """Return the lines of some sections of the lock; an installed ROS brings itself and the numpy it was built with."""
+    """Return the lines of some sections of the lock, without those of a sourced ROS and the numpy it was built with."""
     lines = [line for name in sections for line in lock[name]]
     return [line for line in lines if not (prefix and line.startswith(("ros-", "numpy==")))]
 
 
 def requirements(lines: list[str]) -> tuple[list[str], list[str]]:
-    """Return lines for pip, and pip's options that say where the wheels are.
+    """Return lines for pip, and pip's options for the location of the wheels.
 
     They are those of requirements.lock, from the package index, or the hashed ones of a bundle, from its wheels.
     """
@@ -136,12 +136,12 @@ def requirements(lines: list[str]) -> tuple[list[str], list[str]]:
 
 
 def install_wheels(group: Group, lines: list[str], place: list[str], prefix: str) -> None:
-    """Install pinned wheels without resolving: the lock holds everything that they need.
+    """Install pinned wheels without resolving: the lock has all dependencies.
 
     Args:
         group: the wheels.
-        lines: what pip gets.
-        place: pip's options that say where the wheels are.
+        lines: requirements for pip.
+        place: pip's options for the location of the wheels.
         prefix: of a sourced Jazzy installation, or empty.
     """
     group.stamp.unlink(missing_ok=True)
@@ -149,12 +149,12 @@ def install_wheels(group: Group, lines: list[str], place: list[str], prefix: str
     chosen.write_text("\n".join(lines) + "\n")
     pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input", *place]
     if prefix:
-        pip.append("--ignore-installed")  # a package of the system with the same name may change or go at any time
+        pip.append("--ignore-installed")  # a system package of the same name may be changed or removed at any time
     elif group.name == ALL_OTHER:
         pip.append("--force-reinstall")  # an earlier call may have been interrupted
     env = wheels_environment()
     if "--no-index" in place:
-        env["PIP_CONFIG_FILE"] = os.devnull  # which may name an index or other wheels
+        env["PIP_CONFIG_FILE"] = os.devnull  # the user's file may name an index or other wheels
     with step(f"{group.name}, {len(lines)}"):
         try:
             run([*pip, "--no-deps", "--no-compile", "-r", str(chosen)], env)
@@ -170,20 +170,20 @@ def why_not_installed(output: str) -> str:
     if any(sign in output for sign in NETWORK_SIGNS):
         return "pip cannot reach the package index: connect to the network, set pip's proxy or index, or use a bundle"
     if "No space left" in output:
-        return "no space left: make room"
+        return "no space left: free some space"
     unfit = re.search(r"No matching distribution found for (\S+)", output)
     if unfit and own_wheels(ROOT):
-        return f"the wheel of {unfit[1]} does not fit this machine: make the bundle on one that is like it, or older"
+        return f"the wheel of {unfit[1]} does not fit this machine: make the bundle on a similar or older one"
     return f"{last_line(output, 'ERROR')} (all of it in {SETUP_LOG.relative_to(ROOT)})"
 
 
 def site_packages() -> Path:
-    """Return the folder that holds the wheels' modules."""
+    """Return the folder with the wheels' modules."""
     return VENV / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
 
 
 def byte_compile() -> None:
-    """Compile the wheels' modules to byte code on all cores, without their tests and what only set-up itself uses."""
+    """Compile the wheels' modules to byte code on all cores, without their tests and modules used only by setup."""
     without = ["-x", r"site-packages[/\\](.*[/\\])?(tests?|testing|pip|setuptools|Cython|docutils)[/\\]"]
     command = [str(VENV / "bin" / "python"), "-m", "compileall", "-q", "-j", "0", *without, str(site_packages())]
     with step("byte code of the wheels"):

@@ -1,6 +1,6 @@
-"""Errors against protection levels in the two reference cases, over many voyages: draws the figures of the docs.
+"""Errors and protection levels in the two reference cases, over many voyages: draws the figures of the docs.
 
-A voyage that is in the folder already is not made again. Exits 1 where an error was above its level.
+A voyage whose file exists is not run again. Exits with 1 if an error was above its level.
 """
 
 import argparse
@@ -27,7 +27,7 @@ class Case:
 
     Attributes:
         length_s: of each voyage, s.
-        voyages: how many.
+        voyages: number of voyages.
         figure: name of the file to draw.
     """
 
@@ -40,18 +40,19 @@ CASES = {
     "paper": Case(600.0, 17, "stanford.png"),
     "theodolite_sweep": Case(300.0, 34, "stanford_pointing.png"),
 }
-"""By scenario: a million epochs of the ship's attitude, whose truth is known at each output; a hundred thousand of the
-pointing while there are lights, whose truth is in the bag ten times a second."""
+"""By scenario: a million epochs of the ship's attitude, with the truth at each output; a hundred thousand of the
+pointing with lights, with the truth in the bag ten times a second.
+"""
 
 
 def main() -> int:
-    """Make the voyages and draw them."""
+    """Run the voyages and draw the figures."""
     parser = CommandParser(prog="stanford", description=__doc__.splitlines()[0], epilog=__doc__.splitlines()[2])
     parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES), help="scenarios (both)")
-    parser.add_argument("--voyages", type=int, help="of each case (17 and 34)")
+    parser.add_argument("--voyages", type=int, help="voyages of each case (17 and 34)")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (2)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "stanford", help="folder of the voyages")
-    parser.add_argument("--figures", type=Path, default=FIGURES, help="folder of what is drawn (docs/figures)")
+    parser.add_argument("--figures", type=Path, default=FIGURES, help="folder of the figures (docs/figures)")
     return run_command(parser, _run, None)
 
 
@@ -61,7 +62,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _drawn(name: str, case: Case, options: argparse.Namespace) -> int:
-    """Exit code of the figure of a case."""
+    """Draw the figure of a case; return the exit code."""
     count = case.voyages if options.voyages is None else options.voyages
     seeds = range(_FIRST_SEED, _FIRST_SEED + count)
     folder = options.out / name
@@ -71,7 +72,7 @@ def _drawn(name: str, case: Case, options: argparse.Namespace) -> int:
 
 
 def _voyage(folder: Path, scenario: str, length_s: float, seed: int) -> Path:
-    """The outputs of one voyage, with the truth."""
+    """Return the outputs of one voyage, with the truth."""
     path = folder / f"out_{seed}.mcap"
     if not path.exists():
         replay(make_bag(SCENARIOS / f"{scenario}.yaml", length_s, seed, folder / f"in_{seed}.mcap"), path, ADAPTERS)

@@ -1,6 +1,6 @@
-"""Starts suite.launch.xml with a suite file that is not there: each node must end and say so. Needs launch_ros.
+"""Starts suite.launch.xml with a missing suite file: each node must end with an error. Needs launch_ros.
 
-Exit code 0 all ended with exit code 2; 1 a node started on its defaults; 2 launch_ros is not installed.
+Exit code 0 all ended with exit code 2; 1 a node started with its defaults; 2 launch_ros is not installed.
 """
 
 import sys
@@ -12,11 +12,11 @@ from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_BOUND_NOT_MET, EXIT_DONE
 LAUNCH_FILE = Path(__file__).resolve().parents[1] / "src" / "ship_bringup" / "launch" / "suite.launch.xml"
 NODES = "star_attitude", "ship_attitude", "optical_axis", "triangulation", "nmea_out", "nmea_in"
 LONGEST_S = 120.0
-"""Six nodes begin six times each, on a busy machine."""
+"""Six nodes start six times each, on a busy machine."""
 
 
 def main() -> int:
-    """Try it."""
+    """Run the launch file."""
     CommandParser(prog="try_launch", description=__doc__).parse_args()
     try:
         import launch_ros  # noqa: F401 - gives the launch file its nodes

@@ -1,7 +1,7 @@
-"""``make watch``: a simulated voyage with everything aboard, again and again through the live suite, and its live page.
+"""``make watch``: a simulated voyage with all devices, repeated through the live suite, and its live page.
 
-The bag is simulated at the first time, from ``bags/scenarios/everything.yaml``: the bags in ``bags/`` show the ship or
-the theodolite, not both. All lies in ``build/watch``. Ctrl-C ends all.
+The bag is simulated the first time, from ``bags/scenarios/everything.yaml``: the bags in ``bags/`` have the ship or
+the theodolite, not both. All files are in ``build/watch``. Ctrl-C ends it.
 
 Exit code 0 ended by Ctrl-C; 2 bad input, or the port is in use; otherwise that of the suite.
 """
@@ -25,7 +25,7 @@ ADDRESS, PORT = "127.0.0.1", 5006
 
 def main() -> int:
     """Run it."""
-    parser = CommandParser(prog="watch", description="A simulated voyage, live, with the page open.")
+    parser = CommandParser(prog="watch", description="A simulated voyage through the live suite, with its page.")
     parser.add_argument("--port", type=int, default=PORT, metavar="PORT", help=f"of the page ({PORT})")
     parser.add_argument("--rate", default="1", metavar="R", help="seconds of the voyage per second (1)")
     return run_command(parser, _watch, None)
@@ -36,28 +36,28 @@ def _watch(parsed: argparse.Namespace) -> int:
     os.environ.setdefault("ROS_LOG_DIR", str(FOLDER / "ros"))
     _check_port(parsed.port)
     bag = _bag()
-    # The page itself says once more when it is there.
+    # The page prints its address again when it is ready.
     print(f"\n  In a moment: http://{ADDRESS}:{parsed.port}/ in a browser. Ctrl-C ends all.\n", flush=True)
     return suite(["--bag", str(bag), "--loop", "0", "--rate", parsed.rate, "--monitor", "--port", str(parsed.port)])
 
 
 def _check_port(port: int) -> None:
-    """Refuse a port that somebody has: the voyage would be sailed for nobody."""
+    """Raise if the port is in use: the page of this voyage would not be visible."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((ADDRESS, port))
         except (OSError, OverflowError) as problem:
             reason = problem.strerror if isinstance(problem, OSError) else str(problem)
-            raise BadInput(f"port {port} of {ADDRESS}: {reason}: name another, make watch PORT={port + 1}") from problem
+            raise BadInput(f"port {port} of {ADDRESS}: {reason}: use another, make watch PORT={port + 1}") from problem
 
 
 def _bag() -> Path:
-    """The voyage; simulated anew where the scenario is newer."""
+    """Return the voyage; simulate it if the scenario is newer."""
     path = FOLDER / "everything.mcap"
     if not path.exists() or path.stat().st_mtime < SCENARIO.stat().st_mtime:
         FOLDER.mkdir(parents=True, exist_ok=True)
-        print("watch: simulates a voyage of five minutes", flush=True)
+        print("watch: simulating a voyage of five minutes", flush=True)
         part = path.with_name("part.mcap")
         code = simulate([str(SCENARIO), "--out", str(part), "--seed", "1", "--force"])
         if code:

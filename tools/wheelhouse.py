@@ -1,7 +1,7 @@
-"""The wheels that a bundle brings, so that set-up asks no network: wheels/, a folder for each Python and machine.
+"""Wheels of a bundle, for a setup without a network: wheels/, a folder for each Python and machine.
 
-``SHA256SUMS`` in such a folder names requirements.lock and every wheel; ``sha256sum -c SHA256SUMS`` reads it too. Only
-what Python itself brings is imported here: set-up begins before there is anything else.
+``SHA256SUMS`` in such a folder lists requirements.lock and every wheel, in the format of ``sha256sum -c SHA256SUMS``.
+Only Python's standard library is imported: setup starts before other packages are installed.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ NETWORK_SIGNS = (
 
 
 SECTIONS = ("ros", "build", "python", "all")
-"""Sections of requirements.lock, in its order; ``all`` is installed by ``make setup-all`` alone."""
+"""Sections of requirements.lock, in its order; ``all`` is installed only by ``make setup-all``."""
 
 
 class WheelsRefused(Exception):
-    """What is wrong with the wheels of a bundle, and what to do, in one line."""
+    """Fault of the wheels of a bundle, and the action needed, in one line."""
 
 
 def target(python: str, machine: str) -> str:
-    """Name of the folder for a Python, as 3.11, and a machine, as x86_64."""
+    """Return the name of the folder for a Python, as 3.11, and a machine, as x86_64."""
     return f"python{python}-{machine}"
 
 
 def own_target() -> str:
-    """Name of the folder that this Python needs."""
+    """Return the name of the folder for this Python."""
     return target(f"{sys.version_info.major}.{sys.version_info.minor}", platform.machine())
 
 
@@ -52,7 +52,7 @@ def locked(lock: str) -> dict[str, list[str]]:
     """Return the requirements of each section of requirements.lock; a section begins with ``# [name]``.
 
     Raises:
-        WheelsRefused: a requirement stands before the first section, or a section is not one of :data:`SECTIONS`.
+        WheelsRefused: a requirement is before the first section, or a section is not one of :data:`SECTIONS`.
     """
     sections: dict[str, list[str]] = {name: [] for name in SECTIONS}
     current: list[str] | None = None
@@ -60,28 +60,28 @@ def locked(lock: str) -> dict[str, list[str]]:
         if heading := re.match(r"# \[(\w+)\]", line):
             current = sections.get(heading[1])
             if current is None:
-                raise WheelsRefused(f"{LOCK} line {number}: section [{heading[1]}] is none of {', '.join(SECTIONS)}")
+                raise WheelsRefused(f"{LOCK} line {number}: section [{heading[1]}] is not one of {', '.join(SECTIONS)}")
         elif re.match(r"[A-Za-z0-9]", line):
             if current is None:
-                raise WheelsRefused(f"{LOCK} line {number}: '{line}' stands before the first section")
+                raise WheelsRefused(f"{LOCK} line {number}: '{line}' is before the first section")
             current.append(line.strip())
     return sections
 
 
 def pinned(requirement: str) -> str:
-    """A line of the lock as name==version, with the name as package indexes compare it and without its condition."""
+    """Return a line of the lock as name==version, with the normalised name and without its condition."""
     name, _, version = requirement.partition(";")[0].strip().partition("==")
     return f"{re.sub(r'[-_.]+', '-', name).lower()}=={version}"
 
 
 def pinned_by(wheel: str) -> str:
-    """The pin that a wheel of this file name fulfils."""
+    """Return the pin of a wheel with this file name."""
     name, version, *_ = wheel.split("-")
     return pinned(f"{name}=={version}")
 
 
 def sha256(path: Path) -> str:
-    """Of a file's bytes, in hexadecimal digits."""
+    """Return the SHA-256 of a file, in hexadecimal digits."""
     total = hashlib.sha256()
     with path.open("rb") as file:
         while block := file.read(1 << 20):
@@ -90,16 +90,16 @@ def sha256(path: Path) -> str:
 
 
 def sums(lock: bytes, wheels: list[Path]) -> str:
-    """The text of ``SHA256SUMS``."""
+    """Return the text of ``SHA256SUMS``."""
     named = [(hashlib.sha256(lock).hexdigest(), _LOCK_FROM_WHEELS), *((sha256(path), path.name) for path in wheels)]
     return "".join(f"{digest}  {name}\n" for digest, name in named)
 
 
 def own_wheels(root: Path) -> Path | None:
-    """The folder of wheels for this Python and machine; None where the checkout came without wheels.
+    """Return the folder of wheels for this Python and machine; None if the checkout has no wheels.
 
     Raises:
-        WheelsRefused: there are wheels, for others only.
+        WheelsRefused: there are wheels only for others.
     """
     folder = root / WHEELS
     if not folder.is_dir():
@@ -109,18 +109,18 @@ def own_wheels(root: Path) -> Path | None:
         return folder / own
     there = sorted(path.name for path in folder.iterdir() if path.is_dir())
     raise WheelsRefused(
-        f"the wheels in {WHEELS}/ are for {', '.join(there) or 'nothing'}, this is {own} ({sys.executable}): name one"
-        " that fits with PYTHON=/path/to/python3, make a bundle for this one where there is a network (make bundle"
+        f"the wheels in {WHEELS}/ are for {', '.join(there) or 'nothing'}, this is {own} ({sys.executable}): set"
+        " PYTHON=/path/to/python3 to one that fits, make a bundle for this one with a network (make bundle"
         f" FOR={own.removeprefix('python').partition('-')[0]}), or remove {WHEELS}/ to install from the network"
     )
 
 
 @functools.cache
 def hashed_requirements(folder: Path) -> dict[str, str]:
-    """Return the requirement with its hash for each pin of a folder of wheels, all compared with their hashes.
+    """Return the requirement with its hash for each pin of a folder of wheels, after checking all hashes.
 
     Raises:
-        WheelsRefused: a wheel is missing or damaged, or the wheels were made for another lock.
+        WheelsRefused: a wheel is missing or damaged, or the wheels are those of another lock.
     """
     place = f"{WHEELS}/{folder.name}"
     requirements = {}
@@ -133,20 +133,20 @@ def hashed_requirements(folder: Path) -> dict[str, str]:
                 requirements[pinned_by(name)] = f"{pinned_by(name)} --hash=sha256:{digest}"
         elif name == _LOCK_FROM_WHEELS:
             raise WheelsRefused(
-                f"{place} was made for another {LOCK}: make a new bundle, or remove {WHEELS}/ to ask the network"
+                f"{place} was made for another {LOCK}: make a new bundle, or remove {WHEELS}/ to use the network"
             )
         else:
             raise WheelsRefused(
-                f"{place}/{name} is damaged, its SHA-256 is another than in {SUMS}: unpack the bundle again"
+                f"{place}/{name} is damaged, its SHA-256 differs from {SUMS}: unpack the bundle again"
             )
     for line in (folder / _LOCK_FROM_WHEELS).read_text().splitlines():
         if re.match(r"[A-Za-z0-9]", line) and ";" not in line and pinned(line) not in requirements:
-            raise WheelsRefused(f"{place}/{SUMS} names no wheel of {line.strip()}: unpack the bundle again")
+            raise WheelsRefused(f"{place}/{SUMS} has no wheel of {line.strip()}: unpack the bundle again")
     return requirements
 
 
 def _read_sums(path: Path, place: str) -> list[tuple[str, str]]:
-    """SHA-256 and name of each file, the lock first."""
+    """Return SHA-256 and name of each file, the lock first."""
     lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
     found = [_LINE.fullmatch(line) for line in lines]
     for number, match in enumerate(found, 1):

@@ -1,1 +1,1 @@
-"""What tests of several packages share: scenes, voyages, hand-made bags, runs of adapters, nodes to talk to."""
+"""Helpers for tests of several packages: scenes, voyages, hand-made bags, adapter runs, peer nodes."""

@@ -1,4 +1,4 @@
-"""Messages on their way into an adapter, changed, lost or late, and what the adapter makes of them.
+"""Run adapters with messages that are changed, lost or late, and record their outputs.
 
 Shared by the tests of all packages whose nodes are adapters.
 """
@@ -28,7 +28,7 @@ Arrivals = tuple["Arrival", ...]
 
 @dataclass(frozen=True)
 class Arrival:
-    """A message on its way into the adapter."""
+    """Message with its time of arrival at the adapter."""
 
     topic: str
     message: Any
@@ -41,7 +41,7 @@ class Arrival:
 
 @dataclass
 class AdapterRun:
-    """What an adapter made of some arrivals: (time of publishing, topic, message), in the time of waiting."""
+    """Outputs of an adapter for some arrivals: (time of publishing, topic, message), in the steady waiting time."""
 
     adapter: Adapter
     published: list[tuple[int, str, Any]] = field(default_factory=list)
@@ -51,7 +51,7 @@ class AdapterRun:
         return [message for _, name, message in self.published if name == topic]
 
     def results(self) -> list[tuple[int, str, Any]]:
-        """All that is estimated, to the last bit; without the judgements on the inputs."""
+        """Return all estimates, bit-exact, without the diagnostics and innovations about inputs."""
         judgements = "/innovation", "input_health", "/diagnostics"
         return [(ns, topic, exactly(m)) for ns, topic, m in self.published if not topic.endswith(judgements)]
 
@@ -67,7 +67,7 @@ class AdapterRun:
         return [message for message in published if message.reason == reason]
 
     def diagnostics(self, name: str, since_ns: int, until_ns: int) -> list[tuple[int, str]]:
-        """(level, text) of one status in all reports of a time."""
+        """Return (level, text) of one status in all reports of a time span."""
         return [
             (status.level, status.message)
             for ns, topic, report in self.published
@@ -78,7 +78,7 @@ class AdapterRun:
 
 
 def exactly(value: Any) -> Any:
-    """A message as tuples of bytes and texts: NaN equals NaN, and 0.0 is not -0.0."""
+    """Return a message as tuples of bytes and texts: NaN equals NaN, and 0.0 is not -0.0."""
     if isinstance(value, CdrMessage):
         return value.__cdr__
     if hasattr(value, "get_fields_and_field_types"):
@@ -97,7 +97,7 @@ def stamp_of(message: Any) -> int:
 
 
 def index_at(arrivals: Arrivals, topic: str, since_s: float) -> int:
-    """The first arrival of a topic that was stamped this long after the start."""
+    """Return the index of the first arrival of a topic stamped this long after the start."""
     limit_ns = START_NS + round(since_s * SECOND_NS)
     return next(i for i, a in enumerate(arrivals) if a.topic == topic and a.stamp_ns >= limit_ns)
 
@@ -109,12 +109,12 @@ def without(arrivals: Arrivals, index: int) -> Arrivals:
 def replaced(
     arrivals: Arrivals, index: int, change: Callable[[Any], None], receive_ns: int | None = None
 ) -> Arrivals:
-    """One message changed in place, at another time of arrival if given."""
+    """Return the arrivals with one message changed, at another time of arrival if given."""
     return in_order((*without(arrivals, index), changed_copy(arrivals[index], change, receive_ns)))
 
 
 def added(arrivals: Arrivals, index: int, change: Callable[[Any], None], receive_ns: int) -> Arrivals:
-    """A changed copy of one message arrives too."""
+    """Return the arrivals with an additional, changed copy of one message."""
     return in_order((*arrivals, changed_copy(arrivals[index], change, receive_ns)))
 
 
@@ -127,12 +127,12 @@ def changed_copy(arrival: Arrival, change: Callable[[Any], None], receive_ns: in
 def changed_where(
     arrivals: Iterable[Arrival], chosen: Callable[[Arrival], bool], change: Callable[[Any], None]
 ) -> Arrivals:
-    """All chosen messages changed."""
+    """Return the arrivals with all chosen messages changed."""
     return tuple(changed_copy(a, change) if chosen(a) else a for a in arrivals)
 
 
 def delayed(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
-    """Each arrival so long after its stamp."""
+    """Return the arrivals, each delayed by this time after its stamp."""
     return in_order(
         replace(a, receive_ns=a.stamp_ns + round(delay_s * SECOND_NS))
         for a, delay_s in zip(arrivals, delays_s.tolist(), strict=True)
@@ -140,7 +140,7 @@ def delayed(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
 
 
 def flooded(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: int = 1) -> Arrivals:
-    """For each arrival of a topic ``factor`` of them: the others are stamped earlier, each by another time."""
+    """Return ``factor`` arrivals for each of a topic: the others have earlier stamps, each by another time."""
     rng = np.random.default_rng(seed)
 
     def earlier(message: Any) -> None:
@@ -152,7 +152,7 @@ def flooded(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: i
 
 
 def without_refused(arrivals: Arrivals, topic: str, told: Iterable[Any]) -> Arrivals:
-    """Without the arrivals of a topic, all of different stamps, that innovations tell as refused."""
+    """Return the arrivals of a topic, all of different stamps, without those that innovations report as rejected."""
     refused_ns = {stamp_of(message) for message in told}
     return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in refused_ns)
 
@@ -166,16 +166,16 @@ def assert_a_flood_costs_little(
     source: str,
     other_measurements: int = 0,
 ) -> None:
-    """Fifty measurements with random stamps for each one cost few steps, and what is refused of them leaves no trace.
+    """Assert that fifty measurements with random stamps for each one cost few steps, and rejected ones change nothing.
 
     Args:
         monkeypatch: counts the steps.
         core: whose ``_step`` is counted.
-        drive: some arrivals through a new adapter.
+        drive: runs some arrivals through a new adapter.
         arrivals: those without the flood.
-        topic: that is flooded.
+        topic: flooded topic.
         source: its name in innovations.
-        other_measurements: that make steps.
+        other_measurements: number of other measurements that cause steps.
     """
     steps, step = [0], core._step  # type: ignore[attr-defined]
 
@@ -198,9 +198,9 @@ def assert_a_flood_costs_little(
 def hand_over(
     run: AdapterRun, arrivals: Iterable[Arrival], until_ns: int = 0, node_ns: Callable[[int], int] = lambda ns: ns
 ) -> None:
-    """Give a run's adapter the arrivals with the ticks between them, as node and replay do; then tick on.
+    """Give the arrivals to a run's adapter, with the ticks between them as in node and replay; then continue the ticks.
 
-    Arrivals are in the time of waiting; ``node_ns`` is what the node's clock shows then.
+    Arrivals are in the waiting time; ``node_ns`` returns the node's clock at that time.
     """
     grid = TickGrid()
     for arrival in arrivals:

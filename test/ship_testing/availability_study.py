@@ -1,12 +1,12 @@
-"""How often the ship's attitude is better than a limit, by star vectors and by the methods that [P15] wants to replace.
+"""Availability of the ship's attitude below an error limit, by star vectors and by the methods that [P15] replaces.
 
-Exposures of the scenario ``paper_stars``: two sensors at right angles under the real sky, each centroid good to 3″, the
-ship somewhere in her roll on any heading, in any night of 2014. Mounting, air, UT1, place, catalogue and INS err anew
-in each. Every method is given the same stars.
+Exposures of the scenario ``paper_stars``: two sensors at right angles under the real sky, each centroid with 3″ of
+noise, the ship at any roll and heading, in any night of 2014. Errors of mounting, air, UT1, place, catalogue and INS
+are drawn for each. Every method has the same stars.
 
-Clouds are a random field over the sky: Gaussian, with correlation exp(-θ²/2ℓ²) at an angle θ, opaque where it is above
-the quantile of the cover. So a star is hidden with a probability that is the cover, whatever ℓ: with ℓ = 0 stars vanish
-one by one, with ℓ as large as a field (10°) they vanish in patches.
+Clouds are a random field over the sky: Gaussian, with correlation exp(-θ²/2ℓ²) at an angle θ, opaque above the
+quantile of the cover. A star is hidden with a probability equal to the cover for any ℓ: with ℓ = 0 stars vanish
+independently, with ℓ as large as a field (10°) they vanish in patches.
 """
 
 import functools
@@ -38,14 +38,14 @@ from ship_testing.pan_peers import ErfaSky, SensorView
 from ship_testing.paper_stars import PAPER_STARS, with_exact_optics
 
 LIMIT_ARCSEC = 5.0
-"""An attitude is good where heading, pitch and roll are each nearer than this to the truth."""
+"""Limit of the errors of heading, pitch and roll of an available attitude."""
 
 BEYOND_PROBABILITY = 1e-3
-"""How often an error is beyond an honest covariance: 16.3 in normalised error squared, three degrees of freedom."""
+"""Probability of an error beyond a consistent covariance: normalised error squared 16.3, three degrees of freedom."""
 
 CLEAR_STARS = 8
 COUNTS = (*((n, n) for n in range(1, CLEAR_STARS + 1)), (2, 1), (5, 3), (8, 2))
-"""Stars of the one sensor and of the other; 5 and 3 are those of [P15]'s own exposure."""
+"""Stars of the first sensor and of the second; 5 and 3 are those of [P15]'s exposure."""
 
 COVERS = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9)
 PATCHES_DEG = (0.0, 10.0)
@@ -54,7 +54,7 @@ _FIRST_SEED = 15_000
 _INS_SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
 """Of the INS about North, Up, East: models.md §2."""
 _FAINT = 7.0
-"""Magnitude down to which every field of the sky has eight stars."""
+"""Magnitude limit with which every field of the sky has eight stars."""
 
 ALONE, WITH_INS, ANY = "star vectors, VALID", "star vectors with INS, VALID", "star vectors, any"
 BORESIGHTS, ITERATED, ONE = "two boresights [6]", "[5] and [6]", "[5], one sensor"
@@ -69,12 +69,12 @@ class Scene:
     Attributes:
         exposures: by sensor, up to eight stars each.
         config: of ``star_attitude``.
-        watch: the sky as it knows it.
-        told: the sky as ERFA gives it for what the ship is told.
+        watch: sky model of the configuration.
+        told: sky by ERFA from the ship's input of time, place and air.
         rotation_nd: true attitude, shape (3, 3).
         ins: attitude of the deck by the INS.
-        order: of each sensor's stars, in which they are taken where only some are.
-        clouds: one standard normal number a star, all sensors in a row.
+        order: of each sensor's stars, for cases with only some of them.
+        clouds: one standard normal number per star, all sensors in a row.
     """
 
     exposures: dict[str, StarExposure]
@@ -89,7 +89,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Attitude:
-    """What a method gives: horizon from deck, and its covariance where it says one."""
+    """Result of a method: horizon from deck, and its covariance if the method has one."""
 
     rotation_nd: FloatArray
     covariance_n: FloatArray | None = None
@@ -102,7 +102,7 @@ shape (exposures, 2)."""
 
 
 def draw_scene(seed: int) -> Scene:
-    """The exposure of a seed."""
+    """Return the exposure of a seed."""
     rng = np.random.default_rng(seed)
     scenario = _scenario(rng)
     run = simulate(scenario, seed)
@@ -131,7 +131,7 @@ def draw_scene(seed: int) -> Scene:
 
 
 def _scenario(rng: np.random.Generator) -> Scenario:
-    """``paper_stars`` for one second of some night, on some heading; one exposure of each sensor at its start."""
+    """Return ``paper_stars`` for one second of some night, on some heading; one exposure of each sensor at start."""
     whole = _whole_scenario()
     midnight = datetime(2014, 1, 1, 16, tzinfo=timezone.utc) + timedelta(days=int(rng.integers(365)))
     start = midnight + timedelta(seconds=float(rng.uniform(-7200.0, 7200.0)))
@@ -166,12 +166,12 @@ def _whole_scenario() -> Scenario:
 
 
 def some_stars(scene: Scene, counts: Sequence[int]) -> dict[str, np.ndarray]:
-    """By sensor, the rows of so many of its stars."""
+    """Return the rows of the first stars by sensor, this many of each."""
     return {id_: np.sort(scene.order[id_][:count]) for id_, count in zip(scene.exposures, counts, strict=True)}
 
 
 def stars_in_gaps(scene: Scene, cover: float, patch_deg: float) -> dict[str, np.ndarray]:
-    """By sensor, the rows of its stars that no cloud hides."""
+    """Return the rows of the stars that no cloud hides, by sensor."""
     directions_d = np.concatenate(
         [one.directions_s @ scene.config.star_sensors[id_].rotation_ds.T for id_, one in scene.exposures.items()]
     )
@@ -184,7 +184,7 @@ def stars_in_gaps(scene: Scene, cover: float, patch_deg: float) -> dict[str, np.
 
 
 def _correlated(white: FloatArray, directions: FloatArray, length: float) -> FloatArray:
-    """Standard normal numbers with the correlation of their places; the given ones where the length is 0."""
+    """Return standard normal numbers correlated by the places of the stars; the given ones where the length is 0."""
     if not length:
         return white
     cosine = np.clip(directions @ directions.T, -1.0, 1.0)
@@ -198,7 +198,7 @@ def _correlated(white: FloatArray, directions: FloatArray, length: float) -> Flo
 
 
 def joint_solution(scene: Scene, rows: Mapping[str, np.ndarray], with_ins: bool) -> StarSolution:
-    """What the node ``star_attitude`` publishes as ``star/joint/solution`` of these stars."""
+    """Return the solution of these stars that ``star_attitude`` publishes as ``star/joint/solution``."""
     sensors, group = scene.config.star_sensors, []
     for id_, exposure in scene.exposures.items():
         prior = None
@@ -221,7 +221,7 @@ def _star_vectors(with_ins: bool, worth: Sequence[SolutionStatus]) -> Method:
 
 
 def views(scene: Scene, rows: Mapping[str, np.ndarray]) -> list[SensorView]:
-    """The same stars as the peers take them."""
+    """Return the same stars as input of the peers."""
     found = []
     for id_, exposure in scene.exposures.items():
         kept = exposure[rows[id_]]
@@ -238,7 +238,7 @@ def _peer(solve: Callable[[list[SensorView], ErfaSky], FloatArray | None]) -> Me
 
 
 def _one_sensor(seen: list[SensorView], sky: ErfaSky) -> FloatArray | None:
-    """The first sensor alone: horizon from deck by its whole attitude."""
+    """Return horizon from deck by the attitude of the first sensor alone."""
     found = pan_peers.refraction_on_observed(seen[0], sky)
     return None if found is None else found[0] @ seen[0].rotation_ds.T
 
@@ -263,17 +263,17 @@ _BY_NAME: dict[str, Method] = {
 
 
 def count_case(counts: Sequence[int]) -> str:
-    """Name of the case with so many stars in each sensor."""
+    """Return the name of the case with this many stars in each sensor."""
     return " + ".join(map(str, counts))
 
 
 def cloud_case(cover: float, patch_deg: float) -> str:
-    """Name of the case with so much cloud, in patches of that size."""
+    """Return the name of the case with this cloud cover, in patches of that size."""
     return f"{cover:.0%} cloud, " + (f"patches of {patch_deg:g}°" if patch_deg else "star by star")
 
 
 def study(exposures: Iterable[int]) -> Results:
-    """All methods in all cases, for the exposures of these numbers."""
+    """Run all methods in all cases, for the exposures of these numbers."""
     collected: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for number in exposures:
         scene = draw_scene(_FIRST_SEED + number)
@@ -299,15 +299,15 @@ def _judged(scene: Scene, found: Attitude | None) -> tuple[float, float]:
 
 
 def given(results: FloatArray) -> float:
-    """Share of the exposures with an attitude."""
+    """Return the share of the exposures with an attitude."""
     return float(np.mean(np.isfinite(results[:, 0])))
 
 
 def available(results: FloatArray, limit_arcsec: float = LIMIT_ARCSEC) -> float:
-    """Share of the exposures with an attitude better than the limit."""
+    """Return the share of the exposures with an attitude better than the limit."""
     return float(np.mean(results[:, 0] < limit_arcsec))
 
 
 def beyond(results: FloatArray) -> int:
-    """Attitudes whose error is beyond what their covariance says, one in a thousand if it is honest."""
+    """Return the number of attitudes with an error beyond their covariance, one in a thousand if it is consistent."""
     return int(np.sum(results[:, 1] > chi2.isf(BEYOND_PROBABILITY, 3)))

@@ -11,7 +11,7 @@ STRAIGHT = {"flexure": 0.0}
 
 
 def spread(rng: np.random.Generator, count: int, elevations_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-    """Encoder angles all around between two elevations."""
+    """Return encoder angles all around between two elevations."""
     return rng.uniform(0.0, 2.0 * np.pi, count), np.deg2rad(rng.uniform(*elevations_deg, count))
 
 
@@ -21,7 +21,7 @@ def sight(
     angles: tuple[FloatArray, FloatArray],
     sigma_arcsec: FloatArray | float,
 ) -> Sightings:
-    """Sightings whose true directions scatter by a normal error per component; one sigma, or one a sighting."""
+    """Return sightings whose true directions have a normal error per component; one sigma, or one per sighting."""
     axis_d = main_axis_rotation(errors, *angles)[..., 0]
     count = len(axis_d)
     turn = np.reshape(sigma_arcsec, (-1, 1)) * ARCSEC * rng.normal(size=(count, 3))

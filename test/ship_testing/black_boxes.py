@@ -1,4 +1,4 @@
-"""Black boxes made without DDS, by what a live node uses to make them; and copies of them with one thing changed."""
+"""Black boxes created without DDS by the code of a live node; and copies of them with one change."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -34,14 +34,14 @@ Record = Schema | Channel | Message | Attachment | Metadata
 
 @dataclass(frozen=True)
 class BoxedNode:
-    """A node that is put into a box.
+    """Node that is recorded in a box.
 
     Attributes:
-        adapter_class: what it runs.
-        bag: what it hears.
-        file_parameter: names its saved file.
+        adapter_class: adapter of the node.
+        bag: inputs of the node.
+        file_parameter: parameter with the path of its saved file.
         noise_change: a live change of one parameter.
-        parameters: of the node, beside those that the bag brings.
+        parameters: of the node, in addition to those of the bag.
     """
 
     adapter_class: Any
@@ -62,10 +62,10 @@ OPTICAL_AXIS = BoxedNode(
 
 
 class Nobody:
-    """A publisher without subscribers."""
+    """Publisher without subscribers."""
 
     def publish(self, message: Any) -> None:
-        """Tell nobody."""
+        """Discard the message."""
 
 
 def make_box(
@@ -79,18 +79,18 @@ def make_box(
     is_overloaded: bool = False,
     part_bytes: int = 0,
 ) -> BlackBox:
-    """Eight seconds of a bag, with all that can happen to a node; the clock goes back at the end.
+    """Record eight seconds of a bag, with all events of a node; the clock goes back at the end.
 
     Args:
         path: of the box.
         saved_path: of the file that the node saves.
         close: whether the node ends in order.
-        node: what is put into it.
-        node_ns: what the node's clock shows at a time of waiting, which is that of the bag; both ns since its start.
-        lost: times of waiting, ns since the bag's start, at which nothing comes.
-        autosave_s: so often the node saves by itself; 0 for never.
-        is_overloaded: whether it is behind its inputs from 6.5 s to 7.8 s.
-        part_bytes: size from which on the box goes on in a new file; 0 for never.
+        node: node to record.
+        node_ns: node's clock at a waiting time, which is that of the bag; both ns since its start.
+        lost: waiting times, ns since the bag's start, without any arrival.
+        autosave_s: period of automatic saving; 0 for never.
+        is_overloaded: whether the node is behind its inputs from 6.5 s to 7.8 s.
+        part_bytes: size at which the box continues in a new file; 0 for never.
     """
     name = node.adapter_class.node_name
     with read_bag(node.bag) as bag:
@@ -174,9 +174,9 @@ def changed_copy(
     change: Callable[[Record, Mapping[int, str]], Record | list[Record] | None],
     renumber: bool = False,
 ) -> Path:
-    """A copy of a box in which each record is what ``change(record, topics by channel)`` makes of it.
+    """Copy a box, with each record replaced by the result of ``change(record, topics by channel)``.
 
-    None leaves it out; ``renumber`` makes the writer's count fit again.
+    None leaves the record out; ``renumber`` makes the sequence numbers contiguous again.
     """
     count = 0
     topics: dict[int, str] = {}

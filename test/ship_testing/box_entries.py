@@ -1,4 +1,4 @@
-"""What a black box holds, read by the mcap project's reader."""
+"""Content of a black box, read by the mcap project's reader."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from ship_node.black_box.black_box_format import (
 SECOND_NS = 1_000_000_000
 
 def entries(path: Path) -> list[tuple[str, Any, int]]:
-    """(topic, event or bytes, log time) in the order of the file."""
+    """Return (topic, event or bytes, log time) in the order of the file."""
     with path.open("rb") as stream:
         found = NonSeekingReader(stream).iter_messages(log_time_order=False)
         rows = [(channel.topic, message.data, message.log_time) for _, channel, message in found]

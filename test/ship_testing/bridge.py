@@ -1,4 +1,4 @@
-"""A bridge for tests of NMEA out: a ship that tells its attitude over DDS, and a display at a TCP sink."""
+"""Peers of nmea_out for tests: a ship that publishes its attitude over DDS, and a display at a TCP sink."""
 
 import math
 import socket
@@ -22,7 +22,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class TellingShip:
-    """A suite in the namespace demo that tells its attitude, and hears the diagnostics."""
+    """Suite in the namespace demo that publishes its attitude, and subscribes to the diagnostics."""
 
     def __init__(self):
         self.context = Context()
@@ -61,7 +61,7 @@ class TellingShip:
 
 
 class Display:
-    """A display at a TCP sink: the sentences as a parser that is not ours reads them."""
+    """Display at a TCP sink: reads the sentences with an independent parser."""
 
     def __init__(self, port):
         self.port, self.connection, self._rest = port, None, b""
@@ -103,7 +103,7 @@ class Display:
 
 
 def until(ship, found, tell=lambda: None):
-    """What ``found`` gives as soon as that is true; ``tell`` is called again and again meanwhile."""
+    """Return the result of ``found`` as soon as it is true; call ``tell`` repeatedly until then."""
     end_s = time.monotonic() + PATIENCE_S
     while not (result := found()) and time.monotonic() < end_s:
         tell()

@@ -1,4 +1,4 @@
-"""A headless Chromium, driven through its debugging socket: pages opened, looked at, asked and photographed."""
+"""Headless Chromium, driven through its debugging socket: opens pages, evaluates scripts, takes screenshots."""
 
 import asyncio
 import base64
@@ -16,7 +16,7 @@ from urllib.request import urlopen
 from tornado.websocket import websocket_connect
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-"""None where there is no Chromium: tests that need it skip."""
+"""None if Chromium is not installed: tests that need it are skipped."""
 
 _ALONE = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
@@ -27,11 +27,11 @@ _START_S = 60.0
 
 
 _LOOK_S = 0.2
-"""Who asks more often holds up the page that is to be drawn, on a busy computer for good."""
+"""Shorter periods delay the drawing of the page on a busy computer."""
 
 
 class _LeftPage(Exception):
-    """The page was left, as to load it anew, while it was asked."""
+    """The page was replaced, as by a reload, during a query."""
 
 
 class Browser:
@@ -39,7 +39,7 @@ class Browser:
 
     Attributes:
         problems: errors of scripts, of the console and of requests since the last :meth:`open`.
-        addresses: all that was asked for since then.
+        addresses: URLs requested since then.
     """
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class Browser:
 
     def open(self, address: str, width: int = 1280, height: int = 800) -> None:
         """Open a page in a window of this size, and wait until it has loaded."""
-        # The page before may still complain, of a server that has ended, until it has gone.
+        # The previous page may still log errors, of a server that has ended, until it is unloaded.
         self.call("Page.navigate", url="about:blank")
         self.problems.clear()
         self.addresses.clear()
@@ -67,13 +67,13 @@ class Browser:
         self.until("document.readyState === 'complete' && location.href !== 'about:blank'")
 
     def evaluate(self, expression: str) -> Any:
-        """Value of a JavaScript expression."""
+        """Return the value of a JavaScript expression."""
         result = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
     def until(self, expression: str, limit_s: float = 30.0) -> Any:
-        """The value of an expression once it is true; between two pages it cannot be asked, which is not yet either."""
+        """Return the value of an expression once it is true; a query between two pages is repeated."""
         guarded = f"(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
 
         def look() -> Any:
@@ -83,7 +83,7 @@ class Browser:
         return self.wait(look, expression, limit_s)
 
     def wait(self, look: Callable[[], Any], what: str, limit_s: float = 30.0) -> Any:
-        """What a function returns once that is true; the browser is listened to meanwhile."""
+        """Return the result of a function once it is true; process messages of the browser until then."""
         deadline_s = time.monotonic() + limit_s
         while time.monotonic() < deadline_s:
             if found := look():
@@ -92,7 +92,7 @@ class Browser:
         raise AssertionError(f"not within {limit_s} s: {what}")
 
     def text(self, selector: str) -> str:
-        """Text of an element."""
+        """Return the text of an element."""
         return str(self.evaluate(f"document.querySelector({json.dumps(selector)}).textContent"))
 
     def press(self, key: str) -> None:
@@ -115,7 +115,7 @@ class Browser:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Result of a method of the protocol; what is told meanwhile is noted."""
+        """Return the result of a method of the protocol; record events received before it."""
         self._count += 1
         number = self._count
         return self._run(self._call(number, {"id": number, "method": method, "params": parameters}))

@@ -1,4 +1,4 @@
-"""Simulated calibration sessions: two star sensors at right angles, on a ship that lies still, turns or heels."""
+"""Simulated calibration sessions: two star sensors at right angles, on a ship that is still, turns or heels."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -29,7 +29,7 @@ PLATE = Reference(
     sigma_heading_arcsec=5.0,
     time_offset_sigma_s=0.001,
 )
-"""A reference that is the deck, so its installation is known."""
+"""A reference fixed to the deck, so its installation is known."""
 
 
 def sensor(azimuth_deg: float, sigma_arcsec: float = PRIOR_ARCSEC) -> StarSensor:
@@ -69,8 +69,8 @@ def write_session(
         path: of the bag.
         scenario: of the session.
         seed: of the run.
-        leave_out: topics that the bag does not hold.
-        suite: makes the attached configuration from the one that fits; None attaches none.
+        leave_out: topics left out of the bag.
+        suite: changes the attached configuration that fits; None attaches none.
     """
     run = simulate(scenario, seed)
     with BagWriter(path) as bag:

@@ -1,7 +1,7 @@
-"""The cases in which the ship's covariance is held against its errors, seed by seed: at length, and in short.
+"""Cases in which the ship's covariance is compared with its errors over many seeds: full length, and short.
 
-``tools/campaign.py`` runs each at length, ``test/test_campaign_cases.py`` in short. Each is a scenario of
-``bags/scenarios``, or one changed in a thing; what the suite is told follows from it.
+``tools/campaign.py`` runs each in full length, ``test/test_campaign_cases.py`` short. Each is a scenario of
+``bags/scenarios``, or one with a change; the configuration of the suite follows from it.
 """
 
 from collections.abc import Callable
@@ -16,18 +16,18 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import SCENARIOS
 
 INS_RATE_HZ = 20.0
-"""At length; a scenario's own 100 Hz tell the same and cost five times as much."""
+"""In full length; a scenario's own 100 Hz give the same result at five times the cost."""
 
 
 @dataclass(frozen=True)
 class Short:
-    """What a case is cut to for a test of many seeds: none of it changes what is tested.
+    """Reductions of a case for a test of many seeds, which do not change what is tested.
 
     Attributes:
         duration_s: length.
         ins_rate_hz: samples of the INS.
-        star_rate_hz: exposures of each star sensor; None: as at length.
-        clouds_s: from when on the stars are away, where they are away at the end.
+        star_rate_hz: exposures of each star sensor; None: as in full length.
+        clouds_s: start of clouds that last to the end, if any.
     """
 
     duration_s: float
@@ -42,7 +42,7 @@ def _as_it_is(scenario: Scenario) -> Scenario:
 
 @dataclass(frozen=True)
 class Case:
-    """A scenario's file, what it is cut to in short, and how it is changed."""
+    """Scenario file, reductions of the short case, and change of the scenario."""
 
     file: str
     short: Short
@@ -50,11 +50,11 @@ class Case:
 
 
 def case_at_length(name: str, recording: Path | None = None) -> Scenario:
-    """A case as the campaign runs it.
+    """Return a case as in the campaign.
 
     Args:
         name: of CASES.
-        recording: bag that the ship follows, of the case ``recorded``.
+        recording: bag with the ship's motion, of the case ``recorded``.
     """
     case = CASES[name]
     whole = load_scenario(SCENARIOS / f"{case.file}.yaml", recording=recording)
@@ -62,7 +62,7 @@ def case_at_length(name: str, recording: Path | None = None) -> Scenario:
 
 
 def case_in_short(name: str, recording: Path | None = None) -> Scenario:
-    """A case as a test of many seeds runs it; for the arguments see :func:`case_at_length`."""
+    """Return a case as in a test of many seeds; for the arguments see :func:`case_at_length`."""
     whole, short = case_at_length(name, recording), CASES[name].short
     changes: dict[str, Any] = {}
     if short.star_rate_hz is not None:
@@ -74,7 +74,7 @@ def case_in_short(name: str, recording: Path | None = None) -> Scenario:
 
 
 def _each_sensor(scenario: Scenario, **changes: Any) -> Scenario:
-    """The scenario with each star sensor changed."""
+    """Return the scenario with each star sensor changed."""
     sensors = {id_: replace(one, **changes) for id_, one in scenario.star_sensors.items()}
     return replace(scenario, star_sensors=sensors)
 
@@ -87,14 +87,14 @@ def _rolling_by_a_poor_clock(scenario: Scenario) -> Scenario:
 
 
 def _late_at_two_rates(scenario: Scenario) -> Scenario:
-    """5 and 3 Hz: sensors that agree on no moment, and are told of half a second afterwards."""
+    """Rates of 5 and 3 Hz: exposures of the sensors never coincide, and arrive half a second late."""
     late = _each_sensor(scenario, latency_s=0.5).star_sensors
     rates_hz = {"fore": 5.0, "starboard": 3.0}
     return replace(scenario, star_sensors={id_: replace(late[id_], rate_hz=rate) for id_, rate in rates_hz.items()})
 
 
 def _still(scenario: Scenario) -> Scenario:
-    """A voyage of hours, in which the sea tells nothing: without waves, each device speaking every ten seconds."""
+    """A voyage of hours without waves, with one sample of each device every ten seconds."""
     heading, pitch, roll = AngleMotion(mean_deg=5.0), AngleMotion(mean_deg=0.5), AngleMotion(mean_deg=2.0)
     return replace(
         _each_sensor(scenario, rate_hz=0.1, phase_s=0.0),
@@ -105,7 +105,7 @@ def _still(scenario: Scenario) -> Scenario:
 
 
 def _on_the_same_pixels(scenario: Scenario) -> Scenario:
-    """A ship at a quay, two minutes of it: her stars drift by a seventh of a pixel from exposure to exposure."""
+    """A ship at a quay for two minutes: her stars drift by a seventh of a pixel between exposures."""
     heading, pitch = AngleMotion(mean_deg=34.4), AngleMotion(mean_deg=0.2)
     sensors = {
         id_: replace(one, camera=replace(one.camera, field_spatial_sigma_px=0.3, pixel_spatial_sigma_px=0.2))
@@ -118,9 +118,9 @@ def _on_the_same_pixels(scenario: Scenario) -> Scenario:
 CASES = {
     # Two sensors at right angles.
     "paper": Case("paper", Short(60.0, 20.0, 2.0)),
-    # What is about its boresight it tells badly: the ellipsoid of the error is long.
+    # The error about its boresight is large: the error ellipsoid is long.
     "one_sensor": Case("one_sensor", Short(60.0, 20.0, 2.0)),
-    # It tells the INS's error from that of the installation.
+    # It separates the INS's error from that of the installation.
     "turn": Case("turn", Short(280.0, 5.0, 1.0)),
     # Thirty minutes of clouds: the covariance grows as the INS's errors do.
     "outage": Case("outage", Short(1860.0, 10.0, 1.0, clouds_s=60.0)),
@@ -134,7 +134,7 @@ CASES = {
     ),
     # How far off the INS's clock is shows in a ship that rolls, beyond what is linear in it.
     "poor_clock": Case("paper", Short(60.0, 20.0, 2.0), _rolling_by_a_poor_clock),
-    # What comes late goes back over what the other sensor has told meanwhile.
+    # A late exposure rewinds the filter over exposures of the other sensor.
     "two_rates_late": Case("paper", Short(25.0, 20.0, None), _late_at_two_rates),
     # Single stars of the real sky, eight an exposure.
     "paper_stars": Case("paper_stars", Short(30.0, 10.0, 1.0)),

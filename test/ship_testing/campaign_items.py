@@ -1,4 +1,4 @@
-"""Makers of a campaign's items whose process is killed, as the kernel does where memory is short."""
+"""Functions of a campaign's items whose process is killed, as by the kernel when memory is short."""
 
 import os
 import signal
@@ -11,12 +11,12 @@ DEADLY_SEED = 2
 
 
 def quick(item: Item, _folder: Path) -> Result:
-    """A result that takes no time."""
+    """Return a result at once."""
     return failed("") | {"error": None, "values": {"seed": float(item.seed or 0)}}
 
 
 def dies_once(item: Item, folder: Path) -> Result:
-    """One seed kills its process the first time that it is made."""
+    """Kill the process of one seed the first time."""
     mark = item.source.path.with_name("died")
     if item.seed == DEADLY_SEED and not mark.exists():
         mark.touch()
@@ -25,7 +25,7 @@ def dies_once(item: Item, folder: Path) -> Result:
 
 
 def dies_always(item: Item, folder: Path) -> Result:
-    """One seed kills its process each time, and notes that it did."""
+    """Kill the process of one seed each time, and record it."""
     if item.seed == DEADLY_SEED:
         with item.source.path.with_name("deaths").open("a", encoding="utf-8") as notes:
             notes.write(f"{folder}\n")

@@ -1,4 +1,4 @@
-"""Deep copies of adapters and cores in tests: importing this lets them hold read-only mappings."""
+"""Deep copies of adapters and cores in tests: importing this allows copies of read-only mappings."""
 
 import copyreg
 from types import MappingProxyType

@@ -1,4 +1,4 @@
-"""One property over many cases in one test: all are tried before it fails, and each that fails is named."""
+"""One property over many cases in one test: all are run before it fails, and each failed case is named."""
 
 import traceback
 from collections.abc import Callable, Iterable
@@ -9,7 +9,7 @@ import pytest
 def check_every_case(cases: Iterable[tuple[object, ...]], check: Callable[..., None]) -> None:
     """Call ``check(*case)`` for each case; fail at the end with a line for each case that failed.
 
-    The first of them has its traceback too. A test with many cases is one item of pytest this way.
+    The first failure includes its traceback. A test with many cases is one item of pytest this way.
     """
     failed: list[tuple[str, BaseException]] = []
     count = 0

@@ -1,9 +1,9 @@
-"""Short simulated voyages with every input that the nodes know, for tests of messages that cannot be used.
+"""Short simulated voyages with every input of the nodes, for tests of unusable messages.
 
 ``ship_attitude`` has the INS, a star sensor of each kind, another attitude system, two antennas, the fix and the
-weather; ``star_attitude`` the same voyage, of which it hears the camera; ``optical_axis`` lights, baselines, drones and
-images of targets, with the ship's attitude from ``ship/attitude`` or, as ``optical_axis by ins``, from ``ins/imu`` and
-with advice for the drones; ``triangulation`` directions of three theodolites to a buoy.
+weather; ``star_attitude`` the same voyage, of which it uses the camera. ``optical_axis`` has lights, baselines, drones
+and images of targets. Its ship's attitude is from ``ship/attitude`` or, as ``optical_axis by ins``, from ``ins/imu``,
+then with positions advised to the drones. ``triangulation`` has directions of three theodolites to a buoy.
 """
 
 import functools
@@ -43,11 +43,11 @@ _START_NS, _LATENCY_NS = 1_767_225_600 * SECOND_NS, SECOND_NS // 20
 
 @dataclass(frozen=True)
 class Voyage:
-    """A node and what it hears.
+    """A node and its inputs.
 
     Attributes:
         new_adapter: makes the node's adapter.
-        arrivals: all its inputs, in the order in which they come. Change only copies of them.
+        arrivals: all its inputs in order of arrival; change only copies of them.
         truth: the true attitude or pointing by stamp, as a message.
     """
 
@@ -56,9 +56,9 @@ class Voyage:
     truth: dict[int, Any]
 
     def run(self, arrivals: Arrivals | None = None) -> AdapterRun:
-        """All arrivals through a new adapter, and three seconds more, whatever is added to them in that time.
+        """Give all arrivals to a new adapter, and continue for three seconds, also if arrivals are added in that time.
 
-        What comes after the end makes a run longer, so that INVALID is said once more.
+        Arrivals after the end make a run longer, with one more INVALID output.
         """
         taken = self.arrivals if arrivals is None else arrivals
         run = AdapterRun(self.new_adapter())
@@ -68,17 +68,17 @@ class Voyage:
 
 @functools.cache
 def voyage(node: str) -> Voyage:
-    """The voyage of one of NODES."""
+    """Return the voyage of one of NODES."""
     return _triangulation() if node == "triangulation" else voyage_of(node, scenario(node))
 
 
 def scenario(node: str, **changes: Any) -> Scenario:
-    """The scenario of one of NODES, with other values for some of its fields."""
+    """Return the scenario of one of NODES, with other values for some of its fields."""
     return replace(_theodolite(node) if node.startswith("optical_axis") else _ship(), **changes)
 
 
 def voyage_of(node: str, given: Scenario) -> Voyage:
-    """What one of NODES hears in a scenario."""
+    """Return the voyage of one of NODES in a scenario."""
     adapter_class = {
         "ship_attitude": ShipAttitudeAdapter,
         "star_attitude": StarAttitudeAdapter,
@@ -99,7 +99,7 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
 
 
 def sigmas(known: Voyage, message: Any) -> float:
-    """The largest error of an attitude or a pointing, of East, North and Up, in its own sigmas; 0 without a truth."""
+    """Return the largest error of an attitude or a pointing, of East, North, Up, in its sigmas; 0 without a truth."""
     true = known.truth.get(stamp_of(message))
     if true is None or message.status == Status.INVALID:
         return 0.0
@@ -117,19 +117,19 @@ def _rotation(message: Any) -> FloatArray:
 
 
 def worst_claim(known: Voyage, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)) -> float:
-    """The largest error in sigmas of all that a run claimed with one of some statuses."""
+    """Return the largest error in sigmas of all outputs of a run with one of some statuses."""
     claimed = [m for m in run.messages(run.adapter.main_topic) if m.status in statuses]
     return max((sigmas(known, message) for message in claimed), default=0.0)
 
 
 def topics(node: str) -> tuple[str, ...]:
-    """What a node hears, in order of names."""
+    """Return the input topics of a node, sorted."""
     return tuple(sorted({arrival.topic for arrival in voyage(node).arrivals}))
 
 
 @functools.cache
 def clean_run(node: str) -> AdapterRun:
-    """The voyage with nothing wrong."""
+    """Return the run of the voyage without faults."""
     return voyage(node).run()
 
 

@@ -1,6 +1,6 @@
-"""A client of a Foxglove server: as much of its websocket protocol as tests ask for.
+"""Client of a Foxglove server with the part of its websocket protocol that the tests need.
 
-Written after the protocol's own description (foxglove/ws-protocol on GitHub), not after the server's code.
+Written from the protocol's description (foxglove/ws-protocol on GitHub), not from the server's code.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ _MESSAGE_DATA_CODE = 1
 
 @dataclass(frozen=True)
 class Received:
-    """One message: its topic, the time of its log (UTC, ns), and its bytes."""
+    """One message: its topic, its log time (UTC, ns), and its bytes."""
 
     topic: str
     log_time_ns: int
@@ -34,8 +34,8 @@ class FoxgloveClient:
     """One connection.
 
     Attributes:
-        told: what the server has told, as it came: ``serverInfo``, ``status`` and so on.
-        channels: offered channels by topic, as ``advertise`` gives them.
+        told: messages of the server as received: ``serverInfo``, ``status`` and so on.
+        channels: advertised channels by topic, as in ``advertise``.
         received: messages in their order.
     """
 
@@ -52,7 +52,7 @@ class FoxgloveClient:
         assert self._socket.selected_subprotocol == PROTOCOL
 
     def subscribe(self, *topics: str) -> None:
-        """Subscribe to channels that are offered."""
+        """Subscribe to advertised channels."""
         subscriptions = []
         for topic in topics:
             self._count += 1
@@ -61,7 +61,7 @@ class FoxgloveClient:
         self.ask({"op": "subscribe", "subscriptions": subscriptions})
 
     def unsubscribe(self, topic: str) -> None:
-        """Subscribe no more."""
+        """Unsubscribe from channels."""
         numbers = [number for number, name in self._topics.items() if name == topic]
         for number in numbers:
             del self._topics[number]
@@ -73,7 +73,7 @@ class FoxgloveClient:
         self._run(self._write(request if is_binary else json.dumps(request), is_binary))
 
     def until(self, look: Callable[[], Any], limit_s: float = 20.0) -> Any:
-        """What a function returns once that is true; the server is listened to meanwhile."""
+        """Return the result of a function once it is true; process messages of the server until then."""
         deadline_s = time.monotonic() + limit_s
         while not (found := look()):
             assert time.monotonic() < deadline_s, (self.told, self.channels.keys(), len(self.received))
@@ -81,13 +81,13 @@ class FoxgloveClient:
         return found
 
     def listen(self, duration_s: float) -> None:
-        """Take what comes within a time."""
+        """Process the messages received within a time."""
         deadline_s = time.monotonic() + duration_s
         while not self.is_over and (left_s := deadline_s - time.monotonic()) > 0.0:
             self._run(self._take(left_s))
 
     def close(self) -> None:
-        """Leave; once more is nothing."""
+        """Close the connection; a second call does nothing."""
         if self._loop.is_closed():
             return
         self._run(self._leave())
@@ -98,7 +98,7 @@ class FoxgloveClient:
         self._loop.close()
 
     async def _leave(self) -> None:
-        # Within the loop of this client: that of the thread may be gone with another test.
+        # In the loop of this client: that of the thread may have been closed by another test.
         self._socket.close()
 
     async def _take(self, limit_s: float) -> None:
@@ -139,7 +139,7 @@ class FoxgloveClient:
 
 
 def deaf_client(address: str, channel_id: int) -> socket.socket:
-    """The socket of a client that has subscribed to a channel and never reads."""
+    """Return the socket of a client that has subscribed to a channel and never reads."""
     deaf = socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])))
     deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     deaf.sendall(

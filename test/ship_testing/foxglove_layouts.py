@@ -1,4 +1,4 @@
-"""What a layout of Foxglove or Lichtblick names, held against what a suite puts out.
+"""Names in a layout of Foxglove or Lichtblick, compared with the outputs of a suite.
 
 Both read message paths: ``/topic.field[0].field``, ``/topic{name=="value"}.field``. ``$name`` is a variable of
 the layout.
@@ -32,7 +32,7 @@ PANELS = {  # type: what its configuration must hold, and what it may
     "DiagnosticSummary": ({"topicToRender", "minLevel"}, {"pinnedIds", "hardwareIdFilter", "sortByLevel"}),
     "Tab": ({"activeTabIdx", "tabs"}, set()),
 }  # fmt: skip
-"""The panels that are used, after the types of their settings in Lichtblick 1.28."""
+"""The panels in use, by the types of their settings in Lichtblick 1.28."""
 TITLES = {"lichtblickPanelTitle", "foxglovePanelTitle"}
 SERIES = {"value", "label", "enabled", "timestampMethod", "color"}
 ERROR_SOURCES = {
@@ -44,11 +44,11 @@ ERROR_SOURCES = {
 
 
 class Missing(AssertionError):
-    """Something that a layout names is not there."""
+    """A name in a layout does not exist."""
 
 
 class Scripts:
-    """The scripts of a layout: what they take is there, and what they give may be shown."""
+    """Scripts of a layout: their inputs exist, and their outputs have types that panels show."""
 
     def __init__(self, layout: dict[str, Any], night: Night) -> None:
         self.given: dict[str, dict[str, dict[str, str]]] = {}
@@ -69,7 +69,7 @@ class Scripts:
             self.given[only(re.findall(r'^export const output = "(.*)";$', code, re.MULTILINE))] = types
 
     def follow(self, topic: str, steps: list[re.Match[str]]) -> str:
-        """Name of the type at the end of a path in what a script gives."""
+        """Return the name of the type at the end of a path in the output of a script."""
         if topic not in self.given:
             raise Missing(f"no script gives {topic}")
         types, kind = self.given[topic], "Output"
@@ -92,7 +92,7 @@ def only(found: list[str]) -> str:
 
 
 def split(path: str) -> tuple[str, list[re.Match[str]]]:
-    """Topic and steps of a message path; it has no modifier: plots over time of Lichtblick pass over most of them."""
+    """Return topic and steps of a message path without modifiers, most of which Lichtblick's plots ignore."""
     topic = only(re.findall(r"^/?[\w/]+", path))
     steps, at = [], len(topic)
     while at < len(path):
@@ -105,7 +105,7 @@ def split(path: str) -> tuple[str, list[re.Match[str]]]:
 
 
 def resolve(path: str, night: Night, variables: dict[str, str]) -> list[Any]:
-    """The values that a message path finds in the night; at least one."""
+    """Return the values of a message path in the messages; at least one."""
     topic, steps = split(path)
     if topic not in night:
         raise Missing(f"{path}: no topic {topic}")
@@ -141,18 +141,18 @@ def wanted_value(step: re.Match[str], variables: dict[str, str]) -> str:
 
 
 def constant(night: Night, topic: str, name: str, value: int) -> None:
-    """That messages of a topic have this constant."""
+    """Raise unless messages of a topic have this constant."""
     if getattr(night[topic][0], name, None) != value:
         raise Missing(f"{topic}: {name} is not {value}")
 
 
 def named_constants(text: str) -> list[tuple[int, str]]:
-    """(value, name) in a text such as "status: 0 VALID, 1 COASTING"."""
+    """Return (value, name) in a text such as "status: 0 VALID, 1 COASTING"."""
     return [(int(value), name) for value, name in re.findall(r"\b(\d) ([A-Z_]{2,})\b", text)]
 
 
 def look_up(path: str, layout: dict[str, Any], night: Night, scripts: Scripts, is_shown: tuple[type, ...]) -> None:
-    """That a path leads to something of a type that its panel can show."""
+    """Raise unless a path leads to a type that its panel can show."""
     topic, steps = split(path)
     if not topic.startswith(SCRIPTS):
         values = resolve(path, night, layout["globalVariables"])
@@ -169,7 +169,7 @@ def look_up(path: str, layout: dict[str, Any], night: Night, scripts: Scripts, i
 
 
 def leaves(mosaic: Any) -> Iterator[str]:
-    """Panels in an arrangement."""
+    """Return the panels in an arrangement."""
     if isinstance(mosaic, str):
         yield mosaic
         return
@@ -181,7 +181,7 @@ def leaves(mosaic: Any) -> Iterator[str]:
 
 
 def check_foxglove(layout: dict[str, Any], night: Night) -> None:
-    """That all that a layout names is there."""
+    """Raise if a name in a layout does not exist."""
     assert set(layout) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
     scripts = Scripts(layout, night)
     panels = list(leaves(layout["layout"]))
@@ -215,7 +215,7 @@ def check_panel(kind: str, config: dict[str, Any], layout: dict[str, Any], night
 
 
 def paths(layout: dict[str, Any]) -> list[str]:
-    """All message paths of a layout."""
+    """Return all message paths of a layout."""
     configs = layout["configById"].values()
     found = [series["value"] for config in configs for series in config.get("paths", [])]
     keys = ("path", "topicPath", "topicToRender")

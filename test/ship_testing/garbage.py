@@ -1,4 +1,4 @@
-"""Garbage of the right type for any field of any message."""
+"""Random values of the right type for any field of any message."""
 
 import array
 import contextlib
@@ -13,11 +13,11 @@ TEXTS = ["", "ins", "star_fore", "\x00", "deck" * 100, "θ—\n"]
 
 
 Path = tuple[str | int, ...]
-"""To a field of a message: names, and places in lists."""
+"""Path to a field of a message: names, and indices of lists."""
 
 
 def paths(message: Any, prefix: Path = ()) -> list[Path]:
-    """All fields that are no messages themselves."""
+    """Return the paths of all fields that are not messages."""
     found: list[Path] = []
     for name in message.get_fields_and_field_types():
         value, path = getattr(message, name), (*prefix, name)
@@ -31,7 +31,7 @@ def paths(message: Any, prefix: Path = ()) -> list[Path]:
 
 
 def spoil(message: Any, fields: list[Path], rng: np.random.Generator) -> None:
-    """Put garbage of the right type into one to three fields."""
+    """Put random values of the right type into one to three fields."""
     for index in rng.integers(0, len(fields), rng.integers(1, 4)).tolist():
         *parents, name = fields[index]
         holder = functools.reduce(inside, parents, message)
@@ -41,7 +41,7 @@ def spoil(message: Any, fields: list[Path], rng: np.random.Generator) -> None:
 
 
 def inside(holder: Any, part: str | int) -> Any:
-    """What a part of a path leads to."""
+    """Return the value at a path element."""
     return holder[part] if isinstance(part, int) else getattr(holder, part)
 
 

@@ -1,4 +1,4 @@
-"""Messages and bags made by hand, for the tests of reading, replaying and evaluating."""
+"""Hand-made messages and bags for the tests of reading, replaying and evaluating."""
 
 import numpy as np
 
@@ -93,7 +93,7 @@ def star_message(stamp_ns, rotation_nv, covariance_enu, sensor_id="fore"):
 
 
 def write_imu_bag(path, count=100, topic="ins/imu", attachments=(), start_ns=START_NS):
-    """``count`` Imu at 100 Hz, log time = stamp."""
+    """Write ``count`` Imu at 100 Hz, log time = stamp."""
     with BagWriter(path) as bag:
         for name, text in attachments:
             bag.add_attachment(name, text)

@@ -1,4 +1,4 @@
-"""Samples of an INS as it might be built: waves, turns, noise, rounding, rates with errors; and steps put into them."""
+"""Samples of an INS: waves, turns, noise, rounding, rates with errors; and steps added to them."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ PERIODS_S = (30.0, 8.0, 11.0)
 
 
 def attitudes(t_s: FloatArray, amplitude_deg: Angles, turn_deg_per_s: float = 0.0) -> FloatArray:
-    """Horizon from deck, shape (n, 3, 3)."""
+    """Return horizon from deck, shape (n, 3, 3)."""
     swing = np.sin(2.0 * np.pi * t_s[:, None] / np.array(PERIODS_S) + np.array([0.0, 0.0, 0.3]))
     mean_deg = np.array([34.0, 0.0, 0.0]) + turn_deg_per_s * t_s[:, None] * np.array([1.0, 0.0, 0.0])
     return rotation_from_angles(*np.deg2rad(mean_deg + np.array(amplitude_deg) * swing).T)
@@ -36,7 +36,7 @@ def stream(
     earth_n: FloatArray | None = None,
     seed: int = 7,
 ) -> list[AttitudeSample]:
-    """The samples in order; ``earth_n`` is a turn of the horizon (North, Up, East), rad/s, that the rates show too."""
+    """Return the samples in order; ``earth_n`` is a rate of the horizon (North, Up, East), rad/s, part of the rates."""
     rng = np.random.default_rng(seed)
     t_s = np.arange(0.0, duration_s, 1.0 / rate_hz)
     noise = ARCSEC * rng.standard_normal((2, t_s.size, 3))
@@ -58,7 +58,7 @@ def stream(
 def stepped(
     samples: list[AttitudeSample], first: int, arcsec_n: Angles, last: int | None = None
 ) -> list[AttitudeSample]:
-    """The samples with the attitudes from number ``first`` on, and before ``last``, turned about North, Up and East."""
+    """Return the samples with attitudes ``first`` to ``last`` - 1 rotated about North, Up and East."""
     step = exp_rotation(np.array(arcsec_n) * ARCSEC)
     end = len(samples) if last is None else last
     turned = [replace(sample, rotation_nd=step @ sample.rotation_nd) for sample in samples[first:end]]

@@ -1,8 +1,8 @@
-"""A peer of the ship's filter: INS and star attitudes of a run in a graph of factors, solved by GTSAM's iSAM2.
+"""Peer of the ship's filter: INS and star attitudes of a run in a factor graph, solved by GTSAM's iSAM2.
 
-It reads the samples themselves and shares no model with the filter: its own interpolation of the INS, residuals and
-noise. Unknown are the INS's slow error at each exposure, how each sensor is mounted, and the INS's clock. Python
-3.10 has no wheel of GTSAM.
+It reads the samples directly and shares no model with the filter: it has its own interpolation of the INS, residuals
+and noise. The unknowns are the INS's slow error at each exposure, the mounting of each sensor, and the INS's clock.
+Python 3.10 has no wheel of GTSAM.
 """
 
 from importlib import import_module
@@ -17,9 +17,9 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario, StarSensor
 
 _CLOCK = 0
-"""Key of the INS's clock. Those of the mountings come next, then those of the moments."""
+"""Key of the INS's clock. Those of the mountings are next, then those of the times."""
 _CHANGED = 1e-7
-"""What an unknown must have moved, rad or s, for its factors to be linearised anew: 0.02 arcseconds."""
+"""Change of an unknown, rad or s, above which its factors are relinearised: 0.02 arcseconds."""
 
 
 def isam2_error(scenario: Scenario, seed: int) -> FinalError:
@@ -32,7 +32,7 @@ class _Graph:
     """The graph of a run; star sensors give attitudes in the horizon, whose errors are their noise alone.
 
     Args:
-        run: of which the samples and the sigmas told are used, and nothing of the truth.
+        run: its samples and configured sigmas are used, not its truth.
     """
 
     def __init__(self, run: SimulatedRun) -> None:
@@ -46,7 +46,7 @@ class _Graph:
         self._first_moment = 1 + len(run.stars)
 
     def solved(self) -> tuple[FloatArray, FloatArray]:
-        """Attitude at the last INS sample, shape (3, 3), and its covariance in the horizon, rad², shape (3, 3)."""
+        """Return the attitude at the last INS sample, (3, 3), and its covariance in the horizon, rad², (3, 3)."""
         self._begin()
         told = [
             (int(time_ns), id_, row)
@@ -68,7 +68,7 @@ class _Graph:
         return self._attitude(end)
 
     def _begin(self) -> None:
-        """The clock and the mountings, as far as they are known."""
+        """Add the clock and the mountings with their priors."""
         scenario, gtsam = self._run.scenario, self._gtsam
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         known = {_CLOCK: np.array([scenario.ins.time_offset_sigma_s])}
@@ -88,7 +88,7 @@ class _Graph:
         return self._gtsam.CustomFactor(self._gtsam.noiseModel.Diagonal.Sigmas(sigma), [key], error)
 
     def _moved(self, moment: int, before_ns: int | None, time_ns: int) -> tuple[Any, Any]:
-        """A new moment, with what the INS's slow error has done since the one before: Gauss–Markov."""
+        """Add a new time, with the change of the INS's slow error since the one before: Gauss–Markov."""
         gtsam, ins = self._gtsam, self._run.scenario.ins
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         sigma = np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]) * ARCSEC
@@ -110,7 +110,7 @@ class _Graph:
         return graph, values
 
     def _sighting(self, moment: int, time_ns: int, sensor_id: str, row: int) -> Any:
-        """R_star = exp(a) R_ins(t - tau) R0 exp(m) exp(noise), its residual in the sensor."""
+        """Add R_star = exp(a) R_ins(t - tau) R0 exp(m) exp(noise), its residual in the sensor."""
         sensor, samples = self._run.scenario.star_sensors[sensor_id], self._run.stars[sensor_id]
         mounting = self._mounting_keys[sensor_id]
         nominal_dv = rotation_from_angles(*np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg]))
@@ -142,7 +142,7 @@ class _Graph:
 
 
 def _mounting_sigma(sensor: StarSensor) -> FloatArray:
-    """About forward, up and right, rad."""
+    """Return the sigmas about forward, up and right, rad."""
     sigmas = [
         sensor.installation_sigma_forward_arcsec,
         sensor.installation_sigma_up_arcsec,
@@ -152,7 +152,7 @@ def _mounting_sigma(sensor: StarSensor) -> FloatArray:
 
 
 class _Ins:
-    """What the INS tells between its samples: each carried on by its rates, and their mean by distance in time."""
+    """INS between its samples: each extrapolated by its rates, and their mean weighted by distance in time."""
 
     def __init__(self, run: SimulatedRun) -> None:
         ins = run.ins
@@ -160,11 +160,11 @@ class _Ins:
         self._white = (run.scenario.ins.white_sigma_arcsec * ARCSEC) ** 2
 
     def surrounds(self, time_ns: int) -> bool:
-        """Whether there are samples on both sides, also where its clock is off by as much as it may."""
+        """True if there are samples on both sides, also with the largest offset of its clock."""
         return bool(self.time_ns[1] <= time_ns <= self.time_ns[-2])
 
     def at(self, time_ns: int, offset_s: float) -> tuple[FloatArray, FloatArray]:
-        """Horizon from deck, shape (3, 3), and the angular rate in the deck, rad/s, where its clock is so far off."""
+        """Return horizon from deck, (3, 3), and the angular rate in the deck, rad/s, for this clock offset."""
         left, part, step_s = self._between(time_ns, offset_s)
         before, after = self._rate_d[left], self._rate_d[left + 1]
         rate_d = before + part * (after - before)
@@ -173,17 +173,17 @@ class _Ins:
         return by_left @ exp_rotation(part * log_rotation(by_left.T @ by_right)), rate_d
 
     def last(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
-        """The same at the last stamp: that sample alone, carried by its rates, with its noise and no other's."""
+        """Return the same at the last stamp: only that sample, extrapolated by its rates, with only its noise."""
         _, halfway_d = self.at(int(self.time_ns[-1]), 0.5 * offset_s)
         return self._rotation_nd[-1] @ exp_rotation(-halfway_d * offset_s), self._rate_d[-1]
 
     def white_variance(self, time_ns: int) -> float:
-        """Of the noise of such a mean, rad², each axis."""
+        """Return the noise variance of such a mean, rad², each axis."""
         _, part, _ = self._between(time_ns, 0.0)
         return float(self._white * ((1.0 - part) ** 2 + part**2))
 
     def _between(self, time_ns: int, offset_s: float) -> tuple[int, float, float]:
-        """Number of the sample before, which part of the step to the next has passed, and the step, s."""
+        """Return the number of the sample before, the fraction of the step to the next, and the step, s."""
         stamp_ns = time_ns - round(1e9 * offset_s)
         left = int(np.clip(np.searchsorted(self.time_ns, stamp_ns) - 1, 0, len(self.time_ns) - 2))
         step_ns = self.time_ns[left + 1] - self.time_ns[left]

@@ -1,6 +1,6 @@
-"""Keystores as ``ros2 security`` makes them (sros2, ``keystore/_keystore.py`` and ``_enclave.py``), for tests.
+"""Keystores as written by ``ros2 security`` (sros2, ``keystore/_keystore.py`` and ``_enclave.py``), for tests.
 
-Everything can be given otherwise than it should be, one thing at a time.
+Each part can be replaced by an invalid one.
 """
 
 import datetime
@@ -40,7 +40,7 @@ def certificate_of(
     authority: Authority | None = None,
     now: datetime.datetime = NOW,
 ) -> x509.Certificate:
-    """A certificate of an authority; signed by its own key without one."""
+    """Return a certificate of an authority; without one, self-signed."""
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, subject)])
     issuer = name if authority is None else authority.certificate.subject
     builder = x509.CertificateBuilder().subject_name(name).issuer_name(issuer).public_key(key.public_key())
@@ -56,14 +56,14 @@ def new_authority(name: str = "sros2CA", now: datetime.datetime = NOW) -> Author
 
 
 def signed(text: str, authority: Authority) -> bytes:
-    """S/MIME as sros2 signs (``_utilities.py``, ``_sign_bytes_pkcs7``)."""
+    """Return S/MIME as signed by sros2 (``_utilities.py``, ``_sign_bytes_pkcs7``)."""
     builder = pkcs7.PKCS7SignatureBuilder().set_data(text.encode("utf-8"))
     builder = builder.add_signer(authority.certificate, authority.key, hashes.SHA256())
     return builder.sign(Encoding.SMIME, [pkcs7.PKCS7Options.Text, pkcs7.PKCS7Options.DetachedSignature])
 
 
 class Keystore:
-    """A keystore being made at some time; what is written later replaces what was written before."""
+    """Keystore created at some time; files written later replace those written before."""
 
     def __init__(self, path: Path, authority: Authority, domain_id: int = 7, now: datetime.datetime = NOW) -> None:
         self.path, self.authority, self.domain_id, self.now = path, authority, domain_id, now
@@ -72,7 +72,7 @@ class Keystore:
         return self.path / "enclaves" / enclave.lstrip("/")
 
     def add(self, all_rights: Sequence[Rights]) -> "Keystore":
-        """Enclaves as they should be."""
+        """Add valid enclaves."""
         for rights in all_rights:
             folder = self.folder(rights.enclave)
             folder.mkdir(parents=True, exist_ok=True)

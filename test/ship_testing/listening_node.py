@@ -1,4 +1,4 @@
-"""``nmea_in``, somebody who hears what it publishes, and how sentences are sent to it."""
+"""Peer of ``nmea_in``: subscribes to its outputs and sends sentences to it."""
 
 import socket
 import subprocess
@@ -32,7 +32,7 @@ START = "import sys; from ship_nmea.instruments.nmea_in import main; sys.exit(ma
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    """A port that nobody uses."""
+    """Return an unused port."""
     with socket.socket(socket.AF_INET, kind) as found:
         found.bind(("127.0.0.1", 0))
         port: int = found.getsockname()[1]
@@ -43,16 +43,16 @@ class ListeningNode:
     """The node under test and its peer.
 
     Args:
-        path: where its parameter file is written.
+        path: path of its parameter file.
         sources: id → parameters of a source.
         namespace: of the node.
-        use_sim_time: whether it goes by /clock.
-        as_process: run it as a process of its own, whose log goes beside the parameter file; otherwise in a thread.
+        use_sim_time: whether it uses /clock.
+        as_process: run it as a separate process, whose log is next to the parameter file; otherwise in a thread.
 
     Attributes:
-        heard: topic → the messages that came.
-        process: of the node; None where it is a thread.
-        log: file of its log, where it is a process.
+        heard: topic → the messages received.
+        process: of the node; None if it runs in a thread.
+        log: file of its log, if it is a process.
     """
 
     def __init__(
@@ -110,11 +110,11 @@ class ListeningNode:
         self.context.try_shutdown()
 
     def send(self, id_: str, data: bytes) -> None:
-        """One datagram to a source."""
+        """Send one datagram to a source."""
         self._socket.sendto(data, ("127.0.0.1", self.config.sources[id_].port))
 
     def set_time(self, time_ns: int) -> None:
-        """The node's time by /clock, once it has heard it; of a node in a thread."""
+        """Set the node's time by /clock, and wait until it is received; for a node in a thread."""
         assert self.live is not None
         live = self.live
         publisher = self.peer.create_publisher(Clock, "/clock", QoSProfile(depth=10))
@@ -126,22 +126,22 @@ class ListeningNode:
         self.peer.destroy_publisher(publisher)
 
     def told(self, id_: str) -> tuple[int, str, dict[str, str]]:
-        """Level, text and figures of a source by the last report."""
+        """Return level, text and values of a source in the last report."""
         status = self._diagnostics.get(f"{NAME}: source {id_}")
         if status is None:
             return -1, "", {}
         return status.level[0], status.message, {pair.key: pair.value for pair in status.values}
 
     def exceptions(self) -> str:
-        """What the node says of its own code."""
+        """Return the exceptions that the node reports."""
         return str(self._diagnostics[f"{NAME}: callbacks"].message)
 
     def spin(self) -> None:
-        """Hear for a moment."""
+        """Process messages for a moment."""
         self._executor.spin_once(timeout_sec=0.01)
 
     def wait_until(self, happened: Callable[[], Any]) -> Any:
-        """Hear until something has happened; returns what it is."""
+        """Process messages until the condition is true; return its result."""
         deadline_s = time.monotonic() + TIMEOUT_S
         while not (found := happened()):
             assert time.monotonic() < deadline_s, {name: told.message for name, told in self._diagnostics.items()}

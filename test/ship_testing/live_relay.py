@@ -1,4 +1,4 @@
-"""A relay node that spins in a thread of this process, and a peer that talks to it over DDS."""
+"""Relay node that spins in a thread of this process, and a peer that communicates with it over DDS."""
 
 import threading
 import time
@@ -27,7 +27,7 @@ class LiveRelay:
     """The node under test and its peer.
 
     Args:
-        ros_arguments: what stands behind ``--ros-args``.
+        ros_arguments: arguments after ``--ros-args``.
     """
 
     def __init__(self, *ros_arguments: str) -> None:
@@ -63,7 +63,7 @@ class LiveRelay:
         return publisher
 
     def clock_publisher(self) -> Callable[[float], None]:
-        """What sets the time of the node, s."""
+        """Return a function that sets the time of the node, s."""
         publisher = self.peer.create_publisher(Clock, "/clock", QoSProfile(depth=10))
         self.wait_until(lambda: publisher.get_subscription_count() == 1)
 
@@ -76,11 +76,11 @@ class LiveRelay:
         return set_time
 
     def now_ns(self) -> int:
-        """Time of the node."""
+        """Return the time of the node."""
         return int(self.live.node.get_clock().now().nanoseconds)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        """The answer of a service of the node."""
+        """Return the response of a service of the node."""
         client = self.peer.create_client(kind, f"/relay/{name}")
         self.wait_until(client.service_is_ready)
         future = client.call_async(request)
@@ -88,14 +88,14 @@ class LiveRelay:
         return future.result()
 
     def reports(self, name: str, level: bytes) -> bool:
-        """Whether the last diagnostics of that name have that level."""
+        """True if the last diagnostics of that name have that level."""
         return name in self.diagnostics and self.diagnostics[name].level == level
 
     def spin(self) -> None:
         self._executor.spin_once(timeout_sec=0.005)
 
     def wait_until(self, happened: Callable[[], bool]) -> None:
-        """Spin the peer until something happened."""
+        """Spin the peer until the condition is true."""
         end_s = time.monotonic() + TIMEOUT_S
         while not happened():
             assert time.monotonic() < end_s, f"waited {TIMEOUT_S} s in vain; diagnostics: {self.diagnostics}"
@@ -106,7 +106,7 @@ class LiveRelay:
 
 
 def imu_message(time_ns: int, frame_id: str = "ins") -> Imu:
-    """A valid sample: no turn against East, North, Up."""
+    """Return a valid sample: deck aligned with East, North, Up."""
     message = Imu()
     message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time_ns)
     message.header.frame_id = frame_id

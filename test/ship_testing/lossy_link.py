@@ -1,4 +1,4 @@
-"""Two ends of a link that loses packets and can be cut, as network namespaces of this machine: for tests as root."""
+"""Two ends of a link with packet loss and interruptions, as network namespaces of this machine: for tests as root."""
 
 import os
 import shutil
@@ -15,12 +15,12 @@ from ship_bringup.suite.dds_ports import UDP_ALONE
 from ship_replay.trials.live_process import LiveProcess, live_environment
 
 NETEM = Path(__file__).parents[3] / "shared" / "tools" / "netem.py"
-"""Joins the namespaces relA and relB by two TAP devices, and throws away some of the UDP packets between them."""
+"""Connects the namespaces relA and relB by two TAP devices, and drops some of the UDP packets between them."""
 
 NEAR, FAR = "relA", "relB"
 
 _FIRST = "chrt", "--rr", "1"
-"""Before a command: it goes before all other work of this machine, where that is allowed."""
+"""Prefix of a command: real-time priority, if that is permitted."""
 _START_S = 15.0
 _LONGEST_S = 600
 # It finds its namespaces below /run/netns. On a /run of its own, two links do not meet, and nothing is left behind.
@@ -37,7 +37,7 @@ exec(compile(open(sys.argv[0]).read(), sys.argv[0], "exec"), names)
 
 
 def why_there_is_none() -> str:
-    """Why this machine can make no such link; empty where it can."""
+    """Return the reason why this machine cannot create such a link; empty if it can."""
     if not NETEM.is_file():
         return f"there is no {NETEM.name} beside this repository"
     if os.geteuid() != 0 or subprocess.run(["unshare", "--net", "--mount", "true"], check=False).returncode:
@@ -48,11 +48,11 @@ def why_there_is_none() -> str:
 
 
 class LossyLink:
-    """The link and what runs at its ends; use it in a ``with`` statement, after which all of it is gone.
+    """The link and the programs at its ends; for a ``with`` statement, at whose end all of it is removed.
 
     Args:
-        loss: share of the packets that is lost, each by itself.
-        folder: takes logs.
+        loss: share of lost packets, independent of each other.
+        folder: folder of the logs.
     """
 
     def __init__(self, loss: float, folder: Path) -> None:
@@ -73,17 +73,17 @@ class LossyLink:
         return self._started(["nsenter", place, *command], name)
 
     def cut(self) -> int:
-        """From now on nothing comes through; returns the time, ns."""
+        """Drop all packets from now on; return the time, ns."""
         os.kill(self._relay.pid, SIGUSR1)
         return time.time_ns()
 
     def mend(self) -> int:
-        """From now on packets come through as before; returns the time, ns."""
+        """Transmit packets again; return the time, ns."""
         os.kill(self._relay.pid, SIGUSR2)
         return time.time_ns()
 
     def _started(self, command: Sequence[str], name: str) -> LiveProcess:
-        # What is asked of the link must not depend on other work of this machine: its processes go first.
+        # The link must not depend on other load of this machine: its processes have priority.
         urgent = [*(_FIRST if self._may_go_first else ()), *command]
         return self._running.enter_context(LiveProcess(urgent, self._folder / f"{name}.log", self._environment))
 

@@ -1,10 +1,10 @@
-"""Places of the records in an MCAP file, read by nothing of the suite."""
+"""Positions of the records in an MCAP file, read without code of the suite."""
 
 import struct
 
 
 def places(data):
-    """(offset, opcode, length) of each record, by walking."""
+    """Return (offset, opcode, length) of each record, in a sequential scan."""
     offset, found = 8, []
     while offset < len(data):
         opcode, length = struct.unpack_from("<BQ", data, offset)

@@ -1,4 +1,4 @@
-"""Stars in a camera on the theodolite, drawn with all their errors: exposures for the filter, and the true main axis.
+"""Stars in a camera on the theodolite, with all errors drawn: exposures for the filter, and the true main axis.
 
 The camera is that of [W18]: 100 mm, 6.5 µm pixels, a tenth of one. Its stars are real ones, at random within ±4°.
 """
@@ -36,7 +36,7 @@ MOUNTED_DEG = {"azimuth_deg": 0.2, "elevation_deg": -0.1, "roll_deg": 3.0}
 
 
 def mount_config(parallelism_sigma_arcsec: float = 0.2, **changes) -> OpticalAxisConfig:
-    """A theodolite with one camera for stars whose encoders and ship add next to no noise of their own."""
+    """Return a theodolite with one camera for stars, with negligible noise of encoders and ship."""
     own = {f"telescopes__{CAMERA_ID}__camera__{name}": value for name, value in CAMERA.items()}
     own |= {f"telescopes__{CAMERA_ID}__{name}": value for name, value in MOUNTED_DEG.items()}
     own |= {
@@ -48,7 +48,7 @@ def mount_config(parallelism_sigma_arcsec: float = 0.2, **changes) -> OpticalAxi
 
 
 def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int = 60) -> SkyWatch:
-    """The sky over a ship at anchor whose weather is measured, for so many seconds."""
+    """Return the sky of a ship at anchor with measured weather, for this many seconds."""
     watch = installed_sky(settings.sky)
     for given in at_anchor(start_ns, seconds):
         watch.surroundings.insert(given)
@@ -56,7 +56,7 @@ def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int
 
 
 def at_anchor(start_ns: int = TIME_NS, seconds: int = 60) -> Iterator[PositionFix | AirReading]:
-    """What is told of the place and the air of such a ship."""
+    """Return position and weather inputs of such a ship."""
     for second in range(-3, seconds):
         yield PositionFix(start_ns + second * 1_000_000_000, POSITION, np.eye(3) * 25.0)
     for quantity, value, sigma in (("pressure", 1013.0, 0.5), ("temperature", 12.0, 1.0), ("humidity", 0.7, None)):
@@ -65,7 +65,7 @@ def at_anchor(start_ns: int = TIME_NS, seconds: int = 60) -> Iterator[PositionFi
 
 @dataclass(frozen=True)
 class MountErrors:
-    """What is wrong for good in one night: true minus configured.
+    """Constant errors of one night: true minus configured.
 
     Attributes:
         axes: rad, shape (7,).
@@ -83,7 +83,7 @@ class MountErrors:
 
 
 def drawn_errors(settings: OpticalAxisConfig, rng: np.random.Generator) -> MountErrors:
-    """Errors as large as the configuration says."""
+    """Draw errors with the sigmas of the configuration."""
     return MountErrors(
         axes=settings.axes.sigma * rng.standard_normal(7),
         deformation_d=settings.deformation.sigma_arcsec * ARCSEC * rng.standard_normal(3),
@@ -106,7 +106,7 @@ def stars_seen(
     lens: TrueOptics | None = None,
     optics: OpticsErrors | None = None,
 ) -> StarExposure:
-    """So many stars of those in the field, at random; the brightest, the same each time, by optics with errors.
+    """Return this many stars of the field, drawn at random; for optics with errors the brightest, always the same.
 
     Args:
         watch: the sky.
@@ -116,10 +116,10 @@ def stars_seen(
         rng: of the noise.
         time_ns: middle of the exposure.
         camera_id: of the camera.
-        spatial: what is known of the errors that belong to places on its detector.
+        spatial: model of the detector's position-dependent errors.
         detector: these errors.
         lens: true optics of the camera; None where they are those configured.
-        optics: what is known of the errors of its lens.
+        optics: model of the errors of its lens.
     """
     moment, catalogue = watch.at(time_ns), watch.catalogue
     rows = moment.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
@@ -157,11 +157,11 @@ class MountNight:
     """One night of a theodolite on a ship that does not move.
 
     Args:
-        settings: says how large the noise is.
-        errors: that last.
+        settings: configuration, with the sigmas of the noise.
+        errors: constant errors.
         watch: the sky.
         rng: of the noise.
-        detector: errors that belong to places on the camera's detector; None where it has none.
+        detector: position-dependent errors of the camera's detector; None for none.
     """
 
     def __init__(
@@ -176,24 +176,24 @@ class MountNight:
         self.detector = detector
 
     def main_axis(self, encoder: FloatArray) -> FloatArray:
-        """The true main axis (horizon from main frame) where the true encoders stand, rad, shape (3, 3)."""
+        """Return the true main axis (horizon from main frame) at true encoder angles, rad, shape (3, 3)."""
         axes = AxisErrors.from_vector(self.settings.axes.values + self.errors.axes)
         turned = ROTATION_ND @ exp_rotation(self.errors.deformation_d)
         return turned @ main_axis_rotation(axes, *encoder.tolist())
 
     def ship(self) -> ShipAt:
-        """The ship's attitude as it is told."""
+        """Return the ship's attitude as input of the filter."""
         white = self.settings.ship.white_sigma_arcsec * ARCSEC
         turn = self.errors.ship_n + white * self.rng.standard_normal(3)
         return ShipAt(exp_rotation(turn).T @ ROTATION_ND, np.zeros(3), np.diag(SHIP_SIGMA_N**2), white**2)
 
     def reading(self, encoder: FloatArray, time_ns: int = TIME_NS) -> EncoderSample:
-        """What the encoders read."""
+        """Return the readings of the encoders."""
         sigma = self.settings.encoder.sigma_arcsec * ARCSEC
         return EncoderSample(time_ns, encoder + sigma * self.rng.standard_normal(2), sigma)
 
     def exposure(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarExposure:
-        """So many stars of those in the field, at random or the brightest, as the camera sees them."""
+        """Return this many stars of the field, at random or the brightest, as measured by the camera."""
         camera = self.settings.telescopes[CAMERA_ID]
         rotation_sm = rotation_from_angles(*(camera.parallelism + self.errors.parallelism))
         rotation_ns = self.main_axis(encoder) @ rotation_sm.T
@@ -212,7 +212,7 @@ class MountNight:
         )
 
     def sighting(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarSighting:
-        """The same with what the ship and the encoders say."""
+        """Return the same with the ship's attitude and the encoders."""
         angles = self.reading(encoder).vector
         variance = (self.settings.encoder.sigma_arcsec * ARCSEC) ** 2
         exposure = self.exposure(encoder, count, time_ns)
@@ -220,5 +220,5 @@ class MountNight:
 
 
 def random_field(rng: np.random.Generator) -> FloatArray:
-    """Encoders that look anywhere from 35° over the deck up to 80°, rad, shape (2,)."""
+    """Return random encoder angles with elevations from 35° to 80°, rad, shape (2,)."""
     return np.array([rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(rng.uniform(35.0, 80.0))])

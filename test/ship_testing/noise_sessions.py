@@ -1,4 +1,4 @@
-"""Simulated records of stars against an INS, as ``identify_noise`` gets them from a bag, without one."""
+"""Simulated records of stars and an INS, as input of ``identify_noise``, without a bag."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ STILL = CarrierMotion(
 
 
 def scenario(duration_s: float, rate_hz: float = 0.1, star: dict[str, Any] | None = None, **ins: Any) -> Scenario:
-    """Two star sensors at right angles on a ship that hardly moves; samples of all devices at one rate."""
+    """Return two star sensors at right angles on a ship that hardly moves; samples of all devices at one rate."""
     mounted = {"elevation_deg": 45.0, "rate_hz": rate_hz} | (star or {})
     return Scenario(
         carrier=STILL,
@@ -38,7 +38,7 @@ def scenario(duration_s: float, rate_hz: float = 0.1, star: dict[str, Any] | Non
 
 
 class _WithFixes:
-    """A run whose position fixes arrive although its suite would do without."""
+    """Run with position fixes although its suite does not need them."""
 
     def __init__(self, run: SimulatedRun) -> None:
         self._run = run
@@ -53,13 +53,13 @@ class _WithFixes:
 
 
 def noise_session(of: Scenario, seed: int, told: dict[str, Any] | None = None, with_fixes: bool = True) -> NoiseSession:
-    """The session of a simulated voyage.
+    """Return the session of a simulated voyage.
 
     Args:
         of: the voyage.
-        seed: of what is drawn.
-        told: parameters of ``ins`` that the suite is told otherwise.
-        with_fixes: whether position fixes arrive.
+        seed: of the random numbers.
+        told: changed parameters of ``ins`` in the suite.
+        with_fixes: whether there are position fixes.
     """
     suite = suite_configuration(of)
     thin = {"max_gap_s": 1.5 / of.ins.rate_hz, "silence_s": 20.0}
@@ -72,7 +72,7 @@ def noise_session(of: Scenario, seed: int, told: dict[str, Any] | None = None, w
 
 
 class GaussMarkovProcess(NamedTuple):
-    """A Gauss-Markov INS: sigmas in arcseconds, correlation times in seconds."""
+    """Gauss-Markov INS: sigmas in arcseconds, correlation times in seconds."""
 
     tilt_arcsec: float
     tilt_s: float
@@ -82,7 +82,7 @@ class GaussMarkovProcess(NamedTuple):
 
 
 def drawn(session: NoiseSession, seed: int, process: GaussMarkovProcess) -> NoiseSession:
-    """The session with other values, drawn by its own model: a Gauss-Markov INS, installations, noise."""
+    """Return the session with new values drawn by its model: a Gauss-Markov INS, installations, noise."""
     rng = np.random.default_rng(seed)
     model = session.model
     steady = np.array([process.tilt_arcsec, process.heading_arcsec, process.tilt_arcsec]) * ARCSEC

@@ -1,4 +1,4 @@
-"""Fixtures of packages whose tests start nodes, which meet only each other: this machine, a domain of their own."""
+"""Fixtures of packages whose tests start nodes: discovery only on this machine and in a separate domain."""
 
 import time
 
@@ -15,7 +15,7 @@ def own_domain(monkeypatch):
 
 @pytest.fixture
 def until():
-    """Calls a function until what it returns is true, and returns that."""
+    """Return a function that repeats a call until its result is true, and returns the result."""
 
     def wait(look, limit_s=20.0):
         deadline_s = time.monotonic() + limit_s

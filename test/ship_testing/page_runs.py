@@ -1,4 +1,4 @@
-"""The page's server in a thread, over pictures that a test sets."""
+"""The page's server in a thread, with suite states set by a test."""
 
 import asyncio
 import contextlib
@@ -19,7 +19,7 @@ _END_S = 20.0
 
 
 class SetPictures:
-    """A source of pictures: the one that was set last, with the time going on."""
+    """Source of suite states: returns the state that was set last, with the current time."""
 
     label = "SIMULATED · bag"
     name = "demo"
@@ -32,13 +32,13 @@ class SetPictures:
         self._start_s = time.monotonic()
 
     def look(self) -> Picture:
-        """The picture as it was set, now."""
+        """Return the state that was set, at the current time."""
         if self.fails:
             raise RuntimeError("no picture: asked for by the test")
         return replace(self.picture, utc_ns=self.picture.utc_ns + round((time.monotonic() - self._start_s) * 1e9))
 
     def set(self, picture: Picture, history: History | None = None) -> None:
-        """Show another picture from now on."""
+        """Set another state."""
         self.picture = picture
         self.history = self.history if history is None else history
 
@@ -54,7 +54,7 @@ def served(
     allowed_hosts: Sequence[str] = (),
     zone: ZoneInfo | None = None,
 ) -> Iterator[PageServer]:
-    """A server that runs until the end of the ``with`` statement."""
+    """Run a server until the end of the ``with`` statement."""
     shown = SetPictures() if source is None else source
     made: Queue[PageServer | BaseException] = Queue()
 

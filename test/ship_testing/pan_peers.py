@@ -1,9 +1,9 @@
-"""The methods that [P15] is measured against, as its §1 tells of them: what star vectors are compared with.
+"""Methods with which [P15] is compared, as described in its §1: the peers of star vectors.
 
-Its [6] joins two boresights: each sensor solves its own attitude, and the ship's comes from where the two look. Its [5]
-puts refraction on what was observed: an attitude without air, the elevations by it, the observed vectors lowered, and
-so again. Directions are ERFA's one-call chain, attitudes are scipy's; of the suite only the tables of the catalogue and
-of Earth orientation are used.
+Its [6] joins two boresights: each sensor solves its attitude, and the ship's attitude is that of the two boresights.
+Its [5] applies refraction to the observations: an attitude without air, elevations by it, the observed vectors
+lowered, and repeated. Directions are from ERFA's one-call chain, attitudes from scipy; of the suite only the tables of
+the catalogue and of Earth orientation are used.
 """
 
 from collections.abc import Sequence
@@ -21,10 +21,10 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import StarPositions
 
 FEWEST_STARS = 4
-"""[P15] §1: a sensor finds its boresight by four identified stars or more."""
+"""[P15] §1: a sensor determines its boresight by four identified stars or more."""
 
 FEWEST_BY_GEOMETRY = 2
-"""With one star the turn about it is open."""
+"""With one star the rotation about it is undetermined."""
 
 CONVERGED_RAD = np.deg2rad(0.001 / 3600.0)
 MOST_ROUNDS = 20
@@ -33,11 +33,11 @@ WAVELENGTH_UM = 0.55
 
 @dataclass(frozen=True)
 class SensorView:
-    """What a sensor sees.
+    """Stars of a sensor.
 
     Attributes:
         measured_s: directions in the sensor frame (forward, up, right), shape (k, 3).
-        stars: which stars they are, J2000.0.
+        stars: identities of the stars, J2000.0.
         rotation_ds: nominal mounting, deck from sensor, shape (3, 3).
     """
 
@@ -51,14 +51,14 @@ class SensorView:
 
 @dataclass(frozen=True)
 class ErfaSky:
-    """The sky over a ship at rest, by what she is told of time, place and air; without air where that is None."""
+    """Sky of a ship at rest, with its input of time, place and air; without air where that is None."""
 
     time_ns: int
     position: GeodeticPosition
     weather: Weather | None
 
     def directions(self, stars: StarPositions) -> FloatArray:
-        """Unit vectors (North, Up, East), shape (k, 3)."""
+        """Return unit vectors (North, Up, East), shape (k, 3)."""
         moment = datetime.fromtimestamp(self.time_ns // 1_000_000_000, tz=timezone.utc)
         seconds = moment.second + (self.time_ns % 1_000_000_000) * 1e-9
         utc = erfa.dtf2d("UTC", moment.year, moment.month, moment.day, moment.hour, moment.minute, seconds)
@@ -71,11 +71,11 @@ class ErfaSky:
         return np.stack([np.cos(azimuth) * np.sin(zenith), np.cos(zenith), np.sin(azimuth) * np.sin(zenith)], axis=-1)
 
     def without_air(self) -> "ErfaSky":
-        """The same with no air in it."""
+        """Return the same sky without air."""
         return replace(self, weather=None)
 
     def lowered(self, seen_n: FloatArray) -> FloatArray:
-        """Directions that were seen through the air as they would be without it, shape (k, 3)."""
+        """Return directions observed through the air with refraction removed, shape (k, 3)."""
         tangent = np.hypot(seen_n[:, 0], seen_n[:, 2]) / seen_n[:, 1]
         first, third = erfa.refco(*self._air())
         zenith = np.arctan(tangent) + first * tangent + third * tangent**3
@@ -90,17 +90,17 @@ class ErfaSky:
 
 
 def refraction_on_reference(view: SensorView, sky: ErfaSky, fewest: int = FEWEST_STARS) -> FloatArray | None:
-    """Horizon from sensor by the stars of one sensor, refraction on the reference; None with too few stars."""
+    """Return horizon from sensor by the stars of one sensor, refraction on the reference; None with too few stars."""
     return _wahba(sky.directions(view.stars), view.measured_s) if len(view) >= fewest else None
 
 
 def refraction_on_observed(
     view: SensorView, sky: ErfaSky, fewest: int = FEWEST_STARS
 ) -> tuple[FloatArray, int] | None:
-    """[5]: horizon from sensor by the stars of one sensor, refraction taken off what was observed.
+    """Return horizon from sensor by the stars of one sensor, refraction removed from the observations, by [5].
 
     Returns:
-        The attitude, and in how many rounds after the first attitude it came to rest; None with too few stars.
+        The attitude, and the number of rounds to convergence after the first attitude; None with too few stars.
     """
     if len(view) < fewest:
         return None
@@ -116,12 +116,12 @@ def refraction_on_observed(
 
 
 def joined_boresights(rotation_ns: Sequence[FloatArray], rotation_ds: Sequence[FloatArray]) -> FloatArray:
-    """[6]: horizon from deck by where the boresights of two sensors look and how they are bolted on."""
+    """Return horizon from deck by the boresights of two sensors and their mountings, by [6]."""
     return _wahba(np.array([one[:, 0] for one in rotation_ns]), np.array([one[:, 0] for one in rotation_ds]))
 
 
 def two_boresights(views: Sequence[SensorView], sky: ErfaSky, fewest: int = FEWEST_STARS) -> FloatArray | None:
-    """[6], refraction on the reference: horizon from deck; None where a sensor has too few stars."""
+    """Return horizon from deck by [6], refraction on the reference; None where a sensor has too few stars."""
     found = [refraction_on_reference(view, sky, fewest) for view in views]
     solved = [one for one in found if one is not None]
     return joined_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None
@@ -130,7 +130,7 @@ def two_boresights(views: Sequence[SensorView], sky: ErfaSky, fewest: int = FEWE
 def two_boresights_by_iteration(
     views: Sequence[SensorView], sky: ErfaSky, fewest: int = FEWEST_STARS
 ) -> FloatArray | None:
-    """[5] and [6] together, which is what was done before [P15]: None where a sensor has too few stars."""
+    """Return horizon from deck by [5] and [6], the method before [P15]; None where a sensor has too few stars."""
     found = [refraction_on_observed(view, sky, fewest) for view in views]
     solved = [one[0] for one in found if one is not None]
     return joined_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None

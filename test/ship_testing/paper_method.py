@@ -1,4 +1,4 @@
-"""[W18]'s method for the telescope's attitude from two lights: what the default method is compared with."""
+"""[W18]'s method for the telescope's attitude from two lights: peer of the default method."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from ship_geometry.rotations import FloatArray
 
 
 def triad(first_n: FloatArray, second_n: FloatArray, first_t: FloatArray, second_t: FloatArray) -> FloatArray:
-    """Rotation "n from t", shape (..., 3, 3), that holds the first of two directions exactly."""
+    """Return "n from t", shape (..., 3, 3), in which the first of two directions is exact."""
     return _orthonormal(first_n, second_n) @ np.swapaxes(_orthonormal(first_t, second_t), -1, -2)
 
 
 def mean_of_two_triads(direction_n: FloatArray, direction_t: FloatArray) -> FloatArray:
-    """[W18] (14)-(22): mean of the TRIADs that hold the one light and the other, made orthogonal by one step.
+    """Return the mean of the TRIADs of the two lights, made orthogonal by one step, by [W18] (14)-(22).
 
-    (22) as it must read: K* = ½ K (3 I - Kᵀ K), models.md §5.
+    (22) as corrected: K* = ½ K (3 I - Kᵀ K), models.md §5.
 
     Args:
         direction_n: lines of sight of two lights, unit vectors, shape (..., 2, 3).
@@ -25,7 +25,7 @@ def mean_of_two_triads(direction_n: FloatArray, direction_t: FloatArray) -> Floa
 
 
 def angles(rotation_nt: FloatArray) -> FloatArray:
-    """[W18] (23) with atan2, models.md §5: azimuth, elevation, image rotation, rad, shape (..., 3)."""
+    """Return azimuth, elevation, image rotation, rad, shape (..., 3), by [W18] (23) with atan2, models.md §5."""
     return np.stack(
         [
             np.arctan2(rotation_nt[..., 2, 0], rotation_nt[..., 0, 0]),
@@ -37,7 +37,7 @@ def angles(rotation_nt: FloatArray) -> FloatArray:
 
 
 def _orthonormal(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Columns: the first direction, the normal of both, and what completes them."""
+    """Return columns: the first direction, the normal of both, and their cross product."""
     normal = np.cross(first, second)
     normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.stack([first, normal, np.cross(first, normal)], axis=-1)

@@ -1,4 +1,4 @@
-"""The reference case at star level, cut short and changed, for several test files."""
+"""The reference case at star level, shortened and changed, for several test files."""
 
 import dataclasses
 import re
@@ -13,14 +13,14 @@ EXACT_OPTICS = {"focal_length_sigma_m": 1e-12, "principal_sigma_px": 0.0, "disto
 
 
 def paper_stars(**changes) -> Scenario:
-    """Ten seconds of it with few INS samples and exact optics, fields of the scenario changed."""
+    """Return ten seconds of it with few INS samples and exact optics, fields of the scenario changed."""
     scenario = with_exact_optics(load_scenario(PAPER_STARS))
     quick = dataclasses.replace(scenario, duration_s=10.0, ins=dataclasses.replace(scenario.ins, rate_hz=10.0))
     return dataclasses.replace(quick, **changes)
 
 
 def make_optics_exact(scenario: dict) -> None:
-    """Make the cameras of a scenario's file just as configured, in place."""
+    """Set the true cameras of a scenario's file to the configured ones, in place."""
     for group in ("star_sensors", "telescopes"):
         for one in scenario.get(group, {}).values():
             if "camera" in one:
@@ -28,12 +28,12 @@ def make_optics_exact(scenario: dict) -> None:
 
 
 def without_optics_sigmas(suite: str) -> str:
-    """A suite file's text with the default errors of optics in place of those of :func:`make_optics_exact`."""
+    """Return a suite file's text with the default errors of optics in place of those of :func:`make_optics_exact`."""
     return re.sub(rf"(?m)^ *({'|'.join(EXACT_OPTICS)}):.*\n", "", suite)
 
 
 def with_exact_optics(scenario: Scenario) -> Scenario:
-    """The scenario whose cameras are just as configured."""
+    """Return the scenario whose true cameras are the configured ones."""
     changes = {}
     for group in ("star_sensors", "telescopes"):
         changes[group] = {
@@ -44,7 +44,7 @@ def with_exact_optics(scenario: Scenario) -> Scenario:
 
 
 def with_sensor(scenario: Scenario, **changes) -> Scenario:
-    """The scenario with one sensor only, ``fore``, changed; ``camera`` is a mapping of changes."""
+    """Return the scenario with one sensor only, ``fore``, changed; ``camera`` is a mapping of changes."""
     fore = scenario.star_sensors["fore"]
     if "camera" in changes:
         changes["camera"] = dataclasses.replace(fore.camera, **changes["camera"])
@@ -52,5 +52,5 @@ def with_sensor(scenario: Scenario, **changes) -> Scenario:
 
 
 def with_position(scenario: Scenario, **changes) -> Scenario:
-    """The scenario with another place, motion or receiver."""
+    """Return the scenario with another place, motion or receiver."""
     return dataclasses.replace(scenario, position=dataclasses.replace(scenario.position, **changes))

@@ -1,4 +1,4 @@
-"""Pictures made by hand: a suite with a theodolite, what is changed in it, and the two faults of the design."""
+"""Hand-made suite states: a suite with a theodolite, changes of it, and the two faults of the design."""
 
 import math
 from collections import deque
@@ -29,7 +29,7 @@ NOW_NS = 1_777_636_807 * NS
 """2026-05-01 12:00:07 UTC."""
 
 LIMITS = Limits(heading_arcsec=5.0, tilt_arcsec=3.0, pointing_arcsec=10.0)
-"""Those of the ship in these pictures."""
+"""Limits of the ship in these states."""
 
 _VALUES_DEG = {"heading": 34.392, "pitch": -0.12, "roll": -2.1, "azimuth": 359.88, "elevation": 68.74}
 _ACCURACIES = {"heading": 3.3, "pitch": 2.7, "roll": 2.8, "azimuth": 4.9, "elevation": 5.3}
@@ -38,7 +38,7 @@ _AGES |= {"gnss": 0.1, "weather": 1.1}
 
 
 def angle(name: str, **changes: Any) -> AngleShown:
-    """An angle as all is well."""
+    """Return an angle in normal state."""
     well = AngleShown(
         name=name,
         value=float(np.deg2rad(_VALUES_DEG[name])),
@@ -56,30 +56,30 @@ def angle(name: str, **changes: Any) -> AngleShown:
 
 
 def lost(name: str, because_of: str = "") -> AngleShown:
-    """An angle that is UNSAFE."""
+    """Return an angle that is UNSAFE."""
     return angle(name, accuracy_95=math.nan, safety=Safety.UNSAFE, reason="invalid", because_of=because_of)
 
 
 def over(name: str, because_of: str = "", share: float = 1.5) -> AngleShown:
-    """An angle that is over its limit, by this share."""
+    """Return an angle above its limit, by this share."""
     limit = LIMITS.of_angle(name)
     changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_s": 7.0}
     return angle(name, because_of=because_of, **changes)
 
 
 def never_heard(*names: str) -> list[AngleShown]:
-    """Angles that were never told."""
+    """Return angles that were never received."""
     changes = {"value": math.nan, "accuracy_95": math.nan, "safety": Safety.UNSAFE, "reason": "waiting"}
     return [angle(name, age_s=math.inf, is_old=True, **changes) for name in names]
 
 
 def silent(*names: str, age_s: float = 7.0, reason: str = "no data") -> list[AngleShown]:
-    """Angles that were not told for some seconds."""
+    """Return angles that were not received for some seconds."""
     return [angle(name, safety=Safety.UNSAFE, reason=reason, age_s=age_s, is_old=True) for name in names]
 
 
 def source(name: str, **changes: Any) -> SourceShown:
-    """A source as all is well."""
+    """Return a source in normal state."""
     verdict = NisVerdict(1.01, 400, "σ as stated (1.01)", True) if name.startswith(("star", "lights")) else None
     well = SourceShown(
         name=name,
@@ -99,17 +99,17 @@ def source(name: str, **changes: Any) -> SourceShown:
 
 
 def out(name: str, reason: str, **changes: Any) -> SourceShown:
-    """A source that is OUT."""
+    """Return a source that is OUT."""
     return source(name, presence=Presence.OUT, reason=reason, **changes)
 
 
 def late_input(topic: str, latency_s: float) -> InputShown:
-    """An input topic whose stamps are so far behind the clock, negative ahead of it."""
+    """Return an input topic whose stamps are this far behind the clock, negative ahead of it."""
     return InputShown(topic, 2.0, latency_s, 0.1, 0, 0, {})
 
 
 def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority.WARNING, state: int = 1) -> AlertShown:
-    """An alert."""
+    """Return an alert."""
     return AlertShown(
         id=subject,
         instance=1,
@@ -126,9 +126,9 @@ def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority
 
 
 def picture(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
-    """A suite with a theodolite, all well: five angles SAFE, eight sources IN, no alert.
+    """Return a suite with a theodolite in normal state: five angles SAFE, eight sources IN, no alert.
 
-    The angles and sources given stand in the places of those of their names; what is OUT comes first.
+    The given angles and sources replace those of their names; sources that are OUT are first.
     """
     angles = {name: angle(name) for name in ANGLES}
     sources = {name: source(name) for name in _AGES}
@@ -168,7 +168,7 @@ KNOCKED_INPUT = InputShown(KNOCKED.topics[0], 2.0, 0.1, 0.6, 1, 81, {"gate": 9, 
 
 
 def knocked(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
-    """A knocked star sensor: the first fault of the design of the page and of the terminal."""
+    """Return a displaced star sensor: the first fault of the design of the page and of the terminal."""
     told = "WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ"
     well = {
         "alerts": (KNOCKED_ALERT,),
@@ -184,7 +184,7 @@ def knocked(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
 
 
 def faulty() -> Picture:
-    """And an encoder that has been silent for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
+    """Return in addition an encoder without messages for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
     angles = silent("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
     encoder = out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
     lost_pointing = alert("pointing", "pointing lost, encoder no data", NOW_NS - 10 * NS)
@@ -192,7 +192,7 @@ def faulty() -> Picture:
 
 
 def history(*, is_faulty: bool = False) -> History:
-    """Ten minutes of words, one a second: half a minute of CAUTION after four, and with faults the last ones."""
+    """Return ten minutes of states, one a second: CAUTION for half a minute after four, with faults also at the end."""
     points = deque()
     for second in range(600):
         words = dict.fromkeys(ANGLES, Safety.SAFE)

@@ -1,4 +1,4 @@
-"""Where the checkout keeps what tests read."""
+"""Paths of files in the checkout that tests read."""
 
 from pathlib import Path
 
@@ -6,4 +6,4 @@ ROOT = Path(__file__).resolve().parents[2]
 BAGS = ROOT / "bags"
 SCENARIOS = BAGS / "scenarios"
 RELAY_PROGRAM = str(Path(__file__).with_name("relay_adapter.py"))
-"""A node of its own process: :class:`ship_testing.relay_adapter.RelayAdapter` in the shell of a live node."""
+"""Node as a separate process: :class:`ship_testing.relay_adapter.RelayAdapter` in a live node."""

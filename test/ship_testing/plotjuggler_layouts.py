@@ -1,4 +1,4 @@
-"""What a layout of PlotJuggler names, held against what a suite puts out.
+"""Names in a layout of PlotJuggler, compared with the outputs of a suite.
 
 PlotJuggler names each number ``/topic/field[0]/field``, and those of diagnostics ``/topic/node/status/key``.
 """
@@ -14,7 +14,7 @@ from ship_testing.foxglove_layouts import Missing, Night, constant, named_consta
 
 
 def curves(night: Night) -> set[str]:
-    """Names that PlotJuggler gives to the numbers of the night."""
+    """Return PlotJuggler's names of the numbers of the messages."""
     found: set[str] = set()
     for topic, messages in night.items():
         for message in messages:
@@ -37,7 +37,7 @@ def number(text: str) -> bool:
 
 
 def flat(value: Any, name: str) -> Iterator[str]:
-    """Names of the numbers in a value."""
+    """Return the names of the numbers in a value."""
     if is_dataclass(value):
         for field in fields(value):
             yield from flat(getattr(value, field.name), f"{name}/{field.name}")
@@ -51,7 +51,7 @@ def flat(value: Any, name: str) -> Iterator[str]:
 
 
 def check_plotjuggler(root: ET.Element, night: Night) -> None:
-    """That all that a layout names is there."""
+    """Raise if a name in a layout does not exist."""
     known = curves(night)
     assert {element.tag for element in root} == {
         "tabbed_widget", "use_relative_time_offset", "streaming_buffer_size", "customMathEquations"

@@ -1,7 +1,7 @@
-"""Sessions of the theodolite in which one device lies: what the core then claims, against the truth.
+"""Sessions of the theodolite in which one device is faulty: outputs of the core compared with the truth.
 
-The session is that of ``bags/theodolite.mcap`` with both lights all the time. The lies are put into what the devices
-say, array by array, before the core is given it.
+The session is that of ``bags/theodolite.mcap`` with both lights all the time. The faults are applied to the arrays of
+device measurements before they are given to the core.
 """
 
 import copy
@@ -30,14 +30,14 @@ FAULT_S, DURATION_S = 40.0, 85.0
 
 @functools.cache
 def clean_session(seed: int, lights_leave_s: float = 1e4, duration_s: float = DURATION_S) -> SimulatedRun:
-    """The session without a lie, at rates that cost little."""
+    """Return the session without a fault, at low rates."""
     scenario = with_beacons(bag_scenario(duration_s=duration_s), leaves_s=lights_leave_s, hidden={})
     scenario = with_theodolite(scenario, encoder__rate_hz=20.0)
     return simulate(dataclasses.replace(scenario, ins=replaced(scenario.ins, rate_hz=1.0)), seed)
 
 
 def ship_turned(run: SimulatedRun, arcsec_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
-    """``ship/attitude`` turned about North, Up and East from FAULT_S on."""
+    """Rotate ``ship/attitude`` about North, Up and East from FAULT_S on."""
     fused = run.fused
     rotation_nd, lying = fused.rotation_nd.copy(), _lying(run, fused.time_ns, until_s)
     rotation_nd[lying] = exp_rotation(ARCSEC * np.array(arcsec_n)) @ rotation_nd[lying]
@@ -45,7 +45,7 @@ def ship_turned(run: SimulatedRun, arcsec_n: tuple[float, ...], until_s: float =
 
 
 def baseline_moved(run: SimulatedRun, beacon: str, moved_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
-    """The baseline to a drone, FIXED as before, moved (North, Up, East), m, from FAULT_S on."""
+    """Move the baseline to a drone (North, Up, East), m, from FAULT_S on; it remains FIXED."""
     found = run.theodolite.baselines[beacon]
     moved = found.baseline_n + _lying(run, found.time_ns, until_s)[:, None] * np.array(moved_n)
     baselines = {**run.theodolite.baselines, beacon: replace(found, baseline_n=moved)}
@@ -55,7 +55,7 @@ def baseline_moved(run: SimulatedRun, beacon: str, moved_n: tuple[float, ...], u
 def encoders_slipped(
     run: SimulatedRun, azimuth_arcsec: float, elevation_arcsec: float, until_s: float = np.inf
 ) -> SimulatedRun:
-    """The encoders read more from FAULT_S on."""
+    """Offset the encoders from FAULT_S on."""
     readings = run.theodolite.encoder
     lying = ARCSEC * _lying(run, readings.time_ns, until_s)
     azimuth, elevation = readings.azimuth + azimuth_arcsec * lying, readings.elevation + elevation_arcsec * lying
@@ -64,7 +64,7 @@ def encoders_slipped(
 
 
 def encoders_stand(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
-    """The encoders read what they read at FAULT_S."""
+    """Freeze the encoders at their reading of FAULT_S."""
     readings = run.theodolite.encoder
     faulty = _lying(run, readings.time_ns, until_s)
     first = int(np.argmax(faulty))
@@ -75,7 +75,7 @@ def encoders_stand(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
 
 
 def encoders_read_twice(run: SimulatedRun, azimuth_arcsec: float, until_s: float = np.inf) -> SimulatedRun:
-    """From FAULT_S on each reading comes a second time with its stamp, a millisecond later and with another azimuth."""
+    """Repeat each reading from FAULT_S on with its stamp, a millisecond later and with another azimuth."""
     readings = run.theodolite.encoder
     again = np.flatnonzero(_lying(run, readings.time_ns, until_s))
     both = replace(
@@ -89,7 +89,7 @@ def encoders_read_twice(run: SimulatedRun, azimuth_arcsec: float, until_s: float
 
 
 def encoders_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
-    """The readings bear stamps later than the moments that they are of from FAULT_S on, or earlier ones."""
+    """Delay or advance the stamps of the readings from FAULT_S on."""
     readings = run.theodolite.encoder
     late_ns = round(delay_s * 1e9) * _lying(run, readings.time_ns, until_s)
     late = replace(readings, time_ns=readings.time_ns + late_ns)
@@ -97,14 +97,14 @@ def encoders_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np
 
 
 def encoders_crept(run: SimulatedRun, azimuth_arcsec_per_s: float, until_s: float = np.inf) -> SimulatedRun:
-    """The encoders' azimuth creeps from FAULT_S on."""
+    """Let the encoders' azimuth creep from FAULT_S on."""
     readings = run.theodolite.encoder
     crept = azimuth_arcsec_per_s * ARCSEC * _lying_for_s(run, readings.time_ns, until_s)
     return replace(run, theodolite=replace(run.theodolite, encoder=replace(readings, azimuth=readings.azimuth + crept)))
 
 
 def ship_crept(run: SimulatedRun, arcsec_n_per_s: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
-    """``ship/attitude`` creeps about North, Up and East from FAULT_S on; its rates do not tell."""
+    """Let ``ship/attitude`` creep about North, Up and East from FAULT_S on; its rates do not show it."""
     fused, turning_n = run.fused, ARCSEC * np.array(arcsec_n_per_s)
     rotation_nd = exp_rotation(_lying_for_s(run, fused.time_ns, until_s)[:, None] * turning_n) @ fused.rotation_nd
     return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
@@ -113,7 +113,7 @@ def ship_crept(run: SimulatedRun, arcsec_n_per_s: tuple[float, ...], until_s: fl
 def telescope_knocked(
     run: SimulatedRun, right_arcsec: float, up_arcsec: float, until_s: float = np.inf
 ) -> SimulatedRun:
-    """The lights stand elsewhere on the detector from FAULT_S on."""
+    """Displace the lights on the detector from FAULT_S on."""
     images, focal_length_m = run.theodolite.images, run.scenario.theodolite.telescope.focal_length_m
     lying = np.repeat(_lying(run, images.time_ns, until_s), np.diff(images.first))
     moved_m = focal_length_m * ARCSEC * np.array([right_arcsec, up_arcsec])
@@ -122,7 +122,7 @@ def telescope_knocked(
 
 
 def lights_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
-    """The images bear stamps later than the moments that they show from FAULT_S on, or earlier ones."""
+    """Delay or advance the stamps of the images from FAULT_S on."""
     images = run.theodolite.images
     late_ns = round(delay_s * 1e9) * _lying(run, images.time_ns, until_s)
     late = replace(images, time_ns=images.time_ns + late_ns, log_time_ns=images.log_time_ns + late_ns)
@@ -136,22 +136,22 @@ def _lying(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray
 
 
 def _lying_for_s(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray:
-    """For how long a device has lied, s; 0 where it does not."""
+    """Return the time since the beginning of the fault, s; 0 before it."""
     since_s: np.ndarray = (time_ns - run.start_ns) * 1e-9 - FAULT_S
     return since_s * _lying(run, time_ns, until_s)
 
 
 @dataclass(frozen=True)
 class Claims:
-    """What the core claimed at the stamps of the truth, k of them.
+    """Outputs of the core at the stamps of the truth, k of them.
 
     Attributes:
         time_s: after the start, shape (k,).
         status: shape (k,).
-        sigmas: largest error of azimuth·cosE, elevation and image rotation in sigmas as claimed, shape (k,).
+        sigmas: largest error of azimuth·cosE, elevation and image rotation in their sigmas, shape (k,).
         errors: of these three, rad, shape (k, 3).
         levels: their protection levels, rad, shape (k, 3); NaN where there is none.
-        estimates: the claims themselves.
+        estimates: the outputs.
         core: after the session.
         refused: inputs and exposures that were not used.
         start_ns: of the session.
@@ -170,23 +170,23 @@ class Claims:
     named: set[str]
 
     def worst(self, *statuses: Status, from_s: float = FAULT_S) -> float:
-        """The largest error in sigmas while one of some statuses was claimed; 0 where none was."""
+        """Return the largest error in sigmas of outputs with one of some statuses; 0 for none."""
         chosen = np.isin(self.status, statuses) & (self.time_s >= from_s)
         return float(np.max(self.sigmas[chosen], initial=0.0))
 
     def worst_of_level(self, from_s: float = FAULT_S) -> float:
-        """The largest error as a share of its protection level while VALID; 0 where there was no level."""
+        """Return the largest ratio of an error to its protection level while VALID; 0 without a level."""
         chosen = (self.status == Status.VALID) & (self.time_s >= from_s) & np.all(np.isfinite(self.levels), axis=1)
         return float(np.max(np.abs(self.errors[chosen]) / self.levels[chosen], initial=0.0))
 
     def seconds(self, status: Status, from_s: float = FAULT_S, beyond: float = 0.0) -> float:
-        """For how long a status was claimed with an error beyond so many sigmas."""
+        """Return the duration of outputs with a status and an error beyond this many sigmas, s."""
         chosen = (self.status == status) & (self.time_s >= from_s) & (self.sigmas >= beyond)
         return float(np.count_nonzero(chosen) * np.median(np.diff(self.time_s)))
 
 
 class Told:
-    """A core, and what it told of the arrivals that it was given.
+    """A core, and its outputs for the arrivals so far.
 
     Attributes:
         core: the core.
@@ -207,16 +207,16 @@ class Told:
             self.levels |= {estimate.time_ns: self.core.integrity(estimate).level for estimate in known}
 
     def copied(self) -> "Told":
-        """Another one that goes on from here."""
+        """Return a copy that continues from here."""
         other = copy.copy(self)
         other.core, other.outcomes, other.levels = copy.deepcopy(self.core), self.outcomes[:], self.levels.copy()
         return other
 
 
 _BEFORE_FAULTS: dict[tuple[int, str], Told] = {}
-"""What was told before FAULT_S, by the truth, which all lies about a clean session share, and by configuration.
+"""Outputs before FAULT_S by configuration and by truth, which all faults of a clean session share.
 
-The newest few: each is tens of megabytes.
+Only the newest few: each is tens of megabytes.
 """
 _MOST_KEPT = 3
 
@@ -226,7 +226,7 @@ def claims(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: 
 
     Args:
         run: the session.
-        stamps_of: the same session with right stamps of the encoders, where these are wrong.
+        stamps_of: the same session with correct stamps of the encoders, if these are wrong.
         changes: parameters.
     """
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
@@ -269,7 +269,7 @@ def claims(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: 
 
 
 def _errors(found: PointingEstimate, true_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Errors of azimuth·cosE, elevation and image rotation, and their sigmas as claimed, rad, shape (3,) each."""
+    """Return errors of azimuth·cosE, elevation and image rotation, and their sigmas, rad, shape (3,) each."""
     azimuth, elevation, _ = angles_from_rotation(found.rotation_nm)
     to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
     to_angles[0] *= np.cos(elevation)

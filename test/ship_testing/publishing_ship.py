@@ -1,4 +1,4 @@
-"""A node that publishes what a suite would, in a context of its own."""
+"""Node that publishes the outputs of a suite, in a separate context."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +12,7 @@ from ship_msgs.msg import ShipAttitude
 
 
 class PublishingShip:
-    """Publishes messages; topics are made with their first one."""
+    """Publishes messages; a publisher is created with the first message of its topic."""
 
     def __init__(self, namespace: str = "demo") -> None:
         self.context = Context()
@@ -27,17 +27,17 @@ class PublishingShip:
         self.publishers[topic].publish(message)
 
     def heard(self, until: Callable[[Callable[[], Any]], Any], look: Callable[[], Any], *topics: str) -> None:
-        """Wait until somebody's subscriptions have met the publishers, while he looks."""
+        """Wait until the subscriptions of the node under test have been matched, while it spins."""
         until(lambda: look() and all(self.publishers[topic].get_subscription_count() for topic in topics))
 
     def stop(self) -> None:
-        """Leave the network."""
+        """Destroy the node."""
         self.node.destroy_node()
         self.context.try_shutdown()
 
 
 def attitude(time_ns: int, status: int = ShipAttitude.VALID, variance: float = 1e-12) -> ShipAttitude:
-    """An attitude with heading 1 rad."""
+    """Return an attitude with heading 1 rad."""
     message = ShipAttitude(status=status, heading=1.0, covariance=[variance if i % 4 == 0 else 0.0 for i in range(9)])
     message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time_ns)
     return message

@@ -1,4 +1,4 @@
-"""Messages of any type with values that are hard to keep: limits, NaN, the smallest numbers, texts of all kinds."""
+"""Messages of any type with extreme values: limits, NaN, the smallest numbers, texts of all kinds."""
 
 import numpy as np
 from rosbags.interfaces import Nodetype
@@ -15,7 +15,7 @@ LONGEST_ARRAY = 4
 
 
 def random_message(type_name, store, rng):
-    """A message of a type."""
+    """Return a message of a type."""
     fields = {name: random_value(store, rng, *node) for name, node in store.fielddefs[type_name][1]}
     if type_name in TIMES:
         fields["nanosec"] = int(rng.integers(1_000_000_000))
@@ -51,7 +51,7 @@ def random_base(rng, base):
         special = FLOATS if kind.itemsize == 8 else FLOATS_32
         if rng.random() < 0.5:
             return float(kind.type(rng.choice(special)))
-        # Any bits at all, but the many kinds of NaN, which texts cannot tell apart.
+        # Any bits except the many kinds of NaN, which are the same in a text.
         value = float(np.frombuffer(rng.bytes(kind.itemsize), kind)[0])
         return float("nan") if value != value else value
     limits = np.iinfo(kind)

@@ -1,4 +1,4 @@
-"""Bags of a suite made by hand: a heading that turns steadily, a source with innovations, an alert that stands."""
+"""Hand-made bags of a suite: a heading with constant rate, a source with innovations, an active alert."""
 
 from pathlib import Path
 
@@ -13,10 +13,10 @@ ALERT_S = 30
 
 
 def write_suite(path: Path, length_s: int = 900, prefix: str = "", *, truth: bool = False) -> Path:
-    """A bag with ``ship/attitude`` at 20 Hz, innovations of one star sensor at 1 Hz, and an alert 30 s after the start.
+    """Write ``ship/attitude`` at 20 Hz, innovations of one star sensor at 1 Hz, and an alert 30 s after the start.
 
     The heading is ``TURN_RAD_PER_S`` times the seconds since the start. In the last five minutes the star sensor is
-    refused.
+    rejected.
     """
     covariance = [[(ARCSEC if row == column else 0.0) ** 2 for column in range(3)] for row in range(3)]
     with BagWriter(path) as bag:
@@ -40,7 +40,7 @@ def write_suite(path: Path, length_s: int = 900, prefix: str = "", *, truth: boo
 
 
 def one_alert(stamp_ns: int) -> object:
-    """The alert that a star sensor is out, as all that there is."""
+    """Return the alert that a star sensor is out, as the only one."""
     stamp = make_header(FACTORY, stamp_ns).stamp
     alert = FACTORY.make(
         "ship_msgs/msg/Alert",

@@ -1,4 +1,4 @@
-"""What a command says when it refuses its arguments."""
+"""Error of a command with bad arguments."""
 
 from collections.abc import Callable, Sequence
 
@@ -6,7 +6,7 @@ import pytest
 
 
 def refused(main: Callable[[Sequence[str]], int], capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line on stderr, with its end, of a command that ends with exit code 2 and says nothing else."""
+    """Return the one line on stderr, with its end, of a command that ends with exit code 2 and no other output."""
     code = main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
     assert code == 2

@@ -1,4 +1,4 @@
-"""The smallest real adapter: Imu in, ShipAttitude with the same stamp out. Also an executable, for tests."""
+"""Minimal adapter: Imu in, ShipAttitude with the same stamp out. Also an executable, for tests."""
 
 import sys
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Short recordings of outputs made by hand, for the tests of the report, and the parts of its page."""
+"""Hand-made short recordings of outputs, for the tests of the report, and the parts of its page."""
 
 import numpy as np
 
@@ -10,11 +10,11 @@ from ship_testing.hand_made_bags import START_NS, innovation, ship_attitude
 
 SECOND_NS = 1_000_000_000
 SIGMA_ENU = np.diag([2.0, 3.0, 4.0]) * ARCSEC
-"""Of a ship that heads North: pitch 2″, roll 3″, heading 4″, so that 95 % are 3.9″, 5.9″ and 7.8″."""
+"""Of a ship with heading North: pitch 2″, roll 3″, heading 4″; 95 % are 3.9″, 5.9″ and 7.8″."""
 
 
 def write_night(path, seconds=40, with_truth=True, silent=(0, 0), refused=()):
-    """Attitudes ten times a second, 1″ off in heading, silent between two seconds; refusals of star.fore at seconds."""
+    """Write attitudes at 10 Hz with 1″ of heading error, a gap between two times; rejections of star.fore at times."""
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", "ship_attitude:\n  ros__parameters: {}\n")
         for tick in range(10 * seconds):
@@ -35,7 +35,7 @@ def write_night(path, seconds=40, with_truth=True, silent=(0, 0), refused=()):
 
 
 def copied(source, writer, prefix=""):
-    """The messages and attachments of a bag, in a bag or folder that is open for writing; its topics get a prefix."""
+    """Copy the messages and attachments of a bag into an open bag or folder; its topics get a prefix."""
     with read_bag(source) as bag:
         for name, data in bag.attachments.items():
             writer.add_attachment(name, data)
@@ -47,5 +47,5 @@ def copied(source, writer, prefix=""):
 
 
 def section(text, name):
-    """The part of a page from one heading to the next."""
+    """Return the part of a page from one heading to the next."""
     return text[text.index(f'<h2 id="{name}"'):].partition("</h2>")[2].partition("<h2 ")[0]

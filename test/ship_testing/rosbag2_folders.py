@@ -1,4 +1,4 @@
-"""What rosbag2's information file and the readers of `rosbags` say of a folder."""
+"""Content of rosbag2's information file, and of a folder by the readers of `rosbags`."""
 
 import yaml
 from rosbags.rosbag2 import Reader

@@ -1,4 +1,4 @@
-"""Messages as rows, as a replay in blocks reads them."""
+"""Messages as rows, as in a replay in blocks."""
 
 import functools
 from typing import Any
@@ -10,7 +10,7 @@ from ship_bags.message_store import definition_in, message_store, serialize
 
 
 def rows(type_name: str, messages: list[Any]) -> CdrRows:
-    """Messages of one type that are all laid out alike."""
+    """Return messages of one type with equal layout as rows."""
     data = [bytes(serialize(one)) for one in messages]
     definitions = functools.partial(definition_in, message_store())
     template = CdrTemplate.of_message(type_name, definitions, data[0])

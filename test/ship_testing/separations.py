@@ -1,4 +1,4 @@
-"""Separations and levels of components that stand alone: each is a state itself."""
+"""Separations and levels of independent components: each is a state."""
 
 from collections.abc import Sequence
 
@@ -11,14 +11,14 @@ from ship_geometry.rotations import FloatArray
 def separated(
     distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors, rows: Sequence[int] | None = None
 ) -> Separation:
-    """The separations of estimates without one source from that by all, and the levels.
+    """Return the separations of estimates without one source from that by all, and the levels.
 
     Args:
         distance: of three components, shape (h, 3).
         variance: without each source, shape (h, 3).
         variance_0: by all sources, shape (3,).
         k: numbers of sigmas.
-        rows: which hypotheses are in question; None for all.
+        rows: hypotheses to be evaluated; None for all.
     """
     asked = np.arange(len(distance)) if rows is None else np.array(rows, dtype=np.intp)
     components, of_all = np.eye(3), np.diag(variance_0)

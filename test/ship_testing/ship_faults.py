@@ -1,6 +1,6 @@
-"""Voyages of the reference case in which INS or stars are faulty: what the core then publishes, against the truth.
+"""Voyages of the reference case with a faulty INS or faulty stars: outputs of the core compared with the truth.
 
-The faults are put into what the devices measure, array by array, before the core is given it.
+The faults are applied to the arrays of device measurements before they are given to the core.
 """
 
 import functools
@@ -61,29 +61,29 @@ class Claims(NamedTuple):
     core: ShipAttitudeCore
 
     def worst(self, from_s: float = 0.0, until_s: float = np.inf) -> float:
-        """Largest error in standard deviations while VALID."""
+        """Return the largest error in standard deviations while VALID."""
         valid = [claim.sigmas for claim in self._between(from_s, until_s) if claim.status is Status.VALID]
         return max(valid, default=0.0)
 
     def worst_of_level(self) -> float:
-        """Largest share of a protection level that an error has while VALID."""
+        """Return the largest ratio of an error to its protection level while VALID."""
         return max((claim.of_level for claim in self.claims if claim.status is Status.VALID), default=0.0)
 
     def excluded(self) -> set[str]:
-        """All sources that were excluded at some time."""
+        """Return all sources that were excluded at some time."""
         return {name for claim in self.claims for name in claim.excluded}
 
     def statuses(self, from_s: float, until_s: float = np.inf) -> set[Status]:
-        """The statuses of a time."""
+        """Return the statuses of a time span."""
         return {claim.status for claim in self._between(from_s, until_s)}
 
     def largest_error(self, from_s: float, until_s: float) -> float:
-        """Largest error of a time, whatever its status, rad."""
+        """Return the largest error of a time span, with any status, rad."""
         return max(claim.error for claim in self._between(from_s, until_s))
 
     @property
     def not_valid_until_s(self) -> float:
-        """Time of the last attitude that was not VALID."""
+        """Return the time of the last attitude that was not VALID."""
         return max((claim.time_s for claim in self.claims if claim.status is not Status.VALID), default=0.0)
 
     def _between(self, from_s: float, until_s: float) -> list[Claim]:
@@ -92,20 +92,20 @@ class Claims(NamedTuple):
 
 @functools.cache
 def voyage(duration_s: float, rate_hz: float, seed: int = 2, **ins: float) -> SimulatedRun:
-    """The reference case without a fault, with an INS of another rate and other errors."""
+    """Return the reference case without a fault, with an INS of another rate and other errors."""
     whole = load_scenario(PAPER)
     return simulate(replace(whole, duration_s=duration_s, ins=replace(whole.ins, rate_hz=rate_hz, **ins)), seed)
 
 
 def ins_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> SimulatedRun:
-    """The INS's attitude turned by a rotation vector about North, Up and East, rad, its rates as before."""
+    """Rotate the INS's attitude about North, Up and East by a rotation vector, rad; its rates are unchanged."""
     rotation_nd, faulty = run.ins.rotation_nd.copy(), _faulty(run, run.ins.time_ns, from_s, until_s)
     rotation_nd[faulty] = exp_rotation(turn_n) @ rotation_nd[faulty]
     return replace(run, ins=replace(run.ins, rotation_nd=rotation_nd))
 
 
 def ins_rounded(run: SimulatedRun, digits: int, from_s: float, until_s: float = np.inf) -> SimulatedRun:
-    """The INS's quaternions rounded to some decimals."""
+    """Round the INS's quaternions to some decimals."""
     rotation_nd = run.ins.rotation_nd.copy()
     for index in np.flatnonzero(_faulty(run, run.ins.time_ns, from_s, until_s)):
         rotation_nd[index] = rotation_from_quaternion(np.round(quaternion_from_rotation(rotation_nd[index]), digits))
@@ -115,14 +115,14 @@ def ins_rounded(run: SimulatedRun, digits: int, from_s: float, until_s: float = 
 def ins_stamped_late(
     run: SimulatedRun, most_s: float, from_s: float, until_s: float = np.inf, seed: int = 1
 ) -> SimulatedRun:
-    """The INS's stamps late at random, uniformly from zero."""
+    """Delay the INS's stamps at random, uniformly from zero."""
     faulty, rng = _faulty(run, run.ins.time_ns, from_s, until_s), np.random.default_rng(seed)
     late_ns = np.where(faulty, np.round(rng.uniform(0.0, most_s * 1e9, len(faulty))), 0.0).astype(np.int64)
     return replace(run, ins=replace(run.ins, time_ns=run.ins.time_ns + late_ns))
 
 
 def stars_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: float) -> SimulatedRun:
-    """All star attitudes turned by a rotation vector about North, Up and East, rad."""
+    """Rotate all star attitudes about North, Up and East by a rotation vector, rad."""
     stars = {}
     for id_, star in run.stars.items():
         rotation_nv, faulty = star.rotation_nv.copy(), _faulty(run, star.time_ns, from_s, until_s)
@@ -134,13 +134,13 @@ def stars_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: 
 def claims(
     run: SimulatedRun, exchanged_s: tuple[float, float] = (0.0, 0.0), from_s: float = 0.0, levels: bool = False
 ) -> Claims:
-    """Give a voyage to a core; returns what it publishes.
+    """Give a voyage to a core; return its outputs.
 
     Args:
         run: the voyage.
-        exchanged_s: from when until when the cables of two star sensors are exchanged.
-        from_s: no attitude is asked for before.
-        levels: whether errors are held against their protection levels.
+        exchanged_s: begin and end of an exchange of the cables of two star sensors.
+        from_s: time of the first attitude that is computed.
+        levels: whether errors are compared with their protection levels.
     """
     core, carrier, found = core_for(run.scenario), carrier_of(run.scenario.carrier, run.seed), []
     for log_ns, source, index in run.arrivals():
@@ -168,7 +168,7 @@ def claims(
 
 
 def _of_level(report: IntegrityReport, rotation_nd: FloatArray, error_n: FloatArray) -> float:
-    """The largest error of an angle as a share of its protection level; 0 without a level."""
+    """Return the largest ratio of an angle's error to its protection level; 0 without a level."""
     if report.state is IntegrityState.UNAVAILABLE:
         return 0.0
     heading, pitch, _ = angles_from_rotation(rotation_nd)
@@ -180,7 +180,7 @@ _OTHER: Mapping[str, str] = {"star.fore": "star.starboard", "star.starboard": "s
 
 
 def up(arcsec: float) -> FloatArray:
-    """A rotation vector about Up, rad."""
+    """Return a rotation vector about Up, rad."""
     return np.array([0.0, arcsec * ARCSEC, 0.0])
 
 

@@ -1,4 +1,4 @@
-"""Lines of a real ship's logs, and sentences of one's own."""
+"""Lines of a real ship's logs, and hand-made sentences."""
 
 import functools
 import operator
@@ -20,5 +20,5 @@ GYR1 = "2014-08-01T00:00:00.183000Z $HEHDT,218.53,T*12\n"
 
 
 def sentence(body: str) -> str:
-    """A sentence with its checksum, of what stands between ``$`` and ``*``."""
+    """Return a sentence with its checksum, from the text between ``$`` and ``*``."""
     return f"${body}*{functools.reduce(operator.xor, body.encode(), 0):02X}"

@@ -1,4 +1,4 @@
-"""``ship_attitude`` that is fed with single stars."""
+"""``ship_attitude`` with the input of single stars."""
 
 from typing import Any
 

@@ -1,8 +1,8 @@
-"""A session with a theodolite, simulated on arrays without tracks, messages or scenario: sightings for the filter.
+"""Simulated session with a theodolite, on arrays without tracks, messages or scenario: sightings for the filter.
 
-What is true is drawn from the sigmas of the configuration where nothing else is said: deformation and ship's error are
-Gauss–Markov, axis errors uniform in size and of either sign. Two lights 2 km away stand at (3°, 2°) and (-2°, -3°) from
-the main axis, [W18].
+True values are drawn with the sigmas of the configuration unless given: deformation and ship's error are Gauss–Markov,
+axis errors uniform in size and of either sign. Two lights at 2 km are at (3°, 2°) and (-2°, -3°) from the main axis,
+[W18].
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ SHIP_SIGMA_N = ARCSEC * np.array([1.4, 1.8, 1.4])
 
 
 def config(**changes) -> OpticalAxisConfig:
-    """The configuration that fits the session, with dotted parameters changed (``__`` for the dot)."""
+    """Return the configuration of the session, with dotted parameters changed (``__`` for the dot)."""
     axes = {f"axes.{name}_sigma_arcsec": AXIS_SIGMA_ARCSEC for name in ("g", "h", "c", "I", "beta_x", "beta_y")}
     values = {
         "telescope.telescope_id": "main",
@@ -53,7 +53,7 @@ def config(**changes) -> OpticalAxisConfig:
 
 
 def gauss_markov(rng, times_s: FloatArray, sigma: FloatArray, time_s: float) -> FloatArray:
-    """A process at rising moments, shape (k, n)."""
+    """Return a process at increasing times, shape (k, n)."""
     values = np.empty((len(times_s), len(sigma)))
     value, last_s = sigma * rng.standard_normal(len(sigma)), times_s[0]
     for index, now_s in enumerate(times_s):
@@ -65,13 +65,13 @@ def gauss_markov(rng, times_s: FloatArray, sigma: FloatArray, time_s: float) -> 
 
 @dataclass(frozen=True)
 class Session:
-    """What is true at some moments, and what the devices say.
+    """True values at some times, and the device measurements.
 
     Attributes:
         times_s: shape (k,).
         axes: true axis errors, rad, shape (7,).
         rotation_nm: true main axis, shape (k, 3, 3).
-        sightings: what the filter is given, one a moment.
+        sightings: inputs of the filter, one at each time.
         parallelism: true one of the calibration telescope, rad, shape (3,).
         focal_length_m: true one of the calibration telescope.
     """
@@ -85,7 +85,7 @@ class Session:
 
 
 def sweep(times_s: FloatArray, low_deg: float = 10.0, high_deg: float = 70.0) -> FloatArray:
-    """Azimuth and elevation, rad: once round in five minutes, up and down four times, shape (k, 2)."""
+    """Return azimuth and elevation, rad: once round in five minutes, up and down four times, shape (k, 2)."""
     middle, half = 0.5 * (low_deg + high_deg), 0.5 * (high_deg - low_deg)
     return np.deg2rad(
         np.stack([1.2 * times_s + 5.0, middle - half * np.cos(2.0 * np.pi * times_s / 75.0)], axis=-1)
@@ -104,10 +104,10 @@ def session(
     distance_m: FloatArray | None = None,
     focal_length_m: float | None = None,
 ) -> Session:
-    """A session with the errors of a configuration, drawn by a seed.
+    """Return a session with the errors of a configuration, drawn by a seed.
 
     Args:
-        settings: says how large the errors are.
+        settings: configuration, with the sigmas of the errors.
         seed: of all of them.
         times_s: of the sightings, shape (k,).
         encoder: true angles of the encoders, rad, shape (k, 2).
@@ -115,7 +115,7 @@ def session(
         swing: of the ship; 0 for none.
         lens_error_m: of the principal point N', shape (3,), instead of one drawn.
         lights_deg: by name, to the right of and above the main axis.
-        distance_m: of the lights at each moment, shape (k,); None for 2 km.
+        distance_m: of the lights at each time, shape (k,); None for 2 km.
         focal_length_m: true one of the calibration telescope; None for one drawn.
     """
     rng = np.random.default_rng(seed)

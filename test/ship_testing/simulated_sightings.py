@@ -1,6 +1,6 @@
 """Epochs of [W18]'s configuration (models.md §5), simulated without the code under test.
 
-Two lights 2 km away stand at (3°, 2°) and (-2°, -3°), azimuth · cos E and elevation, from the telescope's axis. Errors
+Two lights at 2 km are at (3°, 2°) and (-2°, -3°), azimuth · cos E and elevation, from the telescope's axis. Errors
 per epoch: 2.7 cm per axis of each baseline, 2" of refraction for each light, 0.1 mm of the focal length of 100 mm,
 0.65 µm (a tenth of a pixel) of each image coordinate.
 """
@@ -40,11 +40,11 @@ CAMERA = Camera(FOCAL_LENGTH_M, FOCAL_LENGTH_SIGMA_M, np.array([2e-4, -3e-4]))
 
 @dataclass(frozen=True)
 class Truth:
-    """True state of things.
+    """True geometry.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
-        direction_n: in which the lights are seen, without refraction, unit vectors, shape (..., N, 3).
+        direction_n: directions of the lights, without refraction, unit vectors, shape (..., N, 3).
         distance_m: shape (N,) or (..., N).
     """
 
@@ -55,7 +55,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Epochs:
-    """What is measured, and of what; ``focal_length_m`` (...) is the true one."""
+    """Measurements and their truth; ``focal_length_m`` (...) is the true one."""
 
     truth: Truth
     focal_length_m: FloatArray
@@ -75,7 +75,7 @@ def truth_of(
     rotation_deg: FloatArray | float,
     lights_deg: FloatArray = LIGHTS_DEG,
 ) -> Truth:
-    """A telescope that looks there, and lights around its axis that do not turn with its image."""
+    """Return a telescope with this axis, and lights around it that do not rotate with its image."""
     azimuth, elevation, rotation = map(np.deg2rad, np.broadcast_arrays(azimuth_deg, elevation_deg, rotation_deg))
     right, up = np.tan(np.deg2rad(lights_deg)).T
     around = np.stack([np.ones_like(up), up, right], axis=-1)
@@ -89,7 +89,7 @@ def truth_of(
 
 
 def raised(direction_n: FloatArray, angle: FloatArray | float) -> FloatArray:
-    """Directions turned up in their vertical plane."""
+    """Return directions rotated upwards in their vertical plane."""
     elevation = np.arcsin(direction_n[..., 1]) + angle
     azimuth = np.arctan2(direction_n[..., 2], direction_n[..., 0])
     return np.stack(
@@ -98,12 +98,12 @@ def raised(direction_n: FloatArray, angle: FloatArray | float) -> FloatArray:
 
 
 def per_coefficient(truth: Truth) -> FloatArray:
-    """Refraction (rad) of a coefficient of one: horizontal distance over twice the Earth's radius, shape (..., N)."""
+    """Return refraction (rad) of a coefficient of one: horizontal distance / (2 Earth radii), shape (..., N)."""
     return truth.distance_m * np.hypot(truth.direction_n[..., 0], truth.direction_n[..., 2]) / (2.0 * EARTH_RADIUS_M)
 
 
 def error_free(truth: Truth, survey: Survey = SURVEY, camera: Camera = CAMERA, seed: int = 0) -> Epochs:
-    """Measurements without errors, for a ship and drones in attitudes of their own."""
+    """Return measurements without errors, for a ship and drones at any attitude."""
     rng = np.random.default_rng(seed)
     leading, count = truth.rotation_nt.shape[:-2], truth.direction_n.shape[-2]
     rotation_nd, rotation_nb = _any_attitudes(rng, leading), _any_attitudes(rng, (*leading, count))
@@ -125,7 +125,7 @@ def error_free(truth: Truth, survey: Survey = SURVEY, camera: Camera = CAMERA, s
 
 
 def project(camera: Camera, focal_length_m: FloatArray, direction_t: FloatArray) -> FloatArray:
-    """[W18] (12): the inverted image."""
+    """Return the inverted image, [W18] (12)."""
     x = -focal_length_m[..., None] * direction_t[..., 2] / direction_t[..., 0]
     z = -focal_length_m[..., None] * direction_t[..., 1] / direction_t[..., 0]
     return np.stack([x, z], axis=-1) + camera.principal_point_m
@@ -139,15 +139,15 @@ def paper_epochs(
     untold_lens_m: FloatArray = NONE,
     focal_length_sigma_m: float = FOCAL_LENGTH_SIGMA_M,
 ) -> Epochs:
-    """The paper's errors, drawn for each epoch.
+    """Return epochs with the paper's errors, drawn for each.
 
     Args:
         truth: with one leading dimension, the epochs.
         seed: of the errors.
-        common_refraction: one error of refraction for both lights, that which makes 2" at the telescope's elevation.
+        common_refraction: one error of refraction for both lights, which is 2" at the telescope's elevation.
         baseline_sigma_m: error of each baseline, each axis.
-        untold_lens_m: what the survey of N' missed: true, and not in the survey of the epochs, main frame.
-        focal_length_sigma_m: error of the focal length, new at each epoch.
+        untold_lens_m: error of the survey of N': in the truth, not in the survey of the epochs, main frame.
+        focal_length_sigma_m: error of the focal length, drawn at each epoch.
     """
     true_lens = replace(SURVEY.principal_point, vector_m=SURVEY.principal_point.vector_m + untold_lens_m)
     epochs = replace(error_free(truth, replace(SURVEY, principal_point=true_lens), seed=seed), survey=SURVEY)
@@ -177,6 +177,6 @@ def paper_epochs(
 
 
 def _any_attitudes(rng: np.random.Generator, leading: tuple[int, ...]) -> FloatArray:
-    """All headings, moderate pitch and roll, shape (..., 3, 3)."""
+    """Return attitudes with all headings, moderate pitch and roll, shape (..., 3, 3)."""
     heading, pitch, roll = np.moveaxis(rng.uniform([0.0, -0.1, -0.2], [6.2, 0.1, 0.2], (*leading, 3)), -1, 0)
     return rotation_from_angles(heading, pitch, roll)

@@ -1,7 +1,7 @@
-"""A small session for the tests of the adapter: a mount that holds its line over the ship's motion, and two lights.
+"""A small session for the tests of the adapter: a mount stabilised against the ship's motion, and two lights.
 
-The line drifts over the bow, so that the azimuth encoder goes from 2 pi to 0 in the midst. Everything is computed from
-formulas and one seed, so that two runs differ only where their messages do.
+The line of sight drifts over the bow, so that the azimuth encoder wraps from 2 pi to 0 in the middle. All values are
+computed from formulas and one seed: two runs differ only by their messages.
 """
 
 import copy
@@ -53,13 +53,13 @@ class Run(AdapterRun):
         return self.messages("theodolite/pointing")
 
     def state(self) -> tuple[Any, ...]:
-        """The filter's state to the last bit; the count of refusals aside."""
+        """Return the filter's state, bit-exact, without the count of rejections."""
         state = self.adapter.core.state
         return state.time_ns, state.mean.tobytes(), state.parts.tobytes(), state.used_ns, state.sighting_count
 
 
 def config(**changes: Any) -> OpticalAxisConfig:
-    """The configuration that fits the session, with dotted parameters changed (``__`` for the dot)."""
+    """Return the configuration of the session, with dotted parameters changed (``__`` for the dot)."""
     light = dict(zip(("forward_m", "up_m", "right_m"), LIGHT_B.tolist(), strict=True))
     beacon = {"light": light, "rtk": {"bias_sigma_m": 0.0, "sigma_m": _RTK_M}}
     values: dict[str, Any] = {
@@ -89,30 +89,30 @@ def new_adapter(**changes: Any) -> OpticalAxisAdapter:
 
 
 def deck(t_s: float) -> FloatArray:
-    """Horizon from deck: swell of 0.5° in heading, 2° in pitch, 4° in roll."""
+    """Return horizon from deck: swell of 0.5° in heading, 2° in pitch, 4° in roll."""
     swing = np.sin(2.0 * np.pi * t_s / np.array([30.0, 8.0, 11.0]) + np.array([0.0, 0.0, 0.3]))
     return rotation_from_angles(*np.deg2rad(np.array([34.4, 0.0, 0.0]) + np.array([0.5, 2.0, 4.0]) * swing))
 
 
 def line(t_s: float) -> FloatArray:
-    """Upright frame (n) of the line of the main axis, which drifts over the bow."""
+    """Return the upright frame (n) of the main axis, which drifts over the bow."""
     return rotation_from_angles(*np.deg2rad([34.4 - 4.0 + 1.5 * t_s, 30.0 + 2.0 * np.sin(t_s / 3.0), 0.0]))
 
 
 def mount(t_s: float) -> tuple[float, float, FloatArray]:
-    """Encoder angles and the main frame in the horizon."""
+    """Return encoder angles and the main frame in the horizon."""
     rotation_nd = deck(t_s)
     azimuth, elevation = encoder_angles(AXES, rotation_nd.T @ line(t_s)[:, 0])
     return float(azimuth), float(elevation), rotation_nd @ main_axis_rotation(AXES, float(azimuth), float(elevation))
 
 
 def drone(t_s: float) -> FloatArray:
-    """Horizon from drone: it sways."""
+    """Return horizon from drone: it sways."""
     return rotation_from_angles(*np.deg2rad([100.0, 2.0 * np.sin(1.5 * t_s), 2.0 * np.cos(1.3 * t_s)]))
 
 
 def light_n(name: str, t_s: float) -> FloatArray:
-    """The light from the lens, m."""
+    """Return the vector from lens to light, m."""
     right, up = np.tan(np.deg2rad(LIGHTS_DEG[name]))
     around = np.array([1.0, up, right])
     return line(t_s) @ (DISTANCE_M * around / np.linalg.norm(around))
@@ -205,7 +205,7 @@ def image_message(t_s: float, since_ns: int, noise: FloatArray) -> Any:
 
 @functools.cache
 def session(duration_s: float = 6.0) -> tuple[Arrival, ...]:
-    """All arrivals in the order in which they come. Change only copies of them."""
+    """Return all arrivals in order; change only copies of them."""
     rng = np.random.default_rng(20240202)
     makers: dict[str, Callable[[float, int], Any]] = {
         ENCODER: lambda t, ns: encoder_message(t, ns, _ENCODER_RAD * rng.standard_normal(2)),
@@ -224,7 +224,7 @@ def session(duration_s: float = 6.0) -> tuple[Arrival, ...]:
 
 
 def ins_alone(duration_s: float = 6.0) -> tuple[Arrival, ...]:
-    """The same where the ship's attitude is that of an INS."""
+    """Return the same with the ship's attitude from an INS."""
     zero = FACTORY.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
 
     def by_ins(ship: Any) -> Any:
@@ -248,7 +248,7 @@ def _baseline(name: str, rng: np.random.Generator, t_s: float, since_ns: int) ->
 
 
 def error_in_sigmas(pointing: Any) -> float:
-    """Error of the main axis across itself, in sigmas of the covariance published."""
+    """Return the error of the main axis across itself, in sigmas of the published covariance."""
     t_s = (stamp_of(pointing) - START_NS) * 1e-9
     truth_nm = mount(t_s)[2]
     estimate_nm = rotation_from_angles(pointing.azimuth, pointing.elevation, pointing.image_rotation)
@@ -261,7 +261,7 @@ def error_in_sigmas(pointing: Any) -> float:
 
 
 def drive(adapter: OpticalAxisAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> Run:
-    """Hand over the arrivals with the ticks between them, as node and replay do; then tick on to ``until_ns``."""
+    """Give the arrivals to the adapter with the ticks between them, as in node and replay; tick on to ``until_ns``."""
     run = Run(adapter)
     hand_over(run, arrivals, until_ns)
     return run
@@ -269,5 +269,5 @@ def drive(adapter: OpticalAxisAdapter, arrivals: Iterable[Arrival], until_ns: in
 
 @functools.cache
 def clean_run() -> Run:
-    """The session with nothing wrong."""
+    """Return the run of the session without faults."""
     return drive(new_adapter(), session())

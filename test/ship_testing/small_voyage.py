@@ -1,6 +1,6 @@
-"""A small ship for the tests of the adapter: it rolls and pitches under an INS at 25 Hz and two star sensors at 5 Hz.
+"""A small ship for the tests of the adapter: it rolls and pitches, with an INS at 25 Hz and two star sensors at 5 Hz.
 
-Everything is computed from formulas and one seed, so that two runs differ only where their messages do.
+All values are computed from formulas and one seed: two runs differ only by their messages.
 """
 
 import functools
@@ -54,14 +54,14 @@ class Run(AdapterRun):
     adapter: ShipAttitudeAdapter
 
     def state(self) -> tuple[Any, ...]:
-        """The filter's state to the last bit; the count of refusals aside."""
+        """Return the filter's state, bit-exact, without the count of rejections."""
         state = self.adapter.core.state
         common = {name: matrix.tobytes() for name, matrix in state.common_n.items()}
         return state.time_ns, state.mean.tobytes(), state.parts.tobytes(), common, dict(state.used_ns)
 
 
 def config(**changes: Any) -> ShipAttitudeConfig:
-    """The configuration that fits the voyage, with dotted parameters changed (``__`` for the dot)."""
+    """Return the configuration of the voyage, with dotted parameters changed (``__`` for the dot)."""
     star = {"elevation_deg": 45.0}
     values: dict[str, Any] = {
         "ins": {"frame_id": "ins"},
@@ -84,14 +84,14 @@ def new_adapter(**changes: Any) -> ShipAttitudeAdapter:
 
 
 def attitude(t_s: float, heading_deg: float) -> FloatArray:
-    """Horizon from deck: swell of 0.5° in heading, 2° in pitch, 4° in roll."""
+    """Return horizon from deck: swell of 0.5° in heading, 2° in pitch, 4° in roll."""
     swing = np.sin(2.0 * np.pi * t_s / np.array([30.0, 8.0, 11.0]) + np.array([0.0, 0.0, 0.3]))
     return rotation_from_angles(*np.deg2rad(np.array([heading_deg, 0.0, 0.0]) + np.array([0.5, 2.0, 4.0]) * swing))
 
 
 @functools.cache
 def voyage(duration_s: float = 5.0, heading_deg: float = 34.4) -> tuple[Arrival, ...]:
-    """All arrivals in the order in which they come. Change only copies of them."""
+    """Return all arrivals in order; change only copies of them."""
     rng = np.random.default_rng(20240101)
     arrivals = []
     for since_ns in range(0, round(duration_s * SECOND_NS), _INS_PERIOD_NS):
@@ -106,7 +106,7 @@ def voyage(duration_s: float = 5.0, heading_deg: float = 34.4) -> tuple[Arrival,
 
 
 def ins_message(since_ns: int, heading_deg: float, white_n: FloatArray) -> Any:
-    """What the INS says: true = exp(a) exp(w) measured, valid at its stamp + tau."""
+    """Return a message of the INS: true = exp(a) exp(w) measured, valid at its stamp + tau."""
     t_s = since_ns * 1e-9 + _TAU_S
     before, after = attitude(t_s - 1e-4, heading_deg), attitude(t_s + 1e-4, heading_deg)
     rotation_nd = exp_rotation(-white_n) @ exp_rotation(-_INS_ERROR_N) @ attitude(t_s, heading_deg)
@@ -123,7 +123,7 @@ def ins_message(since_ns: int, heading_deg: float, white_n: FloatArray) -> Any:
 
 
 def star_message(topic: str, since_ns: int, heading_deg: float, noise_v: FloatArray) -> Any:
-    """What a star sensor says of its own attitude."""
+    """Return a star sensor's message of its attitude."""
     sensor = topic.split("/")[1]
     rotation_dv = rotation_from_angles(*np.deg2rad([_STAR_AZIMUTH_DEG[topic], 45.0, 0.0]))
     rotation_nv = attitude(since_ns * 1e-9, heading_deg) @ rotation_dv @ exp_rotation(noise_v)
@@ -156,20 +156,20 @@ def vector_message(vector: FloatArray) -> Any:
 
 
 def drive(adapter: ShipAttitudeAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> Run:
-    """Hand over the arrivals with the ticks between them, as node and replay do; then tick on to ``until_ns``."""
+    """Give the arrivals to the adapter with the ticks between them, as in node and replay; tick on to ``until_ns``."""
     run = Run(adapter)
     hand_over(run, arrivals, until_ns)
     return run
 
 
 def cut(arrivals: tuple[Arrival, ...], from_s: float, until_s: float, *topics: str) -> tuple[Arrival, ...]:
-    """Without what these topics carry with stamps in [from_s, until_s)."""
+    """Return the arrivals without those of these topics with stamps in [from_s, until_s)."""
     from_ns, until_ns = (START_NS + round(s * SECOND_NS) for s in (from_s, until_s))
     return tuple(a for a in arrivals if a.topic not in topics or not from_ns <= a.stamp_ns < until_ns)
 
 
 def turned(arrivals: Iterable[Arrival], turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> list[Arrival]:
-    """All star attitudes turned about North, Up and East, rad."""
+    """Return the arrivals with all star attitudes rotated about North, Up and East, rad."""
 
     def change(message: Any) -> None:
         rotation_nv = exp_rotation(turn_n) @ rotation_from_angles(message.azimuth, message.elevation, message.roll)
@@ -191,7 +191,7 @@ def rotation_of(message: Any) -> np.ndarray:
 
 
 def assert_honest(message: Any, heading_deg: float = 34.4) -> None:
-    """The attitude is the true one within five of its own sigmas, each axis."""
+    """Assert that the attitude is within five of its sigmas of the true one, each axis."""
     true_nd = attitude(since_start_s(message), heading_deg)
     error_n = log_rotation(true_nd @ rotation_of(message).T)
     variance_enu = np.diagonal(np.reshape(message.rotation_covariance, (3, 3)))
@@ -201,5 +201,5 @@ def assert_honest(message: Any, heading_deg: float = 34.4) -> None:
 
 @functools.cache
 def clean_run() -> Run:
-    """The voyage with nothing wrong."""
+    """Return the run of the voyage without faults."""
     return drive(new_adapter(), voyage())

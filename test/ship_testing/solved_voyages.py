@@ -1,4 +1,4 @@
-"""Simulated voyages through both nodes' cores: ``star_attitude`` solves the exposures, ``ship_attitude`` takes them."""
+"""Simulated voyages through both nodes' cores: ``ship_attitude`` uses the solutions of ``star_attitude``."""
 
 from collections.abc import Container, Iterator
 
@@ -20,12 +20,12 @@ from ship_testing.adapter_runs import FACTORY
 
 
 def sail_by_solutions(run: SimulatedRun) -> list[AttitudeOutcome]:
-    """Return what the inputs of ``ship_attitude`` led to, in order, both nodes configured as the scenario is."""
+    """Return the outcomes of the inputs of ``ship_attitude``, in order, both nodes configured for the scenario."""
     return list(outcomes_by_solutions(core_for_solutions(run), run, range(run.ins.time_ns.size)))
 
 
 def core_for_solutions(run: SimulatedRun) -> ShipAttitudeCore:
-    """A core of ``ship_attitude`` that takes the solutions of all star sensors of a scenario."""
+    """Return a core of ``ship_attitude`` that uses the solutions of all star sensors of a scenario."""
     suite = suite_configuration(run.scenario)
     for sensor in suite["star_sensors"].values():
         sensor["input"] = "solution"
@@ -36,7 +36,7 @@ def core_for_solutions(run: SimulatedRun) -> ShipAttitudeCore:
 def outcomes_by_solutions(
     core: ShipAttitudeCore, run: SimulatedRun, wanted: Container[int]
 ) -> Iterator[AttitudeOutcome]:
-    """What the core makes of each input; attitudes are asked for at the wanted samples of the INS alone."""
+    """Return the core's outcome of each input; attitudes are computed only at the wanted samples of the INS."""
     star_config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
     solver = StarCore(star_config, installed_sky(star_config.sky))
     for _, source, index in run.arrivals():

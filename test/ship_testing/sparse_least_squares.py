@@ -1,6 +1,6 @@
-"""Least squares over a whole run, by scipy's sparse solver: what smoothers and filters are held against.
+"""Least squares over a whole run, by scipy's sparse solver: the reference of smoothers and filters.
 
-It shares no line with the estimators, and takes its derivatives by differences.
+It shares no code with the estimators, and computes its derivatives by differences.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,11 +10,11 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 Row = tuple[Sequence[slice], Callable[..., np.ndarray]]
-"""Where the unknowns of a residual are, and the residual by their values, each counted in its sigma."""
+"""Slices of the unknowns of a residual, and the residual by their values, in its sigma."""
 
 
 def solved(rows: Sequence[Row], steps: np.ndarray) -> tuple[np.ndarray, object]:
-    """The unknowns by Gauss-Newton, and the factors of their information matrix.
+    """Return the unknowns by Gauss-Newton, and the factors of their information matrix.
 
     Args:
         rows: all residuals.
@@ -45,7 +45,7 @@ def solved(rows: Sequence[Row], steps: np.ndarray) -> tuple[np.ndarray, object]:
 
 
 def covariance_of(factors: object, size: int, parts: Sequence[slice]) -> np.ndarray:
-    """Covariance of some of the ``size`` unknowns, one after another."""
+    """Return the covariance of some of the ``size`` unknowns, one after another."""
     places = np.concatenate([np.arange(part.start, part.stop) for part in parts])
     unit = np.zeros((size, len(places)))
     unit[places, np.arange(len(places))] = 1.0

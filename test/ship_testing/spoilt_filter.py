@@ -1,4 +1,4 @@
-"""A filter of the ship's attitude that is certain of what is wrong: it does not come back by itself."""
+"""A filter of the ship's attitude with a wrong state of small variance, from which it does not recover by itself."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from ship_attitude_star.ship_attitude.state import changed
 
 
 def spoil(adapter: ShipAttitudeAdapter) -> None:
-    """Make the filter certain of a heading error of the INS that is wrong by 1°."""
+    """Set a heading error of the INS that is wrong by 1°, with a small variance."""
     core, model = adapter.core, adapter.core.filter.model
     mean = core.state.mean.copy()
     mean[model.slices["ins.attitude"]] += np.radians([0.0, 1.0, 0.0])

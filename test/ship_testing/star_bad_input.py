@@ -1,4 +1,4 @@
-"""Changes that make an exposure of single stars unusable, and how adapters tell of them."""
+"""Changes that make an exposure of single stars unusable, and the reports of adapters about them."""
 
 import functools
 from collections.abc import Callable
@@ -26,7 +26,7 @@ FORE_SOLUTION = "star/fore/solution"
 Change = Callable[[Any], None]
 
 def put(path: str, value: Any) -> Change:
-    """Sets a field, as ``header.frame_id``."""
+    """Return a function that sets a field, as ``header.frame_id``."""
     *parents, leaf = path.split(".")
 
     def change(message: Any) -> None:

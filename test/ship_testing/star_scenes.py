@@ -1,4 +1,4 @@
-"""Random scenes of star sensors aboard, for tests: attitude, stars, all errors drawn, false identities on demand."""
+"""Random scenes of star sensors aboard, for tests: attitude, stars, all errors drawn, optional false identities."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ SENSORS_DEG = ((0.0, 45.0), (90.0, 45.0))
 
 @dataclass(frozen=True)
 class Scene:
-    """Attributes as in SightedStars, plus the true attitude (horizon from deck) and which stars are what they say."""
+    """Attributes of SightedStars, the true attitude (horizon from deck), and flags of correct identities."""
 
     stars: SightedStars
     rotation_nd: FloatArray
@@ -35,13 +35,13 @@ def draw_scene(
     heading_deg: float | None = None,
     tilt_deg: float = 5.0,
 ) -> Scene:
-    """A scene with ``counts`` true stars in each sensor, all common errors drawn.
+    """Return a scene with ``counts`` true stars in each sensor, all common errors drawn.
 
     Args:
         rng: source of all random numbers.
         counts: true stars of each sensor.
         false_stars: stars whose place and identity are drawn independently, uniform in the field.
-        swapped_pairs: pairs of further stars of one sensor that carry each other's identity.
+        swapped_pairs: pairs of further stars of one sensor with each other's identity.
         neighbours: further stars with the identity of a neighbour within 120".
         heading_deg: of the ship; drawn where None.
         tilt_deg: largest pitch and roll.
@@ -87,7 +87,7 @@ def draw_scene(
 
 
 def shared_columns(direction_n: FloatArray) -> FloatArray:
-    """Displacement by one sigma of refraction (1 %), UT1, position north and east, shape (k, 3, 4); models.md §2."""
+    """Return displacements by one sigma of refraction (1 %), UT1, position north and east, (k, 3, 4); models.md §2."""
     horizontal = np.hypot(direction_n[:, 0], direction_n[:, 2])
     upward = direction_n * (-direction_n[:, 1] / horizontal)[:, None]
     upward[:, 1] = horizontal
@@ -105,7 +105,7 @@ def shared_columns(direction_n: FloatArray) -> FloatArray:
 
 
 def attitude_error(scene: Scene, rotation_nd: FloatArray) -> FloatArray:
-    """delta with R_true = exp(delta) R, small, shape (3,)."""
+    """Return delta with R_true = exp(delta) R, small, shape (3,)."""
     turn = scene.rotation_nd @ rotation_nd.T
     return 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
 

@@ -1,4 +1,4 @@
-"""A ship under the real sky, for tests: configuration, filter, and exposures of real stars as its sensors see them."""
+"""A ship under the real sky, for tests: configuration, filter, and exposures of real stars in its sensors."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def configuration(**ship) -> ShipAttitudeConfig:
 
 
 def told_sky(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyWatch:
-    """The sky with a ship at anchor, fixes all along."""
+    """Return the sky of a ship at anchor with continuous fixes."""
     watch = installed_sky(config.sky)
     for second in range(-2, 60):
         watch.surroundings.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2))
@@ -43,7 +43,7 @@ def told_sky(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyWatch:
 
 
 def ins_track(time_ns: int = TIME_NS, error_n: FloatArray | None = None) -> AttitudeTrack:
-    """A ship that does not move, as an INS with a constant error has it."""
+    """Return the track of an INS with a constant error on a ship that does not move."""
     rotation_nd = ROTATION_ND if error_n is None else exp_rotation(-error_n) @ ROTATION_ND
     track = AttitudeTrack(500_000_000)
     for step in range(-4, 5):
@@ -59,7 +59,7 @@ def exposure_of(
     time_ns: int = TIME_NS,
     installation_s: FloatArray | None = None,
 ) -> StarExposure:
-    """The brightest stars in a sensor's field, with noise where ``rng`` is given."""
+    """Return the brightest stars in a sensor's field, with noise if ``rng`` is given."""
     catalogue = watch.catalogue
     rows = catalogue.brighter_than(MAGNITUDE_LIMIT)
     apparent = watch.at(time_ns).apparent(catalogue.at_j2000[rows])
@@ -88,7 +88,7 @@ def exposure_of(
 
 
 def without_identity(exposure: StarExposure) -> StarExposure:
-    """As a sensor sends it that knows no catalogue."""
+    """Return the message of a sensor without a catalogue."""
     unknown = np.full(len(exposure), np.nan)
     positions = replace(exposure.positions, right_ascension=unknown, declination=unknown)
     return replace(exposure, hip=np.zeros(len(exposure), dtype=np.int64), positions=positions)

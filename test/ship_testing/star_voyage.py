@@ -54,15 +54,15 @@ EXACT_CAMERA = {
     "principal_sigma_px": 0.0,
     "distortion_sigma": 0.0,
 }
-"""The same camera, whose optics have no errors."""
+"""The same camera with optics without errors."""
 EXACT = {f"star_sensors__{id_}__camera": EXACT_CAMERA for id_ in ("fore", "starboard")}
-"""Changes of :func:`config` by which both sensors have it."""
+"""Changes of :func:`config` that set it for both sensors."""
 SIGMA_PX = 0.04
 """3.3″."""
 
 
 def config(**changes: Any) -> StarAttitudeConfig:
-    """The configuration that fits the voyage, with dotted parameters changed (``__`` for the dot)."""
+    """Return the configuration of the voyage, with dotted parameters changed (``__`` for the dot)."""
     star = {"elevation_deg": 45.0, "camera": CAMERA_PARAMETERS}
     values: dict[str, Any] = {
         "ins": {"frame_id": "ins"},
@@ -89,7 +89,7 @@ def true_deck(since_ns: int) -> FloatArray:
 
 
 def true_sensor(topic: str, since_ns: int, mounting_error_s: FloatArray | None = None) -> FloatArray:
-    """Horizon from sensor."""
+    """Return horizon from sensor."""
     rotation_ds = rotation_from_angles(*np.deg2rad([AZIMUTH_DEG[topic], 45.0, 0.0]))
     if mounting_error_s is not None:
         rotation_ds = rotation_ds @ exp_rotation(mounting_error_s)
@@ -104,7 +104,7 @@ def true_place(since_ns: int) -> GeodeticPosition:
 
 
 def true_directions(rows: FloatArray, since_ns: int) -> FloatArray:
-    """Where catalogue stars are seen in the horizon, with air."""
+    """Return apparent directions of catalogue stars in the horizon, with air."""
     time_ns = START_NS + since_ns
     observer = Observer(true_place(since_ns), np.array([NORTH_M_PER_S, 0.0, EAST_M_PER_S]))
     stars = hipparcos().at_j2000[rows]
@@ -118,7 +118,7 @@ def _bright_rows() -> FloatArray:
 
 
 def seen(topic: str, since_ns: int, count: int = STARS) -> tuple[FloatArray, FloatArray]:
-    """Rows in the catalogue of the brightest stars in the field, and their pixels without error."""
+    """Return rows in the catalogue of the brightest stars in the field, and their pixels without error."""
     rows = _bright_rows()
     directions_n = true_directions(rows, since_ns)
     pixels = CAMERA.pixels(directions_n @ true_sensor(topic, since_ns))
@@ -129,7 +129,7 @@ def seen(topic: str, since_ns: int, count: int = STARS) -> tuple[FloatArray, Flo
 
 
 def streak_means(topic: str, since_ns: int, pixels: FloatArray, exposure_s: float) -> FloatArray:
-    """Means of the pixels of stars over an exposure, by its true motion at two hundred moments."""
+    """Return means of the pixels of stars over an exposure, by its true motion at two hundred times."""
     directions_s, middle = CAMERA.directions(pixels), true_sensor(topic, since_ns)
     offsets_ns = (exposure_s * 1e9 * ((np.arange(200) + 0.5) / 200 - 0.5)).astype(int)
     turns = [true_sensor(topic, since_ns + ns).T @ middle for ns in offsets_ns.tolist()]
@@ -143,7 +143,7 @@ def observations(
     count: int = STARS,
     exposure_s: float = np.nan,
 ) -> Any:
-    """What a sensor says of the stars that it sees; points where no length of the exposure is given, else streaks."""
+    """Return a sensor's message of its stars; points if no exposure time is given, else streaks."""
     sensor = topic.split("/")[1]
     rows, pixels = seen(topic, since_ns, count)
     if exposure_s > 0.0:
@@ -196,7 +196,7 @@ def air(topic: str, since_ns: int) -> Any:
 
 @functools.cache
 def voyage(duration_s: float = 3.0, noise: bool = False) -> tuple[Arrival, ...]:
-    """All arrivals in the order in which they come. Change only copies of them."""
+    """Return all arrivals in order; change only copies of them."""
     rng = np.random.default_rng(20240704)
     arrivals = [arrival for arrival in small_voyage(5.0) if arrival.topic == INS]
     end_ns = round(duration_s * SECOND_NS)
@@ -224,14 +224,14 @@ def except_(arrivals: Iterable[Arrival], *topics: str) -> tuple[Arrival, ...]:
 
 
 def sail(arrivals: Iterable[Arrival], **changes: Any) -> Run:
-    """All arrivals through a new adapter, and half a second more."""
+    """Give all arrivals to a new adapter, and continue for half a second."""
     taken = tuple(arrivals)
     return drive(new_adapter(**changes), taken, until_ns=taken[-1].receive_ns + SECOND_NS)
 
 
 @functools.cache
 def streaked_voyage(exposure_s: float = 0.2) -> tuple[Arrival, ...]:
-    """The voyage without noise of the centroids, with exposures of some length."""
+    """Return the voyage without noise of the centroids, with an exposure time."""
     return tuple(
         replace(a, message=observations(a.topic, a.stamp_ns - START_NS, exposure_s=exposure_s))
         if a.topic in PHASE_NS
@@ -242,12 +242,12 @@ def streaked_voyage(exposure_s: float = 0.2) -> tuple[Arrival, ...]:
 
 @functools.cache
 def clean_run() -> Run:
-    """The voyage with nothing wrong."""
+    """Return the run of the voyage without faults."""
     return sail(voyage())
 
 
 def results(run: Run) -> list[tuple[str, bytes]]:
-    """All solutions and budgets as published, to the last bit."""
+    """Return all published solutions and budgets, bit-exact."""
     topics = [output.topic for output in run.adapter.outputs if output.topic.startswith("star/")]
     return [
         (topic, exactly(message))

@@ -10,7 +10,7 @@ SCENARIOS = ROOT / "bags" / "scenarios"
 
 
 def replaced(record, **changes):
-    """A nested dataclass with changes by path: ``air__sigma=0.0`` is the field sigma of the field air."""
+    """Return a nested dataclass with changes by path: ``air__sigma=0.0`` is the field sigma of the field air."""
     own = {}
     for path, value in changes.items():
         name, _, rest = path.partition("__")
@@ -19,7 +19,7 @@ def replaced(record, **changes):
 
 
 def with_beacons(scenario, **changes):
-    """The scenario with the same changes to all its beacons."""
+    """Return the scenario with the same changes of all its beacons."""
     return dataclasses.replace(
         scenario, beacons={key: replaced(beacon, **changes) for key, beacon in scenario.beacons.items()}
     )
@@ -30,12 +30,12 @@ def with_theodolite(scenario, **changes):
 
 
 def bag_scenario(duration_s=10.0, **changes):
-    """The scenario of bags/theodolite.mcap, shortened."""
+    """Return the scenario of bags/theodolite.mcap, shortened."""
     return dataclasses.replace(load_scenario(SCENARIOS / "theodolite.yaml"), duration_s=duration_s, **changes)
 
 
 def with_night(scenario):
-    """The scenario with the targets and the stars on the mount of theodolite_night.yaml."""
+    """Return the scenario with the targets and the stars on the mount of theodolite_night.yaml."""
     night = load_scenario(SCENARIOS / "theodolite_night.yaml")
     return dataclasses.replace(
         with_theodolite(scenario, main_detector=night.theodolite.main_detector),
@@ -45,7 +45,7 @@ def with_night(scenario):
 
 
 def without_errors(scenario):
-    """Nothing is wrong, and what is known is far from zero; all devices speak at the same moments."""
+    """Return a scenario without errors and with large installation angles; all devices have the same sample times."""
     names = ("g", "h", "c", "I", "beta_x", "beta_y", "flexure")
     known = {f"axes__{name}_arcsec": 35.0 - 11.0 * number for number, name in enumerate(names)}
     sigmas = {f"axes__{name}_sigma_arcsec": 0.0 for name in names}
@@ -84,11 +84,11 @@ def without_errors(scenario):
 
 
 _HANGING_DEG = {"a": (3.0, 11.0), "b": (-1.0, 9.0)}
-"""Azimuth and elevation of lights that hang while the telescope sweeps over them."""
+"""Azimuth and elevation of fixed lights over which the telescope sweeps."""
 
 
 def sweeping_over(exposure_s):
-    """Without errors of the images, a telescope that sweeps over two lights."""
+    """Return a telescope that sweeps over two lights, without errors of the images."""
     scenario = without_errors(with_theodolite(bag_scenario(duration_s=2.0), telescope__exposure_s=exposure_s))
     flights = {
         key: Flight(hover=Hover(azimuth_deg=azimuth, elevation_deg=elevation, distance_m=2000.0, north_m_per_s=8.0))

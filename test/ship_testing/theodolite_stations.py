@@ -1,4 +1,4 @@
-"""Where theodolites stand and in what direction they see a target, by pyerfa's own routines and the formulas here."""
+"""Places of theodolites and directions to a target, by pyerfa's routines and the formulas here."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ EARTH_RADIUS_M = 6_371_000.0
 
 
 def axes_at(longitude: float, latitude: float) -> np.ndarray:
-    """North, Up, East in ECEF, as rows."""
+    """Return North, Up, East in ECEF, as rows."""
     up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     return np.array([np.cross(up, east), up, east])
@@ -34,7 +34,7 @@ def station(name: str, place_n: np.ndarray) -> Station:
 
 
 def seen(at: Station, true_foot_m: np.ndarray, target_m: np.ndarray, coefficient: float) -> np.ndarray:
-    """The direction (North, Up, East of the station) in which a target in ECEF is seen, raised by the air."""
+    """Return the direction (North, Up, East of the station) of a target in ECEF, raised by refraction."""
     north, up, east = axes_at(at.place.longitude, at.place.latitude) @ (target_m - true_foot_m)
     horizontal_m = np.hypot(north, east)
     elevation = np.arctan2(up, horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)
@@ -49,7 +49,7 @@ DIRECTION = "ship_msgs/msg/TargetDirection"
 def direction_message(
     time_ns: int, direction_n: np.ndarray, sigma: float, factory: MessageFactory = FACTORY, **changes: Any
 ) -> Any:
-    """What a theodolite tells of a target that it sees along a unit vector (North, Up, East), good to sigma, rad."""
+    """Return a theodolite's message of a target in a direction (North, Up, East), with a sigma, rad."""
     enu = [2, 0, 1]
     across = sigma**2 * (np.eye(3) - np.outer(direction_n, direction_n))
     unknown = dict.fromkeys("xyz", float("nan"))
@@ -70,23 +70,23 @@ def direction_message(
 
 
 def buoy_n(since_s: float) -> np.ndarray:
-    """A buoy that drifts with 2 m/s, 2 km away: (North, Up, East) from the origin."""
+    """Return a buoy that drifts with 2 m/s, 2 km away: (North, Up, East) from the origin."""
     return np.array([2000.0 + 2.0 * since_s, 3.0, -400.0 + 1.0 * since_s])
 
 
 def foot_n(number: int) -> np.ndarray:
-    """Where one of the theodolites stands, 50 m from the next: (North, Up, East) from the origin."""
+    """Return the place of one of the theodolites, 50 m from the next: (North, Up, East) from the origin."""
     return np.array([50.0 * number, 0.0, 0.0])
 
 
 def buoy_seen(number: int, since_s: float) -> np.ndarray:
-    """The direction (North, Up, East) in which one of the theodolites truly sees the buoy."""
+    """Return the true direction (North, Up, East) of the buoy from one of the theodolites."""
     at = station(f"t{number}", foot_n(number))
     return seen(at, ORIGIN_M + foot_n(number) @ AXES, ORIGIN_M + buoy_n(since_s) @ AXES, AIR.coefficient)
 
 
 def placing_values(count: int) -> dict[str, Any]:
-    """Where the origin, and so many theodolites, stand, as nested parameters; their places and the air are known."""
+    """Return the places of the origin and of the theodolites, as nested parameters; places and air are known."""
     stations = {}
     for number in range(count):
         at = station(f"t{number}", foot_n(number))

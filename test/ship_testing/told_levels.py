@@ -1,4 +1,4 @@
-"""Protection levels as they are told, beside those of each output."""
+"""Published protection levels compared with those of each output."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -11,7 +11,7 @@ from ship_testing.adapter_runs import AdapterRun, Arrival, hand_over, stamp_of
 
 
 class LevelledRun(AdapterRun):
-    """A run whose adapter's core is asked for the level of each output as it is put out."""
+    """Run that computes the level of each output at its publication."""
 
     adapter: ReportingAdapter
 
@@ -29,7 +29,7 @@ class LevelledRun(AdapterRun):
         hand_over(self, arrivals, until_ns)
 
     def told_and_own(self) -> list[tuple[Any, np.ndarray, np.ndarray]]:
-        """Of each output that claims something: itself, the levels told last before it, and its own, rad."""
+        """Return each output that is not INVALID, the levels published last before it, and its own, rad."""
         told, found = np.full(3, np.nan), []
         for _, topic, message in self.published:
             if topic == self.adapter.integrity_topic:
@@ -39,7 +39,7 @@ class LevelledRun(AdapterRun):
         return found
 
     def uncovered(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
-        """Of each output whose levels are above those told, by more than a twentieth, or unknown: stamp, told, own."""
+        """Return stamp, published, own levels of outputs with own levels unknown or above by more than a twentieth."""
         return [
             (stamp_of(message), told, own)
             for message, told, own in self.told_and_own()

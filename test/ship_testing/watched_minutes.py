@@ -1,7 +1,7 @@
-"""Ten minutes of a watched suite, drawn with a seed: what panels are fed with where no suite runs.
+"""Ten minutes of a monitored suite, drawn with a seed: input of panels in tests without a suite.
 
-A star sensor is knocked half a minute before the end, stars were missing for half a minute before, and a light was
-hidden for a while: the situation that the design of the page shows.
+A star sensor is displaced half a minute before the end, stars were missing for half a minute before, and a light was
+hidden for a while: the situation of the design of the page.
 """
 
 from collections import deque
@@ -23,7 +23,7 @@ from ship_watch.history import (
 from ship_watch.picture import Event, Picture
 
 NOW_NS = 1_404_907_207_000_000_000
-"""2014-07-09 12:00:07 UTC, as in the pictures of the design."""
+"""2014-07-09 12:00:07 UTC, as in the figures of the design."""
 
 KNOCKED_S = 40.0
 KNOCK_RIGHT_ARCSEC = 49.0
@@ -32,7 +32,7 @@ _SECOND = 1_000_000_000
 
 
 def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool = True) -> History:
-    """All that plots draw."""
+    """Return the history that plots draw."""
     rng = np.random.default_rng(seed)
     history = History()
     for name in ("star.fore", "star.starboard"):
@@ -66,7 +66,7 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
 
 
 def watched_picture(now_ns: int = NOW_NS) -> Picture:
-    """What is shown at the end of it."""
+    """Return the suite state at the end of it."""
     good = source("star.fore", topics=("star/fore/observations",))
     bad = replace(KNOCKED, out_since_ns=now_ns - int(KNOCKED_S * 1e9))
     topics = ("gnss/fix", "ins/imu", "met/pressure", *good.topics, *bad.topics)

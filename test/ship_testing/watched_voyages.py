@@ -1,6 +1,6 @@
-"""Voyages with faults as who watches sees them: a bag, faults put into it, replayed, and its outputs given to a watch.
+"""Monitored voyages with faults: a bag with injected faults is replayed, and its outputs are given to the monitor.
 
-The times of the faults are seconds after the first message of the bag, and so are the times told here.
+Times of the faults and of the results are seconds after the first message of the bag.
 """
 
 import fcntl
@@ -34,8 +34,9 @@ FAULTS = {
     ),
 }
 SILENCE_S = 2.0
-"""A message is overdue after three periods, 2 s at least (docs/explanation/watch.md): before, a silence cannot be told
-from a late message. Three periods of the star sensor are 0.6 s, of the encoder 0.06 s."""
+"""A message is overdue after three periods, 2 s at least (docs/explanation/watch.md): before, it may only be late.
+Three periods of the star sensor are 0.6 s, of the encoder 0.06 s.
+"""
 
 # When each fault could be known: at the first wrong measurement; of a silence so long after the last message came.
 KNOWN_S = {
@@ -45,29 +46,30 @@ KNOWN_S = {
 END_S = {"demo": 43.0, "theodolite": 35.0}
 WITHIN_S = 2.0
 SOON_S = 0.5
-"""What is overdue needs no further message to be told: at the next look, 0.2 s, by the alerts 0.2 s later
-(AlertTimes.raise_after_s) and so a look later; measured 0.0 s and 0.2 s."""
+"""An overdue message is reported without a further message: at the next update, 0.2 s, by the alerts 0.2 s later
+(AlertTimes.raise_after_s) and so an update later; measured 0.0 s and 0.2 s.
+"""
 SILENT = ("star.fore", "encoder")
 
 
 def within_s(source: str) -> float:
-    """How soon a source must be named in a recording, where no process waits for a core."""
+    """Return the time within which a source must be named in a recording, without process delays."""
     return SOON_S if source in SILENT else WITHIN_S
 
 
 @dataclass
 class Watched:
-    """What was seen of a voyage.
+    """Monitored states of a voyage.
 
     Attributes:
         watch: at the end.
         start_ns: log time of the first message.
         end_ns: of the last.
-        out: source → the times at which it went out, s.
-        back: source → the times at which it came in again, s.
-        seen: source → the pictures of it when it went out.
-        guilty: the time at which a source went out by a fault of its own, s, and its name.
-        at_s: the picture of each whole second.
+        out: source → times of its exclusion, s.
+        back: source → times of its return, s.
+        seen: source → its states at the times of exclusion.
+        guilty: times of an exclusion by a fault of the source itself, s, with its name.
+        at_s: the suite state of each whole second.
     """
 
     watch: Watch
@@ -80,20 +82,20 @@ class Watched:
     at_s: dict[float, Picture] = field(default_factory=dict)
 
     def events(self, kind: str) -> list[tuple[float, str]]:
-        """(time, text) of all events of a kind, the oldest first."""
+        """Return (time, text) of all events of a kind, the oldest first."""
         found: list[Event] = [event for event in self.picture().events if event.kind == kind]
         return [((event.utc_ns - self.start_ns) * 1e-9, event.text) for event in reversed(found)]
 
     def picture(self) -> Picture:
-        """The picture at the end."""
+        """Return the suite state at the end."""
         return self.watch.look(self.end_ns)
 
 
 def replayed(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
-    """A bag of the repository with faults (YAML of the group ``faults``), and what the suite makes of it.
+    """Return a bag of the repository with faults (YAML of the group ``faults``), and the suite's outputs for it.
 
-    They are made once in a run of the tests, by the first worker that asks, and are not to be changed: ``folder`` is
-    one of pytest's, which tells where that run has its files.
+    They are created once in a run of the tests, by the first worker that needs them, and must not be changed:
+    ``folder`` is one of pytest's, which gives the folder of that run.
     """
     run = folder.parents[1] if "PYTEST_XDIST_WORKER" in os.environ else folder.parent
     place = run / f"replayed_{bag}_{hashlib.sha256(faults.encode()).hexdigest()[:16]}"
@@ -110,7 +112,7 @@ def replayed(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
 
 
 def _with_faults(place: Path, given: Path, faults: str) -> Path:
-    """The bag with these faults."""
+    """Return the bag with these faults."""
     spoilt = place / "in.mcap"
     if not spoilt.exists():
         (place / "faults.yaml").write_text(f"faults: {{{faults}}}\n")
@@ -121,7 +123,7 @@ def _with_faults(place: Path, given: Path, faults: str) -> Path:
 
 
 def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
-    """(log time, topic, message) of the watched topics of bags of one voyage, in order of time."""
+    """Return (log time, topic, message) of the monitored topics of bags of one voyage, by time."""
     found = []
     for path in paths:
         with read_bag(path) as bag:
@@ -131,7 +133,7 @@ def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
 
 
 def watched(*paths: Path) -> Watched:
-    """A voyage as watched ten times a second; inputs that the same bag holds may be given besides its outputs."""
+    """Return a voyage monitored at 10 Hz; inputs of the same bag may be given in addition to its outputs."""
     seen: Watched | None = None
     due_ns, before = 0, {}
     for time_ns, topic, message in records(*paths):
@@ -148,7 +150,7 @@ def watched(*paths: Path) -> Watched:
 
 
 def _note(seen: Watched, picture: Picture, before: dict[str, Presence], time_s: float) -> dict[str, Presence]:
-    """Take a picture; the answer is the presence of each source in it."""
+    """Record a suite state; return the presence of each source in it."""
     if abs(time_s - round(time_s)) < 1e-6:
         seen.at_s[float(round(time_s))] = picture
     for source in picture.sources:

@@ -1,4 +1,4 @@
-"""[P15]'s worked example: beta Lyrae from a ship at 32° N, 120° E, and its chain with steps left out."""
+"""[P15]'s worked example: beta Lyrae from a ship at 32° N, 120° E, and its chain with steps omitted."""
 
 from dataclasses import replace
 
@@ -27,18 +27,18 @@ UT1_TAKEN_AS_UTC = replace(ORIENTATION, ut1_minus_utc_s=np.float64(0.0))
 
 
 def angles_deg(direction_n: FloatArray) -> FloatArray:
-    """Azimuth and elevation of a direction."""
+    """Return azimuth and elevation of a direction."""
     return np.rad2deg([np.arctan2(direction_n[2], direction_n[0]), elevation_of(direction_n)])
 
 
 def shift_arcsec(first_n: FloatArray, second_n: FloatArray) -> FloatArray:
-    """From the first direction to the second: azimuth times cos E, and elevation."""
+    """Return the second direction minus the first: azimuth times cos E, and elevation."""
     (azimuth, elevation), (azimuth_2, elevation_2) = angles_deg(first_n), angles_deg(second_n)
     return 3600.0 * np.array([(azimuth_2 - azimuth) * np.cos(np.deg2rad(elevation)), elevation_2 - elevation])
 
 
 def without_aberration(orientation: EarthOrientation, diurnal: bool) -> FloatArray:
-    """The chain with the annual aberration left out, and the diurnal one too unless it is asked for."""
+    """Return the chain without annual aberration, and optionally without diurnal aberration."""
     tt, site = tt_julian_date(TIME_NS), SHIP.position
     sky = erfa.apci13(*tt)[0].copy()
     sky["v"], sky["bm1"] = 0.0, 1.0

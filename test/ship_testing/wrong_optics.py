@@ -1,4 +1,4 @@
-"""Simulated runs whose cameras have another focal length than configured, and the attitudes that the filter finds."""
+"""Simulated runs whose cameras have another focal length than configured, and the attitudes of the filter."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ _EXACT_SIGMA_M = 1e-12
 
 
 def with_exact_focal_length(scenario: Scenario) -> Scenario:
-    """The scenario whose true focal lengths are the configured ones."""
+    """Return the scenario whose true focal lengths are the configured ones."""
     sensors = {
         id_: replace(sensor, camera=replace(sensor.camera, focal_length_sigma_m=_EXACT_SIGMA_M))
         for id_, sensor in scenario.star_sensors.items()
@@ -28,7 +28,7 @@ def with_exact_focal_length(scenario: Scenario) -> Scenario:
 
 
 def with_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], scale: float) -> SimulatedRun:
-    """The run by a suite whose configured focal lengths are shorter than the true ones.
+    """Return the run with a suite whose configured focal lengths are shorter than the true ones.
 
     Args:
         run: simulated with exact focal lengths.
@@ -48,7 +48,7 @@ def with_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], s
 
 
 def changed_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s: float) -> SimulatedRun:
-    """The run in which all cameras have a focal length longer by ``scale`` for some time after the first exposure."""
+    """Return the run with all focal lengths longer by ``scale`` for some time after the first exposure."""
     stars = dict(run.stars)
     for id_, seen in stars.items():
         configured = run.scenario.star_sensors[id_].camera
@@ -63,7 +63,7 @@ def changed_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s
 
 @dataclass
 class Judged:
-    """The attitudes of runs against the truth.
+    """Attitudes of runs compared with the truth.
 
     Attributes:
         valid_count: VALID attitudes.

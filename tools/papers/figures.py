@@ -1,4 +1,4 @@
-"""The pictures of the page of reproduction."""
+"""Figures of the page of reproduction."""
 
 from collections.abc import Iterator
 
@@ -17,14 +17,14 @@ _DOTS, _PRINTED, _BARS = "#0072b2", "#d55e00", "#8fbfe6"
 
 
 def figures() -> Iterator[tuple[str, Figure]]:
-    """The six figures of [Z14] and the one of [W18], by the names of their files."""
+    """Yield the six figures of [Z14] and the one of [W18], with the names of their files."""
     for name, figure in sweep_figures(all_curves(POINT)):
         yield f"z14_{name}", figure
     yield "w18_figure_4", _axis_figure()
 
 
 def _axis_figure() -> Figure:
-    """Errors of the axis by [W18]'s method: epoch by epoch, and how often each size occurs; a row for each reading."""
+    """Draw errors of the axis by [W18]'s method, by epoch and as a histogram; one row per reading."""
     figure, grid = plt.subplots(
         2, 2, figsize=(11, 6.8), width_ratios=(2.2, 1.0), sharex="col", sharey="row", layout="constrained"
     )
@@ -37,7 +37,7 @@ def _axis_figure() -> Figure:
         edges = np.arange(0.0, 15.01, 0.5)
         shares = np.full(sizes.size, 100.0 / sizes.size)
         row[1].hist(sizes, edges, weights=shares, orientation="horizontal", color=_BARS)
-        row[1].set_title("how often")
+        row[1].set_title("frequency")
         for axes in row:
             _draw_printed(axes)
     grid[-1, 0].set_xlabel("epoch")

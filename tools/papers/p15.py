@@ -1,4 +1,4 @@
-"""[P15]: the worked example, step by step, and what the paper prints of its trial alongside."""
+"""[P15]: the worked example, step by step, and the paper's results of its trial alongside."""
 
 from collections.abc import Iterator
 
@@ -24,12 +24,12 @@ PRINTED_V = np.array([0.229426, 0.671988, 0.704128])
 PRINTED_AZIMUTH_DEG, PRINTED_ELEVATION_DEG = 71.9528, 42.2207
 PRINTED_REFRACTION_ARCSEC, PRINTED_RAISED_DEG = 59.34, 42.2372
 
-_HIDDEN = "aberration and UT1 left out, as the paper must have done"
+_HIDDEN = "aberration and UT1 omitted, as presumably in the paper"
 
 
 def section() -> str:
-    """The part of the page about this paper."""
-    added = table(("chain", "azimuth", "elevation", "off: azimuth · cos E", "off: elevation"), steps())
+    """Return the section of the page about this paper."""
+    added = table(("chain", "azimuth", "elevation", "difference: azimuth · cos E", "difference: elevation"), steps())
     return f"""## [P15]: attitude from two star sensors
 
 ### The worked example
@@ -38,25 +38,25 @@ def section() -> str:
 direction is that of β Lyrae, HIP 92420. North, Up, East are the components of V.
 
 {rows_table(example())}
-Step by step. Each row adds to the one above; *off* is ours from the place that the paper prints, which is rounded to
-0.2″:
+Step by step. Each row adds a correction to the one above; *difference* is our place minus the printed one, which is
+rounded to 0.2″:
 
 {added}
-The printed place lacks both steps, which are worth {_missing_arcsec():.0f}″. The suite has them; a test holds each.
-The 2.8″ of elevation that are left in the first row are not explained.
+The printed place lacks both corrections, which are {_missing_arcsec():.0f}″. The suite applies them; tests check both.
+The remaining 2.8″ of elevation in the first row are not explained.
 
 ### The trial alongside
 
-The text that we have lost tables 1 and 2 (the sensors; the stars that they identified, five in one and three in the
+Our text of the paper lacks tables 1 and 2 (the sensors; the stars that they identified, five in one and three in the
 other), the vectors and matrices of the example, and the curves of figure 4 with the numbers under it: attitudes by the
-two sensors compared with those of a strapdown INS with laser gyros, the ship moored. Nothing printed is left to be
-compared. What such a trial looks like here, by the scenario `mooring`, and how often there is an attitude beside the
-methods that the paper replaces, tells [availability](explanation/availability.md).
+two sensors compared with those of a strapdown INS with laser gyros, the ship moored. No printed values remain to be
+compared. Such a trial with the scenario `mooring`, and the availability of an attitude compared with the methods that
+the paper replaces, are in [availability](explanation/availability.md).
 """
 
 
 def chain() -> list[tuple[str, FloatArray]]:
-    """The star's direction in the horizon without refraction, with one step more each time; shape (3,) each."""
+    """Return the star's direction in the horizon without refraction, with one more correction each; shape (3,) each."""
     ut1 = f"{float(ORIENTATION.ut1_minus_utc_s):.4f} s".replace("-", "−")
     return [
         ("no aberration, UT1 = UTC", without_aberration(UT1_TAKEN_AS_UTC, diurnal=False)),
@@ -66,7 +66,7 @@ def chain() -> list[tuple[str, FloatArray]]:
 
 
 def example() -> Iterator[Row]:
-    """What the paper prints of its example."""
+    """Yield the values that the paper prints of its example."""
     first_n, last_n = chain()[0][1], chain()[-1][1]
     for name, printed, bare, full in zip(("North", "Up", "East"), PRINTED_V, first_n, last_n, strict=True):
         yield Row(f"V, {name}", f"{printed:.6f}", f"{bare:.6f}; in full {full:.6f}", _HIDDEN)
@@ -80,7 +80,7 @@ def example() -> Iterator[Row]:
         "refraction at that elevation, (8)–(12)",
         f"{PRINTED_REFRACTION_ARCSEC:.2f}″",
         f"{almanac:.3f}″; by `erfa` {erfa:.2f}″",
-        "α below 45° is lost in print; with α = 1 it agrees",
+        "α below 45° is missing in our text; with α = 1 it agrees",
     )
     yield Row("elevation, raised", f"{PRINTED_RAISED_DEG:.4f}°", f"{PRINTED_ELEVATION_DEG + almanac / 3600.0:.4f}°")
 
@@ -89,7 +89,7 @@ _PRINTED_DEG = (PRINTED_AZIMUTH_DEG, PRINTED_ELEVATION_DEG)
 
 
 def steps() -> Iterator[tuple[str, ...]]:
-    """The chain, and how far off the print each step is."""
+    """Yield the rows of the chain, with the difference of each step from the printed place."""
     printed_n = _direction(*np.deg2rad(_PRINTED_DEG))
     for words, direction_n in chain():
         azimuth_deg, elevation_deg = angles_deg(direction_n)
@@ -98,12 +98,12 @@ def steps() -> Iterator[tuple[str, ...]]:
 
 
 def _missing_arcsec() -> float:
-    """Between the first and the last direction of the chain."""
+    """Return the angle between the first and the last direction of the chain, arcsec."""
     return float(np.linalg.norm(shift_arcsec(chain()[0][1], chain()[-1][1])))
 
 
 def _direction(azimuth: float, elevation: float) -> FloatArray:
-    """(North, Up, East)."""
+    """Return the direction (North, Up, East)."""
     level = np.cos(elevation)
     direction_n = np.array([level * np.cos(azimuth), np.sin(elevation), level * np.sin(azimuth)])
     assert np.isclose(elevation_of(direction_n), elevation)

@@ -10,9 +10,9 @@ class Row:
 
     Attributes:
         what: the value, and where the paper prints it.
-        printed: as the paper prints it.
+        printed: as printed in the paper.
         ours: as computed here.
-        why: why they differ; empty where they agree.
+        why: reason of the difference; empty if they agree.
     """
 
     what: str
@@ -22,13 +22,13 @@ class Row:
 
 
 def rows_table(rows: Iterable[Row]) -> str:
-    """A table of Markdown: value printed, ours, why different."""
+    """Return a Markdown table: value printed, ours, why different."""
     cells = ((row.what, row.printed, row.ours, row.why or "agrees") for row in rows)
     return table(("", "printed", "ours", "why different"), cells)
 
 
 def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A table of Markdown."""
+    """Return a Markdown table."""
     names = list(header)
     lines = [names, ["---"] * len(names), *(list(row) for row in rows)]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)

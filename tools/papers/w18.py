@@ -1,7 +1,7 @@
-"""[W18]: how well two lights tell the telescope's axis, by the paper's method and ours, in two readings of the paper.
+"""[W18]: accuracy of the telescope's axis from two lights, by the paper's method and ours, in two readings.
 
-Zero-mean errors that are normal and alike in all directions of a plane have sizes with a Rayleigh distribution, whose
-mean is 1.91 times its standard deviation; where they are not alike in all directions the ratio is less.
+Zero-mean normal errors that are isotropic in a plane have sizes with a Rayleigh distribution, whose mean is 1.91 times
+its standard deviation; if they are not isotropic the ratio is less.
 """
 
 from collections.abc import Iterator
@@ -36,14 +36,14 @@ _EPOCHS_BESIDE, _VOYAGES = 10_000, 8
 
 @dataclass(frozen=True)
 class PaperReading:
-    """One reading of what the paper simulated.
+    """One reading of the paper's simulation.
 
     Attributes:
         name: for tables and figures.
         baseline_sigma_m: error of each baseline, each axis.
-        untold_lens_m: N' of which nobody knows, in the main frame, shape (3,).
-        elevation_deg: where the telescope looks.
-        focal_length_error_m: of the focal length, the same at all epochs; None where it is drawn anew at each.
+        untold_lens_m: N' not known to the method, in the main frame, shape (3,).
+        elevation_deg: elevation of the telescope's axis.
+        focal_length_error_m: of the focal length, the same at all epochs; None where a new one is drawn at each.
     """
 
     name: str
@@ -55,12 +55,12 @@ class PaperReading:
 
 SURVEYED = PaperReading("N′ surveyed, 2.7 cm per axis")
 AS_A_NORM = PaperReading("N′ surveyed, 2.7 cm as a norm", BASELINE_M / float(np.sqrt(3.0)))
-UNSURVEYED = replace(AS_A_NORM, name="N′ left in, 2.7 cm as a norm", untold_lens_m=tuple(UNTOLD_LENS_M.tolist()))
+UNSURVEYED = replace(AS_A_NORM, name="N′ unsurveyed, 2.7 cm as a norm", untold_lens_m=tuple(UNTOLD_LENS_M.tolist()))
 
 
 @dataclass(frozen=True)
 class AxisErrors:
-    """Errors of the telescope's axis on the sky over many epochs, arcsec, shape (n,), by either method."""
+    """Errors of the telescope's axis on the sky over many epochs, arcsec, shape (n,), by each method."""
 
     triads: FloatArray
     likelihood: FloatArray
@@ -68,7 +68,7 @@ class AxisErrors:
 
 @cache
 def axis_errors(reading: PaperReading, epochs: int = _EPOCHS) -> AxisErrors:
-    """Both methods over epochs of a reading."""
+    """Compute the errors of both methods over epochs of a reading."""
     truth = truth_of(np.full(epochs, 77.0), reading.elevation_deg, 0.0)
     constant_m = reading.focal_length_error_m
     drawn = paper_epochs(
@@ -90,7 +90,7 @@ def axis_errors(reading: PaperReading, epochs: int = _EPOCHS) -> AxisErrors:
 
 @dataclass(frozen=True)
 class SuiteError:
-    """The core of ``optical_axis`` at the end of voyages: root mean squares on the sky, and refused sightings."""
+    """Errors of the core of ``optical_axis`` after voyages, root mean squares on the sky; rejected sightings."""
 
     error_arcsec: float
     sigma_arcsec: float
@@ -98,13 +98,13 @@ class SuiteError:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """For a table."""
+        """Return the cells of a table row."""
         return f"{self.error_arcsec:.2f}″", f"{self.sigma_arcsec:.2f}″", str(self.refused)
 
 
 @cache
 def suite_error_arcsec(scenario: str, seeds: range) -> SuiteError:
-    """Simulate voyages of a scenario in bags/scenarios, and filter them."""
+    """Simulate voyages of a scenario in bags/scenarios, and filter them; return the errors."""
     voyages = [pointing_errors(load_scenario(ROOT / "bags" / "scenarios" / f"{scenario}.yaml"), seed) for seed in seeds]
     ends = np.array([[voyage.on_sky[-1], voyage.sigma_on_sky[-1]] for voyage in voyages]) / ARCSEC
     error_arcsec, sigma_arcsec = np.sqrt(np.mean(ends**2, axis=0))
@@ -112,7 +112,7 @@ def suite_error_arcsec(scenario: str, seeds: range) -> SuiteError:
 
 
 def summary(sizes: FloatArray) -> tuple[float, float, float]:
-    """Mean, standard deviation, root mean square."""
+    """Return mean, standard deviation, root mean square."""
     return float(sizes.mean()), float(sizes.std()), float(np.sqrt(np.mean(sizes**2)))
 
 
@@ -120,7 +120,7 @@ _COLUMNS = ("mean", "σ", "total", "mean/σ")
 
 
 def section(figure: str) -> str:
-    """The part of the page about this paper; ``figure`` is its picture."""
+    """Return the section of the page about this paper; ``figure`` is the path of its figure."""
     readings = table(("", *_COLUMNS), _readings())
     of_focal_length = table(("2.7 cm", "f wrong at all epochs by", *_COLUMNS), _constant_focal_lengths())
     voyages = table(("N′", "error on the sky", "claimed σ", "sightings refused"), _voyages())
@@ -131,34 +131,34 @@ def section(figure: str) -> str:
 ### The figure of its simulation in two readings
 
 Two lights at (3°, 2°) and (−2°, −3°) from the axis, 2 km away; f 100 mm ± 0.1 mm, a tenth of a pixel of 6.5 µm, 2″ of
-refraction at each light, all drawn anew at each of {_EPOCHS} epochs. The paper's method is the mean of two TRIADs, its
-(22) mended ([errata](explanation/errata.md)); ours is the suite's maximum likelihood, with the focal length from the
+refraction at each light, all drawn independently at each of {_EPOCHS} epochs. The paper's method is the mean of two
+TRIADs, its (22) corrected ([errata](explanation/errata.md)); ours is the suite's maximum likelihood, with f from the
 angle between the lights. Mean, standard deviation and root mean square of the axis' error on the sky:
 
 {readings}
 ![Errors of the telescope's axis in both readings]({figure})
 
-The paper's method has {_over_elevations(SURVEYED)} surveyed and {_over_elevations(UNSURVEYED)} left in at elevations
+The paper's method has {_over_elevations(SURVEYED)} surveyed and {_over_elevations(UNSURVEYED)} unsurveyed at elevations
 of {elevations}°.
 
 **The printed total is mostly a constant.** Its mean is {PRINTED_MEAN_ARCSEC / PRINTED_SIGMA_ARCSEC:.2f} times its σ.
 Zero-mean normal errors in a plane have at most √(π / (4 − π)) = {RAYLEIGH_RATIO:.2f}: that is the Rayleigh
-distribution, of errors alike in all directions; others have less. A focal length that is wrong by the listed 0.1 mm at
-all epochs, and not drawn anew, has 2.0 to 2.2. Some twice as much comes near, but the paper lists no such error:
+distribution, of isotropic errors; others have less. A focal length that is wrong by the listed 0.1 mm at all epochs,
+constant instead of drawn at each, has 2.0 to 2.2. About twice as much comes near, but the paper lists no such error:
 
 {of_focal_length}
-The paper lists one constant of the size needed: N′, 60 mm. Left in, with equal parts forward, up and right, it moves
-both lights alike, by {_constant_arcsec():.2f}″. Of fourteen directions, along the axes and midway between them, that
+The paper lists one constant of the size needed: N′, 60 mm. Unsurveyed, with equal parts forward, up and right, it moves
+both lights equally, by {_constant_arcsec():.2f}″. Of fourteen directions, along the axes and midway between them, that
 one, or its opposite, fits best (a test): a strong hypothesis, not a proof.
 
-So there are two rows for the suite. With N′ surveyed an epoch has 3.47″, which is the bound, and many epochs have less.
-With N′ unsurveyed no method with lights alone does better than the constant, however many epochs it has. The scenarios
+Hence there are two rows for the suite. With N′ surveyed an epoch has 3.47″, which is the bound, and many epochs less.
+With N′ unsurveyed no method with lights alone has less than the constant, for any number of epochs. The scenarios
 [`lens_surveyed`](../bags/scenarios/lens_surveyed.yaml) and [`lens_unsurveyed`](../bags/scenarios/lens_unsurveyed.yaml)
 are these two as voyages. The core of `optical_axis` after sixty sightings, {_VOYAGES} voyages each, root mean square:
 
 {voyages}
-No residual tells the second row: none of its sightings looks wrong. Who has not surveyed N′ says so by
-`telescope.lens.sigma_m`, and the claim is honest again (a test).
+No residual shows the error of the second row: all its sightings are consistent. An unsurveyed N′ must be declared by
+`telescope.lens.sigma_m`; then the claimed σ covers the error (a test).
 """
 
 
@@ -170,15 +170,15 @@ def _constant_focal_lengths() -> Iterator[tuple[str, ...]]:
 
 
 def _voyages() -> Iterator[tuple[str, ...]]:
-    for words, scenario in zip(("surveyed", "told to nobody"), SCENARIOS, strict=True):
+    for words, scenario in zip(("surveyed", "unsurveyed"), SCENARIOS, strict=True):
         yield words, *suite_error_arcsec(scenario, range(_VOYAGES)).cells
 
 
 def printed() -> Iterator[Row]:
-    """What the paper prints."""
+    """Yield the values that the paper prints."""
     mean, sigma, total = summary(axis_errors(UNSURVEYED).triads)
     _, _, surveyed = summary(axis_errors(SURVEYED).triads)
-    constant = "N′ left in, 2.7 cm as a norm: see below"
+    constant = "N′ unsurveyed, 2.7 cm as a norm: see below"
     yield Row("mean of the axis' error", f"{PRINTED_MEAN_ARCSEC:.2f}″", f"{mean:.2f}″", constant)
     yield Row("its standard deviation", f"{PRINTED_SIGMA_ARCSEC:.2f}″", f"{sigma:.2f}″", constant)
     squares = np.hypot(PRINTED_MEAN_ARCSEC, PRINTED_SIGMA_ARCSEC)
@@ -196,7 +196,7 @@ def printed() -> Iterator[Row]:
 
 
 def baseline_end_m() -> float:
-    """Norm of the error of a baseline's end by what the paper lists, m."""
+    """Return the norm of the error of a baseline's end by the paper's error list, m."""
     rtk_m = 0.01 * np.sqrt(3.0)
     drone_m = 0.3 * np.linalg.norm(np.deg2rad([1.0, 1.0, 2.0]))
     ship_m = 5.0 * np.linalg.norm(np.array([10.0, 10.0, 72.0]) * ARCSEC)
@@ -204,7 +204,7 @@ def baseline_end_m() -> float:
 
 
 def azimuth_of_tilt_arcsec(tilt_arcsec: float = 20.0, elevation_deg: float = 60.0) -> float:
-    """Largest error of a direction's azimuth by a tilt of the horizon, over all directions of the tilt, arcsec."""
+    """Return the largest azimuth error of a direction by a tilt of the horizon in any direction, arcsec."""
     azimuths = np.deg2rad(np.arange(0.0, 360.0))
     tilts_n = tilt_arcsec * ARCSEC * np.stack([np.cos(azimuths), np.zeros(360), np.sin(azimuths)], axis=-1)
     line_n = rotation_from_angles(*np.deg2rad([0.0, elevation_deg, 0.0]))[:, 0]

@@ -1,4 +1,4 @@
-"""[Z14]: the rows, tables and pictures about the error model of a star sensor's installation."""
+"""[Z14]: rows, tables and figures about the error model of a star sensor's installation."""
 
 from collections.abc import Iterator
 
@@ -26,30 +26,30 @@ _GREATEST_PITCH = np.deg2rad(85.0)
 
 
 def section(folder: str) -> str:
-    """The part of the page about this paper; ``folder`` has its pictures."""
+    """Return the section of the page about this paper; ``folder`` has its figures."""
     pictures = "".join(
         f"![Figure {sweep.number} of [Z14]: errors over {sweep.symbol}]({folder}/z14_figure_{sweep.number}.png)\n\n"
         for sweep in SWEEPS
     )
-    readings = ("", "says", "the paper's reading", "physical reading", "where it does not hold")
+    readings = ("", "conclusion", "the paper's reading", "physical reading", "where it does not hold")
     conclusions, factors = (
         table(readings, _conclusions()),
-        table(("", "factor", "has to be", "largest difference", ""), _factors()),
+        table(("", "factor", "exact", "largest difference", ""), _factors()),
     )
     return f"""## [Z14]: error model of a star sensor's installation
 
-Two readings all along ([errata](explanation/errata.md)): *the paper's*, which takes R(A0, E0, γ0) as sensor from deck
-in its factors and figures, and *the physical one*, which is its own (4) and what the suite uses. As 235°, Es 45°,
+There are two readings ([errata](explanation/errata.md)): *the paper's*, which takes R(A0, E0, γ0) as sensor from deck
+in its factors and figures, and *the physical one*, its own (4), which the suite uses. As 235°, Es 45°,
 γs 90°, E0 35°, γ0 0 unless swept.
 
 {rows_table(_printed())}
 ### Its fifteen conclusions
 
-Each is a question to the exact model, asked in both readings by a test of its name
+Each is tested with the exact model in both readings, by a test of its name
 ([`z14_conclusions.py`](../tools/papers/z14_conclusions.py)). Sizes of errors count, without their signs.
 
 {conclusions}
-All hold in the paper's reading: its text is true of its figures. {_holding(PHYSICAL)} of {len(CONCLUSIONS)} hold
+All hold in the paper's reading: its text agrees with its figures. {_holding(PHYSICAL)} of {len(CONCLUSIONS)} hold
 physically.
 
 ### Its six figures
@@ -59,7 +59,7 @@ operating point.
 
 {pictures}### Its factors (8)–(38)
 
-Each factor as printed against what it has to be by the suite's exact Jacobian, in the paper's own reading, at
+Each printed factor compared with its exact value by the suite's Jacobian, in the paper's own reading, at
 {ATTITUDES} random attitudes: largest difference. N and D are the elements of R whose quotient is the tangent of the
 heading (K) and of the roll (θ), S is the sine of the pitch.
 
@@ -124,19 +124,19 @@ def _factors_in_words() -> str:
     right = len(FACTORS) - lost - len(wrong)
     return (
         f"Of {len(FACTORS)} factors {right} are exact in the paper's reading, {completed} of them with subscripts "
-        f"that had to be put\nback; {', '.join(wrong)} is misprinted; {lost} are lost in the text that we have."
+        f"that had to be\nrestored; {', '.join(wrong)} is misprinted; {lost} are missing in our text."
     )
 
 
 def _joined(reading: InstallationReading) -> str:
-    """Largest difference of the printed factors, joined, from the exact Jacobian, where the ship is not on end."""
+    """Return the largest difference of the joined printed factors from the exact Jacobian, below 85° of pitch."""
     angles = upright_attitudes(reading)
     difference = float(np.max(np.abs(jacobian_of_factors(angles) - exact_jacobian(angles, reading))))
     return f"{difference:.0f}" if difference > EXACT else "to rounding"
 
 
 def upright_attitudes(reading: InstallationReading) -> FloatArray:
-    """Random attitudes at which the ship's pitch is below 85° in a reading and in the paper's, shape (n, 6)."""
+    """Return random attitudes with a ship's pitch below 85° in a reading and in the paper's, shape (n, 6)."""
     angles = random_attitudes(ATTITUDES)
     pitches = [_pitch(angles, each) for each in (reading, PAPER)]
     upright: FloatArray = angles[np.max(np.abs(pitches), axis=0) < _GREATEST_PITCH]

@@ -1,9 +1,9 @@
-"""[Z14]'s fifteen conclusions, each as a question to the exact model: does it hold, in which reading?
+"""[Z14]'s fifteen conclusions, each tested with the exact model: does it hold, and in which reading?
 
-The questions are asked at the paper's operating point, and over the sweeps of its six figures. What a conclusion says
-of one layout is asked there. Sizes of errors count, without their signs. In the figures of one error (1 to 3) a trend
-must not turn back at all. In those of all six (4 to 6) the four small ones, 3" + 3" + 1" + 1", are added with their
-signs to the two that make the trend: it may turn back by their sum.
+They are tested at the paper's operating point, over the sweeps of its six figures, and a conclusion about one layout at
+that layout. Sizes of errors count, without their signs. In the figures of one error (1 to 3) a trend must be monotonic.
+In those of all six (4 to 6) the trend is caused by two. The four small errors, 3" + 3" + 1" + 1", are added with their
+signs: the trend may reverse by at most their sum.
 """
 
 from collections.abc import Callable
@@ -35,9 +35,9 @@ class Conclusion:
 
     Attributes:
         place: section and number in the paper.
-        words: what it says, in our words.
-        holds: whether it holds in a reading.
-        remark: on where it does not.
+        words: its content, in our words.
+        holds: returns True if it holds in a reading.
+        remark: on readings in which it does not hold.
     """
 
     place: str
@@ -47,7 +47,7 @@ class Conclusion:
 
 
 def curve_arcsec(figure: int, azimuth_deg: float | None, reading: InstallationReading) -> FloatArray:
-    """Sizes of the errors of heading, pitch, roll in a figure, shape (n, 3)."""
+    """Return sizes of the errors of heading, pitch, roll in a figure, shape (n, 3)."""
     (curve,) = (
         curve
         for curve in all_curves(POINT)
@@ -57,7 +57,10 @@ def curve_arcsec(figure: int, azimuth_deg: float | None, reading: InstallationRe
 
 
 def of_star_roll(reading: InstallationReading, **swept_deg: FloatArray | float) -> FloatArray:
-    """Sizes of heading, pitch, roll by 100" about the boresight, with angles of the operating point changed, (n, 3)."""
+    """Return sizes of heading, pitch, roll errors by 100" about the boresight, shape (n, 3).
+
+    Angles of the operating point are replaced by the swept ones.
+    """
     count = max(np.size(values) for values in swept_deg.values())
     angles_deg = np.tile(point_angles_deg(POINT, 0.0), (count, 1))
     for name, values in swept_deg.items():
@@ -67,24 +70,24 @@ def of_star_roll(reading: InstallationReading, **swept_deg: FloatArray | float) 
 
 
 def grows(sizes: FloatArray, turn_back_arcsec: float) -> bool:
-    """Whether sizes end larger than they began, and never turn back by more than this."""
+    """True if sizes end larger than they began, and never decrease by more than the limit."""
     turned_back = np.max(np.maximum.accumulate(sizes) - sizes)
     return bool(turned_back <= turn_back_arcsec and sizes[-1] - sizes[0] > turn_back_arcsec)
 
 
 def falls(sizes: FloatArray, turn_back_arcsec: float) -> bool:
-    """Whether sizes end smaller than they began, and never turn back by more than this."""
+    """True if sizes end smaller than they began, and never increase by more than the limit."""
     return grows(sizes[::-1], turn_back_arcsec)
 
 
 def falls_then_grows(sizes: FloatArray, turn_back_arcsec: float) -> bool:
-    """Whether sizes fall to a least one between the ends, and grow from there."""
+    """True if sizes decrease to a minimum between the ends, and increase from there."""
     least = int(np.argmin(sizes))
     return falls(sizes[: least + 1], turn_back_arcsec) and grows(sizes[least:], turn_back_arcsec)
 
 
 def oscillates(sizes: FloatArray) -> bool:
-    """Whether sizes over a whole turn come back to where they began, and rise and fall between."""
+    """True if sizes over a full turn return to the initial value, and rise and fall between."""
     return bool(np.ptp(sizes) > _SMALL_ERRORS_ARCSEC and abs(sizes[-1] - sizes[0]) < _ROUNDING_ARCSEC)
 
 
@@ -92,13 +95,13 @@ def oscillates(sizes: FloatArray) -> bool:
 
 
 def peak_of_heading_is_112(reading: InstallationReading) -> bool:
-    """Over all installation azimuths."""
+    """Test over all installation azimuths."""
     peak = np.max(of_star_roll(reading, A0=np.arange(0.0, 360.0, 0.1))[:, HEADING])
     return bool(np.round(peak) == 112.0)
 
 
 def flat_over_star_azimuth(reading: InstallationReading) -> bool:
-    """In figure 1."""
+    """Test in figure 1."""
     return all(
         np.ptp(curve_arcsec(1, azimuth_deg, reading), axis=0).max() < _ROUNDING_ARCSEC
         for azimuth_deg in CURVE_AZIMUTHS_DEG
@@ -106,15 +109,15 @@ def flat_over_star_azimuth(reading: InstallationReading) -> bool:
 
 
 def oscillates_over_es_roll_s_a0(reading: InstallationReading) -> bool:
-    """Over a whole turn of Es, of γs and of A0, at each of the four azimuths of the figures."""
-    turn_deg = np.arange(0.0, 361.0) + 0.25  # the ship on end at none of them
+    """Test over a full turn of Es, of γs and of A0, at each of the four azimuths of the figures."""
+    turn_deg = np.arange(0.0, 361.0) + 0.25  # none with a pitch of 90°
     by_a0 = of_star_roll(reading, A0=turn_deg)
     swept = [of_star_roll(reading, **{name: turn_deg, "A0": a0}) for name in ("Es", "γs") for a0 in CURVE_AZIMUTHS_DEG]
     return all(oscillates(sizes[:, angle]) for sizes in (by_a0, *swept) for angle in range(3))
 
 
 def ahead_roll_and_abeam_heading(reading: InstallationReading) -> bool:
-    """At E0 = 35° roll is worst ahead and astern, heading abeam; with the trends of figure 3 over E0."""
+    """Test at E0 = 35°: roll is worst ahead and astern, heading abeam; and figure 3's trends over E0."""
     ahead = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in AHEAD_ASTERN]
     abeam = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in ABEAM]
     trends = [grows(sizes[:, angle], _ROUNDING_ARCSEC) for sizes in ahead for angle in (HEADING, PITCH)]
@@ -124,7 +127,7 @@ def ahead_roll_and_abeam_heading(reading: InstallationReading) -> bool:
 
 
 def worst_is(angle: int, azimuths_deg: tuple[float, ...], reading: InstallationReading) -> bool:
-    """Whether an angle of the ship is the worst one at E0 = 35°, at each of these azimuths."""
+    """True if an angle of the ship is the worst one at E0 = 35°, at each of these azimuths."""
     return all(int(np.argmax(sizes)) == angle for sizes in of_star_roll(reading, A0=np.array(azimuths_deg)))
 
 
@@ -132,12 +135,12 @@ def worst_is(angle: int, azimuths_deg: tuple[float, ...], reading: InstallationR
 
 
 def oscillates_over_installation_azimuth(reading: InstallationReading) -> bool:
-    """In figure 4."""
+    """Test in figure 4."""
     return all(oscillates(curve_arcsec(4, None, reading)[:, angle]) for angle in range(3))
 
 
 def flat_over_installation_roll(reading: InstallationReading) -> bool:
-    """In figure 5."""
+    """Test in figure 5."""
     return all(
         np.ptp(curve_arcsec(5, azimuth_deg, reading), axis=0).max() < _ROUNDING_ARCSEC
         for azimuth_deg in CURVE_AZIMUTHS_DEG
@@ -145,27 +148,27 @@ def flat_over_installation_roll(reading: InstallationReading) -> bool:
 
 
 def pitch_grows_with_elevation(reading: InstallationReading) -> bool:
-    """In figure 6, at all four azimuths."""
+    """Test in figure 6, at all four azimuths."""
     return all(_trend(grows, azimuth_deg, PITCH, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG)
 
 
 def ahead_heading_grows_roll_falls(reading: InstallationReading) -> bool:
-    """In figure 6, A0 = 0."""
+    """Test in figure 6, A0 = 0."""
     return _trend(grows, 0.0, HEADING, reading) and _trend(falls, 0.0, ROLL, reading)
 
 
 def to_starboard_heading_and_roll_fall(reading: InstallationReading) -> bool:
-    """In figure 6, A0 = 90°."""
+    """Test in figure 6, A0 = 90°."""
     return _trend(falls, 90.0, HEADING, reading) and _trend(falls, 90.0, ROLL, reading)
 
 
 def astern_heading_grows_roll_falls_then_grows(reading: InstallationReading) -> bool:
-    """In figure 6, A0 = 180°."""
+    """Test in figure 6, A0 = 180°."""
     return _trend(grows, 180.0, HEADING, reading) and _trend(falls_then_grows, 180.0, ROLL, reading)
 
 
 def to_port_heading_falls_roll_falls_then_grows(reading: InstallationReading) -> bool:
-    """In figure 6, A0 = 270°."""
+    """Test in figure 6, A0 = 270°."""
     return _trend(falls, 270.0, HEADING, reading) and _trend(falls_then_grows, 270.0, ROLL, reading)
 
 
@@ -179,12 +182,12 @@ def _trend(
 
 
 def star_azimuth_moves_heading_alone(reading: InstallationReading) -> bool:
-    """At random attitudes, by a factor of one; and nothing depends on As."""
+    """Test at random attitudes, by a factor of one; and no dependence on As."""
     return _moves_alone("As", HEADING, reading)
 
 
 def installation_roll_moves_roll_alone(reading: InstallationReading) -> bool:
-    """At random attitudes, by a factor of one; and nothing depends on γ0."""
+    """Test at random attitudes, by a factor of one; and no dependence on γ0."""
     return _moves_alone("γ0", ROLL, reading)
 
 
@@ -199,12 +202,12 @@ def _moves_alone(name: str, angle: int, reading: InstallationReading) -> bool:
 
 
 def along_the_keel_roll_abeam_heading(reading: InstallationReading) -> bool:
-    """At the operating point, E0 = 35°."""
+    """Test at the operating point, E0 = 35°."""
     return worst_is(ROLL, AHEAD_ASTERN, reading) and worst_is(HEADING, ABEAM, reading)
 
 
 def pitch_grows_and_the_others_depend_on_the_layout(reading: InstallationReading) -> bool:
-    """In figure 6: the pitch at all azimuths alike, heading and roll at one so and at another so."""
+    """Test in figure 6: pitch equal at all azimuths; heading and roll differ between azimuths."""
     courses = [curve_arcsec(6, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
     gains = np.array([course[-1] - course[0] for course in courses])
     differ = bool(np.all(np.ptp(gains[:, [HEADING, ROLL]], axis=0) > _SMALL_ERRORS_ARCSEC))
@@ -230,7 +233,7 @@ CONCLUSIONS = (
     Conclusion("3.2 (1)", "all errors oscillate over A0", oscillates_over_installation_azimuth),
     Conclusion(
         "3.2 (2)", "nothing depends on γ0", flat_over_installation_roll,
-        "by (4) the deck turns with γ0 under a sensor that is held: heading ahead goes from 273″ to −45″",
+        "by (4) the deck turns with γ0 under a fixed sensor: heading ahead goes from 273″ to −45″",
     ),
     Conclusion(
         "3.2 (3)", "pitch grows with E0", pitch_grows_with_elevation,

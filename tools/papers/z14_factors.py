@@ -1,7 +1,7 @@
-"""[Z14] (8)-(38): the paper's closed-form factors as printed, and what each has to be by our exact Jacobian.
+"""[Z14] (8)-(38): the paper's closed-form factors as printed, and their exact values by our exact Jacobian.
 
 The factors are elements of the ship's rotation R = R(As, Es, γs) R(A0, E0, γ0), the paper's reading, and derivatives of
-them: heading K = atan2(N_K, D_K) with N_K = R31, D_K = R11; pitch asin(S) with S = R21; roll atan2(N_θ, D_θ) with
+them. Heading K = atan2(N_K, D_K) with N_K = R31, D_K = R11; pitch asin(S) with S = R21; roll atan2(N_θ, D_θ) with
 N_θ = -R23, D_θ = R22. Angles are (As, Es, γs, A0, E0, γ0), shape (..., 6), rad.
 """
 
@@ -28,9 +28,9 @@ class Factor:
         number: of the equation.
         symbol: the paper's.
         sign: of ``element`` or of its derivative in the factor.
-        element: what it is.
+        element: name of the element.
         by: the angle by which ``element`` is differentiated; empty for the element itself.
-        printed: the factor as printed; None where our text of the paper has lost it.
+        printed: the factor as printed; None if it is missing in our text of the paper.
         remark: about the print.
     """
 
@@ -44,12 +44,12 @@ class Factor:
 
     @property
     def meaning(self) -> str:
-        """What the factor has to be, in symbols."""
+        """Return the exact factor, in symbols."""
         sign = "−" if self.sign < 0.0 else ""
         return f"{sign}∂{self.element}/∂{self.by}" if self.by else f"{sign}{self.element}"
 
     def exact(self, angles: FloatArray) -> FloatArray:
-        """What the factor has to be, by our model, shape (...)."""
+        """Return the exact value of the factor by our model, shape (...)."""
         row, column, sign = _ELEMENTS[self.element]
         rotation = rotation_by(angles, self.by) if self.by else _rotation(angles)
         value: FloatArray = self.sign * sign * rotation[..., row, column]
@@ -61,7 +61,7 @@ def _rotation(angles: FloatArray) -> FloatArray:
 
 
 def rotation_by(angles: FloatArray, by: str) -> FloatArray:
-    """Derivative of the ship's rotation by one of the six angles, shape (..., 3, 3), by B of ship_geometry.frames."""
+    """Return the derivative of the ship's rotation by an angle, shape (..., 3, 3), by B of ship_geometry.frames."""
     column = ANGLES.index(by)
     first = rotation_from_angles(*np.moveaxis(angles[..., :3], -1, 0))
     second = rotation_from_angles(*np.moveaxis(angles[..., 3:], -1, 0))
@@ -74,7 +74,7 @@ def rotation_by(angles: FloatArray, by: str) -> FloatArray:
 
 
 def _printed(formula: str) -> Callable[[FloatArray], FloatArray]:
-    """A formula in the paper's letters: CA is cos As, Ca is cos A0, SE is sin Es, Sg is sin γ0."""
+    """Return a function for a formula in the paper's letters: CA is cos As, Ca cos A0, SE sin Es, Sg sin γ0."""
     code = compile(formula, "factor", "eval")
 
     def value(angles: FloatArray) -> FloatArray:
@@ -87,8 +87,8 @@ def _printed(formula: str) -> Callable[[FloatArray], FloatArray]:
     return value
 
 
-SUBSCRIPTS = "subscripts lost in the scan, put back by the pattern of the others"
-_LOST = "lost in the scan, as a whole or but for its first terms"
+SUBSCRIPTS = "subscripts missing in the scan, restored by the pattern of the others"
+_LOST = "missing in the scan, completely or except its first terms"
 
 _N_K = "Ca*Ce*SA*CE + Se*(CA*SG - SA*SE*CG) + Sa*Ce*(CA*CG + SA*SE*SG)"
 _D_K = "-Ca*Ce*CA*CE + Se*(SA*SG + CA*SE*CG) + Sa*Ce*(SA*CG - CA*SE*SG)"
@@ -130,7 +130,7 @@ FACTORS = (
     Factor(
         29, "kb6", -1.0, "D_K", "E0",
         _printed("Ca*Se*CA*CE + Ce*(SA*SG + CA*SE*CG) - Sa*Se*(SA*CG - CA*SE*SG)"),
-        "opens a bracket that it never closes, as our text has it; without it exact",
+        "has an unclosed bracket in our text; without it exact",
     ),
     Factor(30, "fb1", -1.0, "S", "A0", _printed("Ca*Ce*CE*SG + Sa*Ce*SE"), "(6) has to subtract it"),
     Factor(31, "fb2", 1.0, "S", "", _printed("Ca*Ce*SE + Se*CE*CG - Sa*Ce*CE*SG")),
@@ -142,26 +142,26 @@ FACTORS = (
     Factor(37, "tb5", -1.0, "N_θ", "E0", _printed("SE*Ca*Ce*Sg + CE*CG*Se*Sg - CE*SG*Sa*Ce*Sg")),
     Factor(38, "tb6", -1.0, "D_θ", "E0", _printed("SE*Ca*Ce*Cg + CE*CG*Se*Cg - CE*SG*Sa*Ce*Cg")),
 )  # fmt: skip
-"""Every factor of the paper. Here and there only the names of the angles are shortened: nothing is mended."""
+"""Every factor of the paper. Only names of angles are shortened in places: no misprint is corrected."""
 
 
 def random_attitudes(count: int, seed: int = 14) -> FloatArray:
-    """Angles of a sensor and of its installation all over their ranges, shape (count, 6)."""
+    """Return angles of a sensor and of its installation over their full ranges, shape (count, 6)."""
     degrees = np.array([180.0, 80.0, 180.0])
     return np.deg2rad(np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 6)) * np.tile(degrees, 2))
 
 
 def largest_difference(factor: Factor, angles: FloatArray) -> float:
-    """Between print and exact value; NaN where the print is lost."""
+    """Return the largest difference between printed and exact value; NaN where the print is missing."""
     if factor.printed is None:
         return float("nan")
     return float(np.max(np.abs(factor.printed(angles) - factor.exact(angles))))
 
 
 def jacobian_of_factors(angles: FloatArray) -> FloatArray:
-    """[Z14] (5)-(7) of the factors as printed: heading, pitch, roll per error of the six angles, shape (..., 3, 6).
+    """Return [Z14] (5)-(7) of the printed factors: heading, pitch, roll per error of the six angles, shape (..., 3, 6).
 
-    The three factors that are lost are the exact ones; of (5)-(7) the scan has lost much, and they stand as they must.
+    The three missing factors are the exact ones. The missing parts of (5)-(7) in the scan are restored.
     """
     f = {factor.symbol: (factor.printed or factor.exact)(angles) for factor in FACTORS}
     none, one = np.zeros(angles.shape[:-1]), np.ones(angles.shape[:-1])
@@ -189,6 +189,6 @@ def jacobian_of_factors(angles: FloatArray) -> FloatArray:
 
 
 def exact_jacobian(angles: FloatArray, reading: InstallationReading) -> FloatArray:
-    """The same by the layout study's own model, shape (..., 3, 6); NaN where the ship stands on end."""
+    """Return the same by the layout study's model, shape (..., 3, 6); NaN at a pitch of the ship of 90°."""
     model = linearise(angles[..., :3], angles[..., 3:], reading)
     return np.concatenate([model.star, model.installation], axis=-1)

@@ -1,4 +1,4 @@
-"""A running node that is asked something: found by its name, its services called, its parameters read and set."""
+"""Client of a running node: find it by name, call its services, read and set its parameters."""
 
 import argparse
 import contextlib
@@ -22,7 +22,7 @@ from ship_bags.parameter_yaml import full_name
 
 _POLL_S = 0.05
 _MOST_LISTED = 12
-"""Of more names than this only the nearest is told, so that it is not lost among them."""
+"""Maximum number of names listed in an error; of more, only the nearest one is given."""
 _TIMEOUT_S = 5.0
 
 _NOTHING = "[]"
@@ -30,11 +30,11 @@ _NOTHING = "[]"
 
 
 def asking_parser(prog: str, example: str, description: str, epilog: str) -> CommandParser:
-    """The parser of a command that asks a node: it takes the node's ``node`` and the ``timeout`` of its answers.
+    """Return the parser of a command for a node, with the arguments ``node`` and ``timeout``.
 
     Args:
         prog: name of the command.
-        example: arguments that it may be given.
+        example: example of its arguments.
         description: what it does.
         epilog: its exit codes.
     """
@@ -47,24 +47,24 @@ def asking_parser(prog: str, example: str, description: str, epilog: str) -> Com
     )
     parser.add_argument("node", metavar="NODE", help="its name, with its namespace: /demo/ship_attitude")
     parser.add_argument(
-        "--timeout", type=positive, default=_TIMEOUT_S, metavar="S", help=f"wait so many seconds ({_TIMEOUT_S:g})"
+        "--timeout", type=positive, default=_TIMEOUT_S, metavar="S", help=f"timeout of a response, s ({_TIMEOUT_S:g})"
     )
     return parser
 
 
 @contextlib.contextmanager
 def asked_node(asker_name: str, name: str, timeout_s: float) -> Iterator["AskedNode"]:
-    """A node of the network, asked by a node of ours that ends with the ``with`` statement.
+    """Yield a node of the network, accessed through a node of our own that ends with the ``with`` statement.
 
     Args:
-        asker_name: what our node is called.
-        name: see :class:`AskedNode`.
-        timeout_s: the same.
+        asker_name: name of our node.
+        name: see :class:`RemoteNode`.
+        timeout_s: see :class:`RemoteNode`.
 
     Raises:
-        BadInput: the same.
+        BadInput: see :class:`RemoteNode`.
     """
-    # No two that ask at the same time have one name.
+    # The process id makes the name unique among commands that run at the same time.
     with command_node(f"{asker_name}_{os.getpid()}", []) as asker:
         executor = SingleThreadedExecutor()
         executor.add_node(asker)
@@ -79,13 +79,13 @@ class AskedNode:
         name: with its namespace.
 
     Args:
-        asker: a node of ours.
-        name: the node's name; with its namespace, or without where it has none.
-        timeout_s: so long is waited for the node, and for each of its answers.
-        wait: serves the callbacks of `asker` for so many seconds.
+        asker: a node of our own.
+        name: the node's name, with its namespace if it has one.
+        timeout_s: timeout for the node and for each of its responses, s.
+        wait: handles callbacks of the own node for the given number of seconds.
 
     Raises:
-        BadInput: there is no such node; the text names those that are there, the nearest first.
+        BadInput: there is no such node; the text lists the existing ones, the nearest first.
     """
 
     def __init__(self, asker: Node, name: str, timeout_s: float, wait: Callable[[float], None]) -> None:
@@ -95,17 +95,17 @@ class AskedNode:
         if not self._until(lambda: self.name in self._nodes()):
             others = sorted(self._nodes() - {full_name(asker.get_name(), asker.get_namespace())})
             raise BadInput(unknown("node", self.name, others))
-        # Services of a node that is known already may still be on their way to us.
+        # The services of a discovered node may be discovered later.
         self._until(lambda: bool(self.services()))
 
     def services(self) -> dict[str, str]:
-        """Name without that of the node → type, of its own services; those of its parameters aside."""
+        """Return name without that of the node → type of its services, without those of its parameters."""
         found = self._asker.get_service_names_and_types_by_node(self._bare_name, self._namespace or "/")
         own = {name.removeprefix(f"{self.name}/"): types[0] for name, types in found}
         return {name: kind for name, kind in own.items() if not kind.startswith(("rcl_", "type_description"))}
 
     def call(self, service: str, kind: Any, **fields: Any) -> Any:
-        """The answer of a service.
+        """Return the response of a service.
 
         Args:
             service: its name without that of the node.
@@ -113,23 +113,23 @@ class AskedNode:
             fields: of the request.
 
         Raises:
-            BadInput: it does not answer.
+            BadInput: it does not respond.
         """
         client = self._asker.create_client(kind, f"{self.name}/{service}")
         if not self._until(client.service_is_ready):
-            raise BadInput(f"node {self.name} has no service '{service}', or is just ending")
+            raise BadInput(f"node {self.name} has no service '{service}', or is ending")
         answer: Future = client.call_async(kind.Request(**fields))
         if not self._until(answer.done):
-            raise BadInput(f"{self.name}/{service} does not answer within {self._timeout_s:g} s")
+            raise BadInput(f"{self.name}/{service} did not respond within {self._timeout_s:g} s")
         return answer.result()
 
     def parameter_names(self) -> list[str]:
-        """Names of its parameters in order."""
+        """Return the names of its parameters, sorted."""
         answer: ListParameters.Response = self.call("list_parameters", ListParameters)
         return sorted(answer.result.names)
 
     def described(self, names: Sequence[str]) -> list[tuple[ParameterDescriptor, ParameterValue]]:
-        """Description and value of some parameters."""
+        """Return description and value of some parameters."""
         told: DescribeParameters.Response = self.call(
             "describe_parameters", DescribeParameters, names=list(names)
         )
@@ -139,7 +139,7 @@ class AskedNode:
         return list(zip(told.descriptors, read.values, strict=True))
 
     def set_parameter(self, name: str, value: ParameterValue) -> str:
-        """Set one; returns why it was refused, empty where it was not."""
+        """Set a parameter; return why it was refused, empty if it was not."""
         answer: SetParametersAtomically.Response = self.call(
             "set_parameters_atomically",
             SetParametersAtomically,
@@ -160,7 +160,7 @@ class AskedNode:
 
 
 def unknown(what: str, name: str, known: Collection[str]) -> str:
-    """That a name is unknown, in words: what it may have been meant for, and what there is."""
+    """Return the error text for an unknown name, with the nearest name and the existing ones."""
     bare = {each.rpartition("/")[2]: each for each in known}
     nearest = difflib.get_close_matches(name, known, 1) or [
         bare[each] for each in difflib.get_close_matches(name.rpartition("/")[2], bare, 1)
@@ -172,10 +172,10 @@ def unknown(what: str, name: str, known: Collection[str]) -> str:
 
 
 def value_from_text(text: str, like: ParameterValue) -> ParameterValue:
-    """A value of the same type as another one; lists have commas between their elements, empty ones are [] or nothing.
+    """Return a value of the same type as another one; lists are comma-separated, an empty one is [] or an empty text.
 
     Raises:
-        ValueError: the text is no such value; says what was expected.
+        ValueError: the text is no such value; contains what was expected.
     """
     kind, value = like.type, ParameterValue(type=like.type)
     if kind == ParameterType.PARAMETER_BOOL:
@@ -196,7 +196,7 @@ def value_from_text(text: str, like: ParameterValue) -> ParameterValue:
 
 
 def text_of(value: ParameterValue) -> str:
-    """A value for people, as :func:`value_from_text` reads it."""
+    """Return a value as text, in the format that :func:`parse_value` reads."""
     plain = parameter_value_to_python(value)
     if isinstance(plain, bool):
         return str(plain).lower()

@@ -1,7 +1,7 @@
-"""What chrony and PTP print, and what it means in a turn of the ship.
+"""Output of chrony and PTP, and the resulting angle during a turn of the ship.
 
 The texts are printed examples: of ``chronyc tracking`` in Fedora's guide for administrators, of ``pmc`` in Red Hat's,
-"Using the PTP Management Client". A clock that follows nothing has the leap status that chronyc(1) names for it.
+"Using the PTP Management Client". An unsynchronised clock has the leap status that chronyc(1) names for it.
 """
 
 import math
@@ -65,26 +65,26 @@ sending: GET TIME_STATUS_NP
 """
 
 
-def test_a_millisecond_is_eighteen_arcseconds_at_five_degrees_a_second():
+def test_millisecond_is_eighteen_arcseconds_at_five_degrees_per_second():
     """5 deg/s x 0.001 s = 0.005 deg = 18 arcsec."""
     assert arcsec_in_a_turn(1e-3) == pytest.approx(18.0)
 
 
-def test_chrony_as_printed():
+def test_chrony_output():
     state = chrony_state(CHRONY)
     assert (state.source, state.is_synchronised, state.offset_s) == ("chrony", True, 1.501e-6)
     # The manual: clock_error <= |system_time_offset| + root_dispersion + 0.5 x root_delay.
     assert state.bound_s == pytest.approx(1.501e-6 + 0.024780 + 0.5 * 0.373169)
     row = judge_clock(state, Limits())
     assert row.result is Result.OK
-    assert row.found.startswith('chrony: 0.0015 ms off, 0.027" at 5 deg/s (its source vouches for 211 ms, 3805")')
+    assert row.found.startswith('chrony: 0.0015 ms off, 0.027" at 5 deg/s (error bound 211 ms, 3805")')
 
 
-def test_the_sign_of_the_offset_is_not_asked_for():
+def test_sign_of_the_offset_is_ignored():
     assert chrony_state(CHRONY.replace("slow of", "fast of")).offset_s == 1.501e-6
 
 
-def test_a_clock_that_follows_nothing_fails_though_its_offset_is_zero():
+def test_unsynchronised_clock_fails_at_zero_offset():
     state = chrony_state(NEVER_SYNCHRONISED)
     assert (state.offset_s, state.is_synchronised) == (0.0, False)
     assert judge_clock(state, Limits()).result is Result.FAIL
@@ -96,14 +96,14 @@ def test_a_clock_that_follows_nothing_fails_though_its_offset_is_zero():
      ("0.001000000", Result.WARN, '1 ms off, 18"'), ("0.050000000", Result.WARN, '900"'),
      ("0.050100000", Result.FAIL, "over machine.clock_offset_s, 50 ms")],
 )  # fmt: skip
-def test_the_offset_is_held_against_the_heading_and_the_stamps(offset, result, told):
+def test_offset_limits_of_heading_and_stamps(offset, result, told):
     """5 arcsec, the limit of the heading here, are 0.2778 ms at 5 deg/s."""
     row = judge_clock(chrony_state(CHRONY.replace("0.000001501", offset)), Limits(heading_arcsec=5.0))
     assert row.result is result
     assert told in row.found
 
 
-def test_ptp_as_printed():
+def test_ptp_output():
     state = ptp_state(PTP)
     assert (state.source, state.is_synchronised) == ("PTP", True)
     assert state.offset_s == pytest.approx(310e-9)
@@ -111,21 +111,21 @@ def test_ptp_as_printed():
     assert ptp_state(PTP.replace(" 310", " -310")).offset_s == pytest.approx(310e-9)
 
 
-def test_a_ptp_without_a_grandmaster_fails():
+def test_ptp_without_grandmaster_fails():
     assert judge_clock(ptp_state(PTP.replace("true", "false")), Limits()).result is Result.FAIL
 
 
 @pytest.mark.parametrize("text", ["", "506 Cannot talk to daemon", PTP, CHRONY[:100], CHRONY.replace("0.0000", "x")])
-def test_what_is_not_chronys_text_says_nothing(text):
+def test_other_text_is_no_chrony_state(text):
     assert chrony_state(text) is None
 
 
 @pytest.mark.parametrize("text", ["", "sending: GET TIME_STATUS_NP\n", CHRONY])
-def test_what_is_not_pmcs_text_says_nothing(text):
+def test_other_text_is_no_ptp_state(text):
     assert ptp_state(text) is None
 
 
-def test_an_offset_that_is_no_number_fails():
+def test_nan_offset_fails():
     assert judge_clock(ClockState("chrony", math.nan, math.nan, True), Limits()).result is Result.FAIL
 
 
@@ -135,8 +135,8 @@ def program(folder: Path, name: str, text: str, code: int = 0):
     path.chmod(0o755)
 
 
-def test_chrony_is_asked_first_then_ptp_neither_is_a_warning_and_a_dead_one_fails(tmp_path, monkeypatch):
-    # Nothing of this computer but what the programs here need: it may have chrony itself.
+def test_chrony_before_ptp_and_failure_without_answer(tmp_path, monkeypatch):
+    # Only what the programs here need is in PATH: this computer may have chrony itself.
     (tmp_path / "cat").symlink_to(shutil.which("cat"))
     monkeypatch.setenv("PATH", str(tmp_path))
     row = judge_clock(look_at_clock(), Limits())
@@ -144,7 +144,7 @@ def test_chrony_is_asked_first_then_ptp_neither_is_a_warning_and_a_dead_one_fail
     assert row.advice.startswith("set up chrony")
     program(tmp_path, "chronyc", "506 Cannot talk to daemon\n", 1)
     row = judge_clock(look_at_clock(), Limits())
-    found = "nothing keeps the clock: chronyc says: 506 Cannot talk to daemon, no pmc"
+    found = "no program synchronises the clock: chronyc reports: 506 Cannot talk to daemon, no pmc"
     assert (row.result, row.found) == (Result.FAIL, found)
     program(tmp_path, "pmc", PTP)
     assert look_at_clock().source == "PTP"

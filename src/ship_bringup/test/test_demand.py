@@ -1,4 +1,4 @@
-"""A demand for DDS security fails closed: whatever is missing, or cannot be told, is told and nothing starts."""
+"""A demand for DDS security fails closed: anything missing or unknown is reported and nothing starts."""
 
 import datetime
 import shutil
@@ -33,7 +33,7 @@ def set_to(monkeypatch, environment):
         monkeypatch.setenv(name, value)
 
 
-def test_nothing_is_missing_where_all_is_there(good, monkeypatch):
+def test_complete_environment_has_no_problem(good, monkeypatch):
     assert shortcomings(good, True) == []
     set_to(monkeypatch, good)
     require_profile(REQUIRED, Path("ship.yaml"), True)
@@ -52,7 +52,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("name", "value", "told"), BAD)
-def test_each_thing_that_is_missing_stops_the_suite_with_one_line(name, value, told, good, monkeypatch):
+def test_each_missing_item_refuses_the_start(name, value, told, good, monkeypatch):
     environment = {key: text for key, text in good.items() if key != name} | ({} if value is None else {name: value})
     ((text, _),) = shortcomings(environment, True)
     assert told in text
@@ -63,18 +63,18 @@ def test_each_thing_that_is_missing_stops_the_suite_with_one_line(name, value, t
 
 
 @pytest.mark.parametrize("has_security", [False, None])
-def test_a_dds_without_security_or_that_does_not_tell_stops_the_suite(has_security, good, monkeypatch):
+def test_dds_without_security_refuses_the_start(has_security, good, monkeypatch):
     set_to(monkeypatch, good)
     with pytest.raises(BadInput, match="no DDS security"):
         require_profile(REQUIRED, Path("ship.yaml"), has_security)
 
 
-def test_the_dds_of_this_installation_is_asked():
-    """Over the wheels it has none; Ubuntu's packages have it: either way it can be told."""
+def test_security_of_this_dds_is_detected():
+    """The DDS of the wheels lacks it, that of Ubuntu's packages has it; either is detected."""
     assert dds_has_security(loaded_libraries()) in (True, False)
 
 
-def test_the_profile_is_a_key_of_the_ships_limits():
+def test_require_security_is_a_key_of_the_limits():
     assert read_limits("machine: {require_security: true}\n").machine.require_security is True
     assert Limits().machine.require_security is False
     with pytest.raises(BadInput, match=r":1: .*require_security"):
@@ -82,17 +82,17 @@ def test_the_profile_is_a_key_of_the_ships_limits():
 
 
 @pytest.mark.parametrize(("required", "result"), [(True, Result.FAIL), (False, Result.WARN)])
-def test_no_security_fails_only_where_it_is_required(required, result):
+def test_missing_security_fails_only_if_required(required, result):
     rows = list(judge_security({}, False, required))
     assert {row.result for row in rows} == {result}
     assert len(rows) == (4 if required else 1)
 
 
-def test_what_the_environment_demands_is_required_too():
+def test_demand_of_the_environment_is_required():
     assert {row.result for row in judge_security({"ROS_SECURITY_ENABLE": "1"}, False, False)} == {Result.FAIL}
 
 
-def test_no_keystore_fails_where_security_is_required():
+def test_missing_keystore_fails_if_security_is_required():
     assert [row.result for row in judge_keystore("", None, True)] == [Result.FAIL]
 
 
@@ -108,7 +108,7 @@ def keystore_for_now(path, **options):
     return store.add(suite_rights([node.adapter for node in nodes], "demo", **options))
 
 
-def test_every_program_of_a_secured_suite_has_an_enclave_of_its_own(tmp_path, good, monkeypatch):
+def test_every_program_has_its_own_enclave(tmp_path, good, monkeypatch):
     set_to(monkeypatch, {})
     options = {"bag": ROOT / "bags" / "demo.mcap"}
     plain, warnings = programs(**options)
@@ -123,11 +123,11 @@ def test_every_program_of_a_secured_suite_has_an_enclave_of_its_own(tmp_path, go
     assert enclave_command("/demo/x") == ("/usr/bin/env", "ROS_SECURITY_ENCLAVE_OVERRIDE=/demo/x")
 
 
-def test_a_secured_suite_needs_the_enclave_of_each_program_and_the_ships_authority(tmp_path, good, monkeypatch):
+def test_secured_suite_needs_all_enclaves_and_the_authority(tmp_path, good, monkeypatch):
     store = keystore_for_now(tmp_path / "keystore", locked=True)
     set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    assert len(programs()[1]) == 1  # of the file that the node has not
+    assert len(programs()[1]) == 1  # the warning that no file is configured
     limits = tmp_path / "ship.yaml"
     limits.write_text(f"machine: {{authority_sha256: '{'0' * 64}'}}\n")
     with pytest.raises(BadInput, match=r"an authority of another ship: .*: not started"):
@@ -143,7 +143,7 @@ def test_a_secured_suite_needs_the_enclave_of_each_program_and_the_ships_authori
         programs()
 
 
-def test_the_table_tells_the_worst_first_and_counts_the_rest():
+def test_table_shows_the_worst_first_and_counts_the_rest():
     lines = [CheckLine("disk", Result.OK, "good"), *(CheckLine("disk", Result.WARN, f"{n}") for n in range(20))]
     lines.append(CheckLine("disk", Result.FAIL, "full\nand over", "free some"))
     shown = bounded(lines)
@@ -158,5 +158,5 @@ def test_the_table_tells_the_worst_first_and_counts_the_rest():
     ("results", "code"),
     [([Result.OK], 0), ([Result.OK, Result.WARN, Result.NOT_CHECKED], 0), ([Result.WARN, Result.FAIL], 1)],
 )
-def test_the_exit_code(results, code):
+def test_exit_code(results, code):
     assert exit_code(CheckLine("clock", result, "") for result in results) == code

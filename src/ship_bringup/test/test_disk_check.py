@@ -1,4 +1,4 @@
-"""What a night writes, held against bags and boxes that were written, and against the room on the disk."""
+"""Estimated write rates, against bags and black boxes that were written, and against the free disk space."""
 
 import dataclasses
 import re
@@ -24,11 +24,11 @@ ROOT = Path(__file__).parents[3]
 GB, HOUR_S = 1e9, 3600.0
 FREE = MachineLimits(disk_free_gb=0.0)
 TAIL_S = 2.0
-"""What :func:`make_box` puts behind its eight seconds: three hundred messages again."""
+"""Length of the end that :func:`make_box` adds to its eight seconds: three hundred messages again."""
 
 
 def chain_and_inputs(path):
-    """The nodes of a bag, its inputs as a look at the network would hear them, their records, and its length in s."""
+    """Return the nodes of a bag, its inputs as observed on the network, their records, and its length in s."""
     with read_bag(path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         records = list(bag.records([topic.topic for topic in chain.inputs]))
@@ -43,8 +43,8 @@ def chain_and_inputs(path):
 
 
 @pytest.mark.parametrize("name", ["demo", "theodolite"])
-def test_a_record_takes_less_than_was_estimated_and_not_much_less(name, tmp_path):
-    """What the suite takes and gives, written as ``record`` does: a chunk every tenth of a second."""
+def test_record_size_is_within_the_estimate(name, tmp_path):
+    """Inputs and outputs of the suite, written as by ``record``: a chunk every tenth of a second."""
     path = beginning(ROOT / "bags" / f"{name}.mcap", tmp_path / "in.mcap", 8.0)
     chain, heard, records, seconds = chain_and_inputs(path)
     replay(path, tmp_path / "out.mcap", ADAPTERS)
@@ -66,7 +66,7 @@ def test_a_record_takes_less_than_was_estimated_and_not_much_less(name, tmp_path
 
 
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
-def test_a_black_box_takes_less_than_was_estimated_and_not_much_less(node, tmp_path):
+def test_black_box_size_is_within_the_estimate(node, tmp_path):
     make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node)
     chain, heard, _, _ = chain_and_inputs(node.bag)
     own = [adapter for adapter in chain.adapters if isinstance(adapter, node.adapter_class)]
@@ -75,7 +75,7 @@ def test_a_black_box_takes_less_than_was_estimated_and_not_much_less(node, tmp_p
     assert measured < estimated < 5.0 * measured
 
 
-def test_what_was_not_heard_counts_as_is_usual():
+def test_missing_inputs_count_with_typical_values():
     path = ROOT / "bags" / "demo.mcap"
     chain, heard, _, _ = chain_and_inputs(path)
     full, unheard = night_bytes(chain.adapters, heard), night_bytes(chain.adapters, [])
@@ -86,7 +86,7 @@ def test_what_was_not_heard_counts_as_is_usual():
     assert night_bytes(chain.adapters, one_message) == unheard
 
 
-def test_a_faster_ins_needs_more():
+def test_faster_ins_needs_more_space():
     chain, heard, _, _ = chain_and_inputs(ROOT / "bags" / "demo.mcap")
     faster = [HeardTopic(each.input, (), 10.0 * each.rate_hz, each.message_bytes, each.count) for each in heard]
     assert night_bytes(chain.adapters, faster).boxes > 5.0 * night_bytes(chain.adapters, heard).boxes
@@ -95,8 +95,8 @@ def test_a_faster_ins_needs_more():
 @pytest.mark.parametrize(
     ("free_gb", "result"), [(30.1, Result.OK), (29.9, Result.WARN), (20.1, Result.WARN), (19.9, Result.FAIL)]
 )
-def test_what_is_free_against_what_is_needed_and_what_is_to_be_left(free_gb, result):
-    """20 GB in 10 h, and 10 GB to be left."""
+def test_free_space_limits(free_gb, result):
+    """20 GB in 10 h, and 10 GB to remain."""
     limits = Limits(machine=MachineLimits(disk_free_gb=10.0))
     state = DiskState(Path("/box"), 1, round(free_gb * GB))
     (row,) = judge_disk(state, 20.0 * GB / (10.0 * HOUR_S), 10.0, limits)
@@ -104,12 +104,12 @@ def test_what_is_free_against_what_is_needed_and_what_is_to_be_left(free_gb, res
     assert "10 h need 20.0 GB" in row.found
 
 
-def test_a_disk_that_cannot_be_asked_fails():
+def test_unreadable_disk_fails():
     (row,) = judge_disk(DiskState(Path("/box"), None, None), 1.0, 1.0, Limits())
     assert row.result is Result.FAIL
 
 
-def test_a_disk_of_the_ships_limits_that_is_not_mounted_fails_though_the_disk_above_it_is_free(tmp_path):
+def test_unmounted_disk_of_the_limits_fails(tmp_path):
     (row,) = judge_disk(look_at_disk(tmp_path / "data"), 1.0, 1.0, Limits(), "machine.disk_path")
     assert row.result is Result.FAIL
     assert row.found.startswith(f"{tmp_path}/data, named by machine.disk_path, is not there")
@@ -118,12 +118,12 @@ def test_a_disk_of_the_ships_limits_that_is_not_mounted_fails_though_the_disk_ab
     assert row.result is Result.OK
 
 
-def test_of_a_folder_that_is_still_to_be_made_it_is_told_which_folder_was_asked(tmp_path):
+def test_missing_folder_reports_the_measured_folder(tmp_path):
     (row,) = judge_disk(look_at_disk(tmp_path / "a" / "b"), 1.0, 0.001, Limits(machine=FREE))
     assert row.result is Result.OK
     assert re.fullmatch(rf"{tmp_path}/a/b is not there yet: [\d.]+ GB free in {tmp_path}, .*", row.found)
 
 
-def test_a_folder_that_is_not_there_yet_lies_on_the_disk_above_it(tmp_path):
+def test_missing_folder_is_on_the_disk_of_its_parent(tmp_path):
     assert look_at_disk(tmp_path / "a" / "b").device == tmp_path.stat().st_dev
     assert look_at_disk(tmp_path / "a" / "b").free_bytes > 0

@@ -1,4 +1,4 @@
-"""The domain of the suite: its number, how far it reaches, and who is in it before the suite is."""
+"""Domain of the suite: its number, its range of discovery, and the nodes in it before the suite starts."""
 
 import pytest
 
@@ -22,7 +22,7 @@ def found(state):
      ("101", Result.OK, 101), ("102", Result.WARN, 102), ("232", Result.WARN, 232), ("233", Result.FAIL, 0),
      ("-1", Result.FAIL, 0), ("seven", Result.FAIL, 0), ("٧", Result.FAIL, 0)],
 )  # fmt: skip
-def test_the_number_of_the_domain(text, result, domain):
+def test_domain_number(text, result, domain):
     environment = {} if text is None else {"ROS_DOMAIN_ID": text}
     number, reach = judge_settings(environment)
     assert (number.result, reach.result) == (result, Result.OK)
@@ -34,22 +34,22 @@ def test_the_number_of_the_domain(text, result, domain):
     [("SUBNET", "", Result.OK), ("LOCALHOST", "", Result.OK), ("OFF", "", Result.FAIL),
      ("OFF", "10.0.0.2", Result.OK), ("localhost", "", Result.FAIL)],
 )  # fmt: skip
-def test_how_far_others_are_met(reach, peers, result):
+def test_range_of_discovery(reach, peers, result):
     environment = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": reach, "ROS_STATIC_PEERS": peers}
     assert [row.result for row in judge_settings(environment)] == [Result.OK, result]
 
 
-def test_drivers_of_sensors_belong_there():
+def test_drivers_of_sensors_are_accepted():
     assert found(NetworkState("rmw", ("/demo/ins",), (INS,))) == [(Result.OK, "rmw; sensors: /demo/ins")]
 
 
-def test_a_node_of_the_suite_that_runs_already_fails():
+def test_running_node_of_the_suite_fails():
     rows = found(NetworkState("rmw", (*OWN, "/demo/ins"), (INS,), {"ship/attitude": OWN}))
     assert (Result.FAIL, "/demo/ship_attitude is running already") in rows
     assert len(rows) == 2
 
 
-def test_nmea_nodes_started_by_hand_are_no_strangers_and_must_end_before_the_suite():
+def test_nmea_nodes_started_by_hand_are_a_warning():
     state = NetworkState("rmw", ("/demo/nmea_in", "/demo/nmea_out", "/demo/ins"), (INS,))
     warning, good = judge_domain(state, OWN, ["/demo/nmea_in", "/demo/nmea_out"])
     assert (warning.result, warning.found) == (Result.WARN, "/demo/nmea_in, /demo/nmea_out is running already")
@@ -57,17 +57,17 @@ def test_nmea_nodes_started_by_hand_are_no_strangers_and_must_end_before_the_sui
     assert good.result is Result.OK
 
 
-def test_somebody_else_who_gives_what_the_suite_gives_fails():
+def test_foreign_publisher_of_an_output_fails():
     rows = found(NetworkState("rmw", ("/x", "/demo/ins"), (INS,), {"ship/attitude": ("/x",)}))
-    assert (Result.FAIL, "ship/attitude, which the suite gives, is published by /x") in rows
+    assert (Result.FAIL, "ship/attitude, an output of the suite, is published by /x") in rows
 
 
-def test_strangers_namesakes_and_a_clock_are_warnings():
+def test_unknown_nodes_duplicate_names_and_clock_are_warnings():
     rows = found(NetworkState("rmw", ("/demo/ins", "/rviz", "/rviz"), (INS,), has_clock=True))
     assert [text for result, text in rows if result is Result.WARN] == [
-        "somebody publishes a clock, as for a bag", "2 nodes are called /rviz", "no part of the suite: /rviz"
+        "/clock is published, as by the player of a bag", "2 nodes are called /rviz", "not part of the suite: /rviz"
     ]  # fmt: skip
 
 
-def test_what_was_not_seen_is_not_checked():
+def test_failed_observation_is_not_checked():
     assert found(NetworkState(failure="no rmw")) == [(Result.NOT_CHECKED, "no rmw")]

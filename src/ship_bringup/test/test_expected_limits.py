@@ -1,4 +1,4 @@
-"""``suite … --limits``: expected availability and proposals; and that the shipped suites hold the limits."""
+"""``suite … --limits``: expected availability and proposals; the shipped suites are within the default limits."""
 
 import re
 from pathlib import Path
@@ -17,13 +17,13 @@ ROW = re.compile(r"(heading|tilt|pointing) +([\d.]+)″ +([\d.]+)″ +(\d+) % +(
 
 
 def shown(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[str, dict[str, tuple[float, ...]]]:
-    """What the command prints, and of each quantity median, limit, its share, proposed limit and its share."""
+    """Return the printed text, and for each quantity median, limit, its share, proposed limit and its share."""
     assert suite(arguments) == 0
     text = capsys.readouterr().out
     return text, {name: tuple(map(float, numbers)) for name, *numbers in ROW.findall(text)}
 
 
-def test_availability_stands_beside_each_limit_and_nothing_starts(capsys: pytest.CaptureFixture) -> None:
+def test_availability_is_printed_for_each_limit(capsys: pytest.CaptureFixture) -> None:
     text, rows = shown([str(TWO_SENSORS), "--bag", str(DEMO), "--limits"], capsys)
     assert "starts" not in text
     assert "Nothing is adopted" in text
@@ -32,7 +32,7 @@ def test_availability_stands_beside_each_limit_and_nothing_starts(capsys: pytest
     assert "tilt: not SAFE for 25 % of the time with any limit, 20 % by: star.fore no data." in text
 
 
-def test_the_lines_to_write_are_a_file_of_limits_that_is_held(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
+def test_printed_limits_are_a_valid_file(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
     tight, adopted = tmp_path / "tight.yaml", tmp_path / "adopted.yaml"
     tight.write_text("heading_arcsec: 3.5\ntilt_arcsec: 2.9\n")
     text, rows = shown([str(TWO_SENSORS), "--bag", str(DEMO), "--limits", str(tight), "--dry-run"], capsys)
@@ -42,7 +42,7 @@ def test_the_lines_to_write_are_a_file_of_limits_that_is_held(capsys: pytest.Cap
     assert read_limits(adopted) == Limits(heading_arcsec=5.0, tilt_arcsec=4.0)
 
 
-def test_without_a_bag_or_outputs_it_is_one_line(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
+def test_missing_bag_or_outputs_is_one_line(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
     assert suite([str(TWO_SENSORS), "--limits"]) == 2
     assert "limits need --bag BAG" in capsys.readouterr().err
     assert suite([str(TWO_SENSORS), "--dry-run"]) == 2
@@ -59,7 +59,7 @@ def scenario(name: str) -> dict:
 
 
 def theodolite() -> dict:
-    """The voyage of test_examples for examples/theodolite.yaml: stars in place of a made attitude."""
+    """Return the voyage of test_examples for examples/theodolite.yaml: stars instead of a simulated attitude."""
     voyage = scenario("theodolite")
     voyage["fused_attitude"]["written"] = False
     voyage["star_sensors"] = scenario("demo")["star_sensors"]
@@ -67,7 +67,7 @@ def theodolite() -> dict:
     return voyage
 
 
-def test_the_shipped_bags_hold_the_default_limits(capsys: pytest.CaptureFixture) -> None:
+def test_shipped_bags_are_within_the_default_limits(capsys: pytest.CaptureFixture) -> None:
     """At least 95 % of the time in which the limit decides: the output is VALID, checked, and 30 s old."""
     _, rows = shown(["--bag", str(ROOT / "bags" / "theodolite.mcap"), "--limits"], capsys)
     assert list(rows) == ["pointing"]
@@ -85,7 +85,7 @@ def test_the_shipped_bags_hold_the_default_limits(capsys: pytest.CaptureFixture)
     ],
     ids=["everything", "theodolite", "three_sensors"],
 )
-def test_the_shipped_suites_hold_the_default_limits(
+def test_shipped_suites_are_within_the_default_limits(
     voyage: dict, example: str, quantities: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     path, bag = tmp_path / "voyage.yaml", tmp_path / "voyage.mcap"

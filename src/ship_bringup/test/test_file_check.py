@@ -1,4 +1,4 @@
-"""Files, folders and devices that a suite file names: there, and this user's to use."""
+"""Files, folders and devices in a suite file: they exist, and this user may use them."""
 
 import os
 import pty
@@ -32,7 +32,7 @@ def rows(states):
     return [(row.result, row.found) for row in judge_files(states, [])]
 
 
-def test_a_file_that_is_not_there_yet_in_a_folder_that_is(tmp_path):
+def test_missing_file_in_an_existing_folder(tmp_path):
     (state,) = look(tmp_path, alignment=tmp_path / "alignment.yaml")
     assert (state.is_there, state.writable) == (False, True)
     assert rows([state]) == [
@@ -42,25 +42,25 @@ def test_a_file_that_is_not_there_yet_in_a_folder_that_is(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["alignment", "recorder"])
-def test_a_file_without_its_folder(tmp_path, name):
+def test_file_without_folder(tmp_path, name):
     ((result, found),) = rows(look(tmp_path, **{name: tmp_path / "none" / "file"}))
     assert result is Result.FAIL
-    assert "cannot make it" in found
+    assert "cannot create it" in found
 
 
-def test_a_file_in_a_folder_that_takes_no_other_cannot_be_replaced(tmp_path):
+def test_file_in_a_read_only_folder_fails(tmp_path):
     (state,) = look(tmp_path, alignment="/proc/self/status")
     assert (state.is_there, state.readable, state.writable) == (True, True, False)
     assert rows([state])[0][0] is Result.FAIL
 
 
-def test_the_folder_of_the_boxes_is_made_with_those_above_it(tmp_path):
+def test_folder_of_black_boxes_is_created_with_its_parents(tmp_path):
     assert rows(look(tmp_path, box=tmp_path / "a" / "b"))[0][0] is Result.OK
     assert not (tmp_path / "a").exists()
     assert rows(look(tmp_path, box=Path("/proc/a/b")))[0][0] is Result.FAIL
 
 
-def test_a_serial_device_that_is_there_and_one_that_is_not(tmp_path):
+def test_existing_and_missing_serial_device(tmp_path):
     first, second = pty.openpty()
     try:
         (state,) = look(tmp_path, device=os.ttyname(second))
@@ -74,7 +74,7 @@ def test_a_serial_device_that_is_there_and_one_that_is_not(tmp_path):
     assert found == f"{tmp_path}/suite.yaml:8: sources.seapath.device /dev/ttyNONE7: is not there"
 
 
-def test_a_file_that_nmea_out_appends_to_needs_its_folder(tmp_path):
+def test_nmea_out_file_needs_its_folder(tmp_path):
     path = tmp_path / "suite.yaml"
     for log, result in ((tmp_path / "nmea.log", Result.OK), (tmp_path / "none" / "nmea.log", Result.FAIL)):
         path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{kind: file, path: {log}}}}}}}}}\n")
@@ -84,7 +84,7 @@ def test_a_file_that_nmea_out_appends_to_needs_its_folder(tmp_path):
 
 
 @pytest.mark.parametrize(("key", "found"), [("path", "is a folder"), ("device", "is no serial device")])
-def test_what_is_no_file_and_no_device_of_nmea_out(tmp_path, key, found):
+def test_wrong_kinds_of_nmea_out_paths(tmp_path, key, found):
     path = tmp_path / "suite.yaml"
     path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{{key}: {tmp_path}}}}}}}}}\n")
     assert rows(look_at_files(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.{key} {tmp_path}: {found}")]
@@ -92,7 +92,7 @@ def test_what_is_no_file_and_no_device_of_nmea_out(tmp_path, key, found):
     assert rows(look_at_files(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.device {path}: is no serial device")]
 
 
-def test_a_device_of_another_group_says_how_to_get_into_it():
+def test_device_of_another_group_advises_usermod():
     state = PathState(Path("/dev/ttyUSB0"), "suite.yaml:8: device", True, True, False, False)
     (row,) = judge_files([state], [])
     assert row.result is Result.FAIL
@@ -101,15 +101,15 @@ def test_a_device_of_another_group_says_how_to_get_into_it():
 
 
 @pytest.mark.parametrize(("readable", "writable"), [(True, False), (False, True)])
-def test_a_file_of_another_user(readable, writable):
+def test_file_of_another_user_fails(readable, writable):
     state = PathState(Path("/var/lib/ship/a.yaml"), "suite.yaml:3: alignment_file", False, True, readable, writable)
     assert rows([state])[0][0] is Result.FAIL
 
 
-def test_a_node_that_saves_nothing_is_a_warning():
+def test_node_without_saved_file_is_a_warning():
     (row,) = judge_files([], ["suite.yaml: ship_attitude has no alignment_file"])
     assert row.result is Result.WARN
 
 
-def test_a_suite_file_without_files():
+def test_suite_file_without_files_is_ok():
     assert rows([])[0][0] is Result.OK

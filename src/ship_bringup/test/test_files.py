@@ -1,7 +1,7 @@
-"""Launch, parameter, aggregator and service files: all that they name exists, and the XML is what launch accepts.
+"""Launch, parameter, aggregator and service files: all names in them exist, and the XML is accepted by launch.
 
-The grammar is that of ``launch_xml``, ``launch`` and ``launch_ros`` of Jazzy: which attributes the parsers of their
-actions take (``launch/actions/*.py``, ``launch_ros/actions/*.py``, methods ``parse``), and which substitutions exist.
+The grammar is that of ``launch_xml``, ``launch`` and ``launch_ros`` of Jazzy: the attributes that the parsers of their
+actions accept (``launch/actions/*.py``, ``launch_ros/actions/*.py``, methods ``parse``), and the substitutions.
 """
 
 import configparser
@@ -51,7 +51,7 @@ NOT_OURS = {("diagnostic_aggregator", "aggregator_node")}
 
 
 def executables():
-    """(package, executable) of all packages here."""
+    """Return (package, executable) of all packages here."""
     return {
         (path.parent.name, name)
         for path in SOURCES.glob("*/setup.py")
@@ -68,11 +68,11 @@ def texts(root):
     return [value for element in root.iter() for value in element.attrib.values()]
 
 
-def test_there_is_a_launch_file_for_each_purpose():
+def test_launch_files():
     assert [path.name for path in LAUNCH_FILES] == ["replay.launch.xml", "suite.launch.xml"]
 
 
-def test_every_tag_and_attribute_is_one_that_launch_takes(launch):
+def test_every_tag_and_attribute_is_accepted_by_launch(launch):
     assert launch.tag == "launch"
     for element in launch.iter():
         taken, needed, children = GRAMMAR[element.tag]
@@ -98,7 +98,7 @@ def test_every_substitution_exists_and_every_variable_is_declared(launch):
         assert "$" not in re.sub(r"\$\(([^)]*)\)", "", text)
 
 
-def test_every_argument_is_used_and_says_what_it_is_for(launch):
+def test_every_argument_is_used_and_described(launch):
     used = " ".join(texts(launch))
     for element in launch.iter("arg"):
         assert f"$(var {element.get('name')})" in used
@@ -114,7 +114,7 @@ def test_every_executable_exists(launch):
     assert set(named) <= known
 
 
-def test_every_parameter_and_file_that_is_named_exists(launch):
+def test_every_named_parameter_and_file_exists(launch):
     helps = {"alerts": ""} | {each.node_name: usage_text(each, "package", RosidlFactory()) for each in ADAPTERS}
     for node in launch.iter("node"):
         for name in {param.get("name") for param in node.iter("param")} - {None, "use_sim_time"}:
@@ -125,15 +125,15 @@ def test_every_parameter_and_file_that_is_named_exists(launch):
             assert (PACKAGE / path).is_file()
 
 
-def test_a_suite_file_that_is_not_there_ends_each_node_that_reads_it(launch):
-    """launch_ros leaves out a ``<param from>`` that is no file, with a warning; ``tools/try_launch.py`` tries it."""
+def test_missing_suite_file_ends_each_node_that_reads_it(launch):
+    """launch_ros omits a ``<param from>`` that is no file, with a warning; ``tools/try_launch.py`` tests it."""
     readers = {node.node_name for node in (*ADAPTERS, *COMPANIONS)}
     for node in launch.iter("node"):
         assert (node.get("ros_args") == "--params-file $(var file)") == (node.get("exec") in readers)
         assert [param.get("from") for param in node.iter("param") if "$(var" in param.get("from", "")] == []
 
 
-def test_every_option_of_the_suite_that_is_named_exists(launch, capsys):
+def test_every_named_option_of_suite_exists(launch, capsys):
     with pytest.raises(SystemExit):
         suite_command.main(["--help"])
     shown = capsys.readouterr().out
@@ -144,42 +144,42 @@ def test_every_option_of_the_suite_that_is_named_exists(launch, capsys):
 
 
 SLIPS = [
-    ("respawn_delay", "respawn_dely", test_every_tag_and_attribute_is_one_that_launch_takes),
-    ("push_ros_namespace", "push_namespace", test_every_tag_and_attribute_is_one_that_launch_takes),
-    ('type="bool"', 'type="boolean"', test_every_tag_and_attribute_is_one_that_launch_takes),
+    ("respawn_delay", "respawn_dely", test_every_tag_and_attribute_is_accepted_by_launch),
+    ("push_ros_namespace", "push_namespace", test_every_tag_and_attribute_is_accepted_by_launch),
+    ('type="bool"', 'type="boolean"', test_every_tag_and_attribute_is_accepted_by_launch),
     ("find-pkg-share", "find-package-share", test_every_substitution_exists_and_every_variable_is_declared),
     ("$(var namespace)", "$(var name_space)", test_every_substitution_exists_and_every_variable_is_declared),
-    ('if="$(var star_attitude)"', 'if="true"', test_every_argument_is_used_and_says_what_it_is_for),
+    ('if="$(var star_attitude)"', 'if="true"', test_every_argument_is_used_and_described),
     ('exec="optical_axis"', 'exec="optical_axes"', test_every_executable_exists),
     ('pkg="ship_monitor"', 'pkg="ship_monitors"', test_every_executable_exists),
     ("exec-in-pkg monitor", "exec-in-pkg monitors", test_every_executable_exists),
     (
         'ros_args="--params-file $(var file)"',
         'ros_args="--param-file $(var file)"',
-        test_a_suite_file_that_is_not_there_ends_each_node_that_reads_it,
+        test_missing_suite_file_ends_each_node_that_reads_it,
     ),
-    ('name="black_box"', 'name="blackbox"', test_every_parameter_and_file_that_is_named_exists),
+    ('name="black_box"', 'name="blackbox"', test_every_named_parameter_and_file_exists),
     ('exec="alerts"', 'exec="alert"', test_every_executable_exists),
-    ("config/two_sensors.yaml", "config/two_sensor.yaml", test_every_parameter_and_file_that_is_named_exists),
+    ("config/two_sensors.yaml", "config/two_sensor.yaml", test_every_named_parameter_and_file_exists),
 ]
 
 
 @pytest.mark.parametrize(("right", "wrong", "check"), SLIPS, ids=[wrong for _, wrong, _ in SLIPS])
-def test_a_slip_in_a_launch_file_is_found(right, wrong, check):
+def test_mistake_in_a_launch_file_is_found(right, wrong, check):
     text = (PACKAGE / "launch" / "suite.launch.xml").read_text(encoding="utf-8")
     assert right in text
     with pytest.raises((AssertionError, KeyError)):
         check(ET.fromstring(text.replace(right, wrong)))
 
 
-def test_a_slip_in_an_option_is_found(capsys):
+def test_mistake_in_an_option_is_found(capsys):
     text = (PACKAGE / "launch" / "replay.launch.xml").read_text(encoding="utf-8")
     with pytest.raises(AssertionError):
-        test_every_option_of_the_suite_that_is_named_exists(ET.fromstring(text.replace("--rate", "--speed")), capsys)
+        test_every_named_option_of_suite_exists(ET.fromstring(text.replace("--rate", "--speed")), capsys)
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_ros2_launch_itself_reads_the_file(path):
+def test_ros2_launch_parses_the_file(path):
     pytest.importorskip("launch_ros", reason="ros2 launch is not installed here")
     frontend = pytest.importorskip("launch.frontend", reason="ros2 launch is not installed here")
     pytest.importorskip("launch_xml", reason="ros2 launch is not installed here")
@@ -187,7 +187,7 @@ def test_ros2_launch_itself_reads_the_file(path):
     assert parser.parse_description(root).entities
 
 
-def test_the_parameter_files_are_those_of_the_examples_and_good():
+def test_parameter_files_are_the_examples_and_valid():
     names = {path.name for path in (ROOT / "examples").glob("*.yaml")}
     files = [path for path in (PACKAGE / "config").glob("*.yaml") if path.name != "diagnostic_aggregator.yaml"]
     assert {path.name for path in files} == names
@@ -198,7 +198,7 @@ def test_the_parameter_files_are_those_of_the_examples_and_good():
         assert findings.errors == []
 
 
-def test_the_dds_profile_that_is_shown_is_the_one_that_is_used():
+def test_shown_dds_profile_is_the_used_one():
     assert (PACKAGE / "config" / "dds_profile.xml").read_bytes() == DDS_PROFILE.read_bytes()
 
 
@@ -211,7 +211,7 @@ def test_all_files_are_installed():
             assert (share / folder / path.name).read_bytes() == path.read_bytes()
 
 
-def test_the_service_never_starts_again_what_bad_input_has_ended():
+def test_service_does_not_restart_after_bad_input():
     unit = configparser.RawConfigParser(strict=False)
     unit.optionxform = str
     unit.read(PACKAGE / "systemd" / "ship-suite@.service")
@@ -224,7 +224,7 @@ def test_the_service_never_starts_again_what_bad_input_has_ended():
 
 
 @pytest.mark.parametrize("slip", [None, ("KillMode=mixed", "KillMode=mix")], ids=["as it is", "with a slip"])
-def test_systemd_takes_the_service(tmp_path, slip):
+def test_systemd_accepts_the_service(tmp_path, slip):
     if shutil.which("systemd-analyze") is None:
         pytest.skip("there is no systemd here")
     text = (PACKAGE / "systemd" / "ship-suite@.service").read_text(encoding="utf-8")
@@ -243,7 +243,7 @@ OPTIONS = {"type", "path", "name", "startswith", "find_and_remove_prefix"}
 
 
 def analyzers(group):
-    """The generic analyzers of a group and of those in it."""
+    """Yield the generic analyzers of a group and of its groups."""
     for one in group.values():
         assert one["type"] in ANALYZERS
         if one["type"] == ANALYZERS[1]:
@@ -264,7 +264,7 @@ def tree():
 
 
 def names_in_code(*patterns):
-    """Names of statuses as the code of some files makes them; '{}' stands for the name of a source or topic."""
+    """Return names of statuses in the code of some files; '{}' stands for the name of a source or topic."""
     made = set()
     for path in {path for pattern in patterns for path in SOURCES.glob(pattern) if "test" not in path.parts}:
         code = path.read_text(encoding="utf-8")
@@ -308,19 +308,19 @@ def names_of(node):
     return {f"{node}: {name}" for name in made if node not in NOT_PUBLISHED.get(name, ())}
 
 
-def test_every_file_that_makes_statuses_is_known_here():
+def test_every_file_with_statuses_is_listed():
     assert names_in_code("*/*/**/*.py") == names_in_code(*MAKERS)
 
 
 @pytest.mark.parametrize("node", sorted(ADAPTED | SENTENCES | {"alerts"}))
 def test_every_status_of_a_node_has_an_analyzer(node):
-    """What no analyzer takes, the aggregator puts under "Other"."""
+    """The aggregator puts statuses without an analyzer under "Other"."""
     names = [name for analyzer in tree() for name in analyzer.get("name", [])]
     prefixes = tuple(prefix for analyzer in tree() for prefix in analyzer.get("startswith", []))
     assert {name for name in names_of(node) if name not in names and not name.startswith(prefixes)} == set()
 
 
-def test_every_name_in_the_aggregator_file_is_that_of_a_status():
+def test_every_name_in_the_aggregator_file_is_a_status():
     published = {name for node in ADAPTED | SENTENCES | {"alerts"} for name in names_of(node)}
     for analyzer in tree():
         assert set(analyzer.get("name", [])) - published == set()

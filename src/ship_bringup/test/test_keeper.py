@@ -1,4 +1,4 @@
-"""Programs kept running: lines, restarts, signs of life, order of the end, exit codes, nothing left behind."""
+"""Supervised programs: lines, restarts, heartbeats, order of the end, exit codes, no process left behind."""
 
 import errno
 import os
@@ -25,7 +25,7 @@ def program(name, text, role=Role.NODE):
 
 
 def kept(*programs, until="", count=1, **limits):
-    """Exit code and lines of a suite, which its user ends once so many lines contain a text."""
+    """Return exit code and lines of a suite, which its user ends after ``count`` lines that contain a text."""
     lines = []
 
     def write(line):
@@ -36,13 +36,13 @@ def kept(*programs, until="", count=1, **limits):
     return Keeper(programs, write, **limits).run(), lines
 
 
-def test_the_first_restart_is_at_once_and_each_further_one_after_twice_the_time_up_to_30_s_for_ever():
+def test_restart_delays_double_up_to_30_s():
     restarts = Restarts()
     assert [restarts.delay_s(3.0) for _ in range(9)] == [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0, 30.0]
     assert [restarts.delay_s(3.0) for _ in range(5000)] == [30.0] * 5000
 
 
-def test_a_run_of_a_minute_ends_the_row():
+def test_run_of_a_minute_resets_the_delays():
     restarts = Restarts()
     assert [restarts.delay_s(1.0), restarts.delay_s(1.0)] == [0.0, 1.0]
     assert restarts.delay_s(STEADY_S) == 0.0
@@ -50,17 +50,17 @@ def test_a_run_of_a_minute_ends_the_row():
 
 
 @pytest.mark.parametrize(("code", "failure"), [(0, 0), (1, 1), (2, 2), (130, 0), (-15, 0), (-9, 137), (-11, 139)])
-def test_the_exit_code_of_a_failure(code, failure):
+def test_exit_code_of_a_program(code, failure):
     assert failure_of(code) == failure
 
 
-def test_each_line_has_the_name_in_front_and_none_is_lost_at_the_end():
+def test_lines_have_the_name_as_prefix_and_none_is_lost():
     text = "import sys; print('one'); print('two', file=sys.stderr); sys.stdout.write('no end'); sys.stdout.flush()"
     _, lines = kept(program("talker", text), until="talker ended")
     assert lines[:3] == ["[talker] one", "[talker] two", "[talker] no end"]
 
 
-def test_a_line_without_end_is_cut_and_nothing_of_it_lost():
+def test_line_without_end_is_cut_without_loss():
     _, lines = kept(program("long", "print('x' * 300_000)"), until="long ended")
     said = [line.removeprefix("[long] ") for line in lines if line.startswith("[long]")]
     assert len(said) > 1
@@ -69,7 +69,7 @@ def test_a_line_without_end_is_cut_and_nothing_of_it_lost():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("code", [0, 1, 2, 130, -signal.SIGKILL, -signal.SIGTERM])
-def test_a_program_that_ends_is_started_again_however_it_ended_and_however_often(code):
+def test_ended_program_is_started_again(code):
     text = f"import os; os.kill(os.getpid(), {-code})" if code < 0 else f"raise SystemExit({code})"
     lives = program("lives", WAITS)
     ended, lines = kept(program("mayfly", text), lives, until="mayfly ended", count=4)
@@ -96,7 +96,7 @@ print("in reserve" if waited else "from the start", flush=True)
 """
 
 
-def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch, tmp_path):
+def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     then = "waited or wait_for_reserve()\nos.kill(os.getpid(), signal.SIGKILL)"
     text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then=then)
@@ -105,7 +105,7 @@ def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch, tmp_path):
     assert code == 137
     said = [line for line in lines if line.startswith("[node]")]
     assert said == ["[node] from the start", "[node] in reserve"]
-    # It counts from when it was told to begin, and is no death of its own before.
+    # Its run time counts from begin(), and its wait in reserve is no run of its own.
     assert [line.partition(": ")[2] for line in lines if "ended" in line] == [
         "signal 9, SIGKILL; started again at once (restart 1 in a row)",
         "signal 9, SIGKILL; started again in 1 s (restart 2 in a row)",
@@ -113,7 +113,7 @@ def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_program_whose_reserve_has_died_is_started_as_before(monkeypatch, tmp_path):
+def test_program_without_live_reserve_is_started(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     dies = SUCCESSOR.replace("waited = bool", "if WAITS in os.environ: raise SystemExit(3)\nwaited = bool")
     text = dies.format(mark=str(tmp_path / "reserve"), then="time.sleep(2.0)\nraise SystemExit(1)")
@@ -124,7 +124,7 @@ def test_a_program_whose_reserve_has_died_is_started_as_before(monkeypatch, tmp_
     assert lines.count("[suite] node in reserve ended: exit code 3") == 2
 
 
-def test_a_process_in_reserve_does_not_outlive_its_program(monkeypatch, tmp_path):
+def test_reserve_process_ends_with_its_program(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then="wait_for_reserve()")
     text = text.replace("waited = bool", "print(os.getpid())\nwaited = bool")
@@ -141,7 +141,7 @@ WAITS = (
 )
 
 
-def test_the_suite_ends_with_its_player_and_in_the_opposite_order():
+def test_suite_ends_with_its_player_in_the_opposite_order():
     code, lines = kept(
         program("first", WAITS),
         program("second", WAITS),
@@ -153,7 +153,7 @@ def test_the_suite_ends_with_its_player_and_in_the_opposite_order():
     assert any(line.endswith("exit code 1; not started again; the suite ends with it") for line in lines)
 
 
-def test_who_feeds_the_nodes_ends_before_them_and_they_go_on_without_it():
+def test_feeder_ends_before_the_nodes():
     code, lines = kept(
         program("node", WAITS),
         program("feeder", WAITS, Role.FEEDER),
@@ -165,8 +165,8 @@ def test_who_feeds_the_nodes_ends_before_them_and_they_go_on_without_it():
     assert [line for line in lines if line.endswith("ends")] == ["[feeder] ends", "[node] ends"]
 
 
-def test_who_watches_ends_before_who_plays():
-    """Without the bag all would be silent, and the alerts would say so."""
+def test_watcher_ends_before_the_player():
+    """Without the bag all inputs would time out, and the alerts would report it."""
     code, lines = kept(
         program("node", "import time; time.sleep(1.5)"),
         program("page", WAITS, Role.WATCHER),
@@ -178,7 +178,7 @@ def test_who_watches_ends_before_who_plays():
     assert [line for line in lines if line.endswith("ends")] == ["[alerts] ends", "[page] ends", "[player] ends"]
 
 
-def test_bad_input_of_one_program_at_the_start_is_tried_again_and_the_others_go_on():
+def test_bad_input_of_one_program_at_the_start_is_retried():
     code, lines = kept(
         program("wrong", "raise SystemExit(2)"),
         program("page", "raise SystemExit(2)", Role.WATCHER),
@@ -186,7 +186,7 @@ def test_bad_input_of_one_program_at_the_start_is_tried_again_and_the_others_go_
         until="wrong ended",
         count=3,
     )
-    assert code == 2  # of the first that was down at the end
+    assert code == 2  # of the first program that was down at the end
     assert any(re.fullmatch(r".*page ended .*: exit code 2; started again at once .*", line) for line in lines)
     assert "[right] ends" in lines
 
@@ -214,8 +214,8 @@ def beat_for(time_s):
 """
 
 
-def test_bad_input_of_a_node_that_has_run_before_ends_nothing():
-    """As a parameter file that was changed at sea: the suite waits for it to be mended."""
+def test_bad_input_of_a_node_that_has_run_is_retried():
+    """For example a parameter file changed at sea: the suite waits for its correction."""
     text = BEATS + "beat_for(0.5)\nraise SystemExit(2)"
     code, lines = kept(program("node", text), until="node ended", count=3)
     assert code == 2
@@ -223,15 +223,15 @@ def test_bad_input_of_a_node_that_has_run_before_ends_nothing():
 
 
 def killed_after_s(line: str) -> int:
-    """Return the time without a sign of life in the line that says so; a machine with other work looks later."""
-    killed = re.fullmatch(r"\[suite\] node(?: in reserve)? sent no sign of life for (\d) s: killed", line)
+    """Return the time without a heartbeat in the line that reports it; a busy machine checks later."""
+    killed = re.fullmatch(r"\[suite\] node(?: in reserve)? sent no heartbeat for (\d) s: killed", line)
     assert killed, line
     return int(killed[1])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["os.kill(os.getpid(), signal.SIGSTOP)", "time.sleep(60)", "while True: pass"])
-def test_a_frozen_program_is_reported_killed_and_started_again(how):
+def test_frozen_program_is_reported_killed_and_restarted(how):
     text = BEATS + f"print('starts', flush=True)\nbeat_for(1.5)\n{how}"
     started_s = time.monotonic()
     code, lines = kept(
@@ -240,9 +240,9 @@ def test_a_frozen_program_is_reported_killed_and_started_again(how):
     assert code == 0  # it ran when the user ended the suite
     assert time.monotonic() - started_s < FAR_S
     own = [line for line in lines if line.startswith("[suite]")]
-    times = re.fullmatch(r"\[suite\] node is frozen: no sign of life for (\d) s, .*started again in (\d) s", own[0])
+    times = re.fullmatch(r"\[suite\] node is frozen: no heartbeat for (\d) s, .*started again in (\d) s", own[0])
     assert times, own
-    # A machine with other work looks later; both times are of one look.
+    # A busy machine checks later; both times are of one look.
     silent_s, left_s = map(int, times.groups())
     assert silent_s in (2, 3)
     assert silent_s + left_s == 4
@@ -251,16 +251,16 @@ def test_a_frozen_program_is_reported_killed_and_started_again(how):
 
 
 @pytest.mark.slow
-def test_a_program_that_works_again_in_time_is_left_alone():
+def test_recovered_program_is_not_killed():
     text = BEATS + "beat_for(1.0)\ntime.sleep(4.0)\nbeat_for(60.0)"
     code, lines = kept(program("node", text), until="works again", frozen_report_s=2.0, frozen_restart_s=10.0)
     assert code == 0
     assert [line for line in lines if "ended" in line] == []
-    assert re.search(r"node works again after [3-5] s without a sign of life", "\n".join(lines))
+    assert re.search(r"node works again after [3-5] s without a heartbeat", "\n".join(lines))
 
 
 @pytest.mark.slow
-def test_a_program_without_a_first_sign_of_life_is_started_again(monkeypatch):
+def test_program_without_first_heartbeat_is_restarted(monkeypatch):
     monkeypatch.setattr("ship_bringup.suite.frozen_check._LONGEST_START_S", 2.0)
     code, lines = kept(program("node", "import time; time.sleep(60)"), until="node ended", frozen_restart_s=1.0)
     assert code == 137
@@ -268,8 +268,8 @@ def test_a_program_without_a_first_sign_of_life_is_started_again(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_stopped_process_in_reserve_is_no_successor(monkeypatch):
-    """Who stops a node by its name stops the one in reserve, too."""
+def test_stopped_reserve_process_is_not_used(monkeypatch):
+    """A user who stops a node by its name also stops its reserve process."""
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     text = BEATS + (
         "from ship_node.live.start import WAITS\n"
@@ -283,7 +283,7 @@ def test_a_stopped_process_in_reserve_is_no_successor(monkeypatch):
     assert [killed_after_s(line) in (4, 5) for line in lines if "node in reserve sent" in line] == [True]
 
 
-def test_a_process_in_reserve_that_was_stopped_before_its_first_sign_of_life_is_no_successor(monkeypatch, tmp_path):
+def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     mark = str(tmp_path / "reserve")
     text = BEATS + (
@@ -302,8 +302,8 @@ def test_a_process_in_reserve_that_was_stopped_before_its_first_sign_of_life_is_
 
 
 @pytest.mark.slow
-def test_a_standstill_of_the_keeper_is_no_silence_of_its_programs():
-    """All are stopped and go on together, as on a computer that sleeps."""
+def test_standstill_of_the_supervisor_does_not_count():
+    """All are stopped and continued together, as on a suspended computer."""
     keeper = run_keeper(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
     pid = ids(keeper, 1)[0]
     time.sleep(1.5)
@@ -320,8 +320,8 @@ def test_a_standstill_of_the_keeper_is_no_silence_of_its_programs():
 
 
 @pytest.mark.slow
-def test_a_program_that_gets_no_processor_is_not_frozen():
-    """It shares one core with what has a thousand times its weight."""
+def test_program_without_processor_time_is_not_frozen():
+    """It shares one core with processes of a thousand times its weight."""
     core = str(min(os.sched_getaffinity(0)))
     hog_text = f"import os\nos.sched_setaffinity(0, [{core}])\nwhile True: pass"
     hogs = [subprocess.Popen([sys.executable, "-c", hog_text]) for _ in range(3)]
@@ -338,12 +338,12 @@ def test_a_program_that_gets_no_processor_is_not_frozen():
         for hog in hogs:
             hog.kill()
             hog.wait()
-    assert not re.search(r"sent no sign of life for \d+ s: killed", said), said
+    assert not re.search(r"sent no heartbeat for \d+ s: killed", said), said
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN])
 @pytest.mark.parametrize("where", ["subprocess.Popen", "os.pidfd_open"])
-def test_a_start_that_fails_for_want_of_something_is_tried_again(monkeypatch, number, where):
+def test_failed_start_is_retried(monkeypatch, number, where):
     holder, name = (process_module.subprocess, "Popen") if "Popen" in where else (process_module.os, "pidfd_open")
     real, left = getattr(holder, name), [2]
 
@@ -362,8 +362,8 @@ def test_a_start_that_fails_for_want_of_something_is_tried_again(monkeypatch, nu
 
 
 @pytest.mark.slow
-def test_a_restart_without_file_descriptors_or_processes_ends_nothing():
-    """The limits of a keeper that runs are lowered below what it uses, and raised again."""
+def test_restart_without_file_descriptors_is_retried():
+    """The limits of a running supervisor are lowered below its use, and raised again."""
     text = BEATS + "heartbeat().beat(time.monotonic_ns())\nprint(os.getpid(), flush=True)\nbeat_for(60.0)"
     keeper = run_keeper(text, text)
     first, other = ids(keeper, 2)
@@ -383,7 +383,7 @@ def test_a_restart_without_file_descriptors_or_processes_ends_nothing():
     assert keeper.wait(FAR_S) == 0
 
 
-def test_an_exception_in_the_keeper_itself_ends_nothing(monkeypatch):
+def test_exception_in_the_supervisor_ends_nothing(monkeypatch):
     failures = [MemoryError("none left"), OSError(errno.EIO, "Input/output error")]
     real = Keeper._wait
 
@@ -399,7 +399,7 @@ def test_an_exception_in_the_keeper_itself_ends_nothing(monkeypatch):
 
 
 def run_keeper(*texts, limits=""):
-    """A keeper as a process of its own, which runs programs and tells their process ids."""
+    """Return a supervisor as a process of its own, whose programs print their process ids."""
     programs = ", ".join(f"Program('p{i}', (sys.executable, '-c', {text!r}))" for i, text in enumerate(texts))
     code = (
         "import sys\nfrom pathlib import Path\nfrom ship_bringup.suite.keeper import Keeper, Program\n"
@@ -431,7 +431,7 @@ def wait_until_gone(pids):
         time.sleep(0.02)
 
 
-def test_nothing_is_left_behind_when_the_suite_itself_is_killed():
+def test_programs_end_when_the_suite_is_killed():
     keeper = run_keeper(TELLS_ITS_ID, DEAF)
     pids = ids(keeper, 2)
     keeper.kill()
@@ -440,7 +440,7 @@ def test_nothing_is_left_behind_when_the_suite_itself_is_killed():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_all(number):
+def test_signal_ends_all_programs(number):
     keeper = run_keeper(TELLS_ITS_ID, TELLS_ITS_ID)
     pids = ids(keeper, 2)
     keeper.send_signal(number)
@@ -448,7 +448,7 @@ def test_a_signal_ends_all(number):
     assert all(map(is_gone, pids))
 
 
-def test_a_second_signal_ends_at_once_what_does_not_want_to():
+def test_second_signal_kills_at_once():
     keeper = run_keeper(DEAF)
     pids = ids(keeper, 1)
     keeper.send_signal(signal.SIGINT)
@@ -457,5 +457,5 @@ def test_a_second_signal_ends_at_once_what_does_not_want_to():
     started_s = time.monotonic()
     keeper.send_signal(signal.SIGINT)
     keeper.wait(FAR_S)
-    assert time.monotonic() - started_s < 5.0  # not the ten seconds of patience
+    assert time.monotonic() - started_s < 5.0  # not the timeout of ten seconds
     assert is_gone(pids[0])

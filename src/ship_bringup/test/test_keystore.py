@@ -1,4 +1,4 @@
-"""A keystore that is good, and every way in which it can be bad, each as one line that says which file and why."""
+"""A valid keystore, and every kind of fault, each reported in one line with the file and the reason."""
 
 import dataclasses
 import re
@@ -51,19 +51,19 @@ def only(faults):
     return fault
 
 
-def test_a_good_keystore_has_no_fault(keystore):
+def test_valid_keystore_has_no_fault(keystore):
     assert keystore_faults(keystore.path, use()) == []
     rows = list(judge_keystore(str(keystore.path), use(), True))
     assert [(row.check, row.result) for row in rows] == [("keystore", Result.OK), ("policies", Result.OK)]
     assert "2 enclaves" in rows[0].found
 
 
-def test_a_folder_that_is_no_keystore(tmp_path):
+def test_folder_that_is_no_keystore(tmp_path):
     fault = only(keystore_faults(tmp_path, use()))
     assert re.search(r"is no keystore: expected the folders public and enclaves", fault.text)
 
 
-def test_a_keystore_of_another_ship_by_its_enclaves(tmp_path):
+def test_keystore_of_another_ship_by_enclaves(tmp_path):
     other = Keystore(tmp_path / "keystore", OTHER_AUTHORITY, DOMAIN).add(rights_in("aurora")[:2])
     fault = only(keystore_faults(other.path, use()))
     told = "a keystore of another ship: it has /aurora/alerts, /aurora/ship_attitude, expected /demo/ship_attitude"
@@ -71,7 +71,7 @@ def test_a_keystore_of_another_ship_by_its_enclaves(tmp_path):
     assert fault.is_error
 
 
-def test_an_enclave_of_another_ship_by_its_authority(keystore):
+def test_enclave_of_another_ship_by_authority(keystore):
     key = new_key()
     keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate_of(NODE, key, OTHER_AUTHORITY))
     keystore.write_key(NODE, key)
@@ -82,15 +82,15 @@ def test_an_enclave_of_another_ship_by_its_authority(keystore):
     assert fault.text.endswith("its issuer is 'CN=the other ship'")
 
 
-def test_an_authority_of_the_same_name_and_another_key_is_another_one(keystore):
+def test_authority_with_the_same_name_and_another_key(keystore):
     namesake, key = new_authority("sros2CA"), new_key()
     keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate_of(NODE, key, namesake))
     keystore.write_key(NODE, key)
     assert "not signed by" in only(keystore_faults(keystore.path, use())).text
 
 
-def test_a_whole_enclave_of_another_ship_by_the_authority_that_it_brings(keystore, tmp_path):
-    """In itself it is good: certificate, key, signatures and name fit one another."""
+def test_whole_enclave_of_another_ship(keystore, tmp_path):
+    """It is consistent in itself: certificate, key, signatures and name."""
     other = Keystore(tmp_path / "other", OTHER_AUTHORITY, DOMAIN).add(USED)
     monitor = keystore.folder("/demo/monitor")
     shutil.rmtree(monitor)
@@ -101,7 +101,7 @@ def test_a_whole_enclave_of_another_ship_by_the_authority_that_it_brings(keystor
     assert fault.text == f"{monitor}/identity_ca.cert.pem: {told}/identity_ca.cert.pem"
 
 
-def test_a_whole_keystore_of_a_ship_of_the_same_name_by_what_the_limits_tell(keystore):
+def test_whole_keystore_of_another_ship_by_configured_authority(keystore):
     told = AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex(":").upper()
     assert keystore_faults(keystore.path, use(authority_sha256=told)) == []
     other = OTHER_AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex()
@@ -110,7 +110,7 @@ def test_a_whole_keystore_of_a_ship_of_the_same_name_by_what_the_limits_tell(key
     assert all(f"expected {other}, as in machine.authority_sha256" in fault.text for fault in faults)
 
 
-def test_a_suite_does_not_start_with_a_keystore_of_another_ship(tmp_path):
+def test_keystore_of_another_ship_refuses_the_start(tmp_path):
     other = Keystore(tmp_path / "keystore", OTHER_AUTHORITY, DOMAIN).add(rights_in("aurora")[:2])
     told = r"/enclaves: a keystore of another ship: it has /aurora/alerts, .*: not started; set ROS_SECURITY_KEYSTORE"
     with pytest.raises(BadInput, match=told) as refused:
@@ -118,14 +118,14 @@ def test_a_suite_does_not_start_with_a_keystore_of_another_ship(tmp_path):
     assert "\n" not in str(refused.value)
 
 
-def test_a_suite_starts_with_an_old_policy_and_says_so(keystore):
+def test_old_policy_is_a_warning_at_the_start(keystore):
     assert require_keystore(keystore.path, use()) == []
     keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=()))
     (text,) = require_keystore(keystore.path, use())
     assert "are older than the code" in text
 
 
-def test_permissions_of_another_ship_name_file_line_key_and_what_was_expected(keystore):
+def test_permissions_of_another_ship(keystore):
     other = dataclasses.replace(OF_NODE, enclave="/aurora/ship_attitude")
     keystore.permit(NODE, other)
     faults = keystore_faults(keystore.path, use())
@@ -136,7 +136,7 @@ def test_permissions_of_another_ship_name_file_line_key_and_what_was_expected(ke
     assert subject.text == f"{path}:{line}: {expected}"
 
 
-def test_a_certificate_for_another_enclave(keystore):
+def test_certificate_for_another_enclave(keystore):
     key = new_key()
     certificate = certificate_of("/demo/monitor", key, AUTHORITY)
     keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate)
@@ -145,17 +145,17 @@ def test_a_certificate_for_another_enclave(keystore):
     assert "subject is 'CN=/demo/monitor': expected 'CN=/demo/ship_attitude'" in fault.text
 
 
-def test_a_missing_enclave_of_a_node_and_of_a_tool(tmp_path):
+def test_missing_enclave_of_a_node_and_of_a_tool(tmp_path):
     (monitor,) = [rights for rights in USED if rights.enclave == "/demo/monitor"]
     without_node = Keystore(tmp_path / "a", AUTHORITY, DOMAIN).add([monitor])
     fault = only(keystore_faults(without_node.path, use()))
     assert "/demo/ship_attitude: has no identity_ca.cert.pem" in fault.text
     assert fault.advice == "ros2 security create_enclave KEYSTORE /demo/ship_attitude"
-    # Tools and drivers may be on other computers, and their keys with them.
+    # Tools and drivers, with their keys, may be on other computers.
     assert keystore_faults(Keystore(tmp_path / "b", AUTHORITY, DOMAIN).add([OF_NODE]).path, use()) == []
 
 
-def test_a_missing_file_is_named(keystore):
+def test_missing_file_is_named(keystore):
     (keystore.folder(NODE) / "key.pem").unlink()
     assert only(keystore_faults(keystore.path, use())).text == f"{keystore.folder(NODE)}: has no key.pem"
 
@@ -170,7 +170,7 @@ def test_dates_of_certificates_and_permissions(keystore, later, told, is_error):
     if told is None:
         assert faults == []
         return
-    # Of both enclaves: certificate and permissions; their authority once.
+    # Certificate and permissions of both enclaves, and their authority once.
     assert len(faults) == 5
     assert all(told in fault.text and fault.is_error == is_error for fault in faults)
 
@@ -181,7 +181,7 @@ def test_permissions_may_end_before_the_certificate(keystore):
     assert "permissions.p7s: not_after 2026-06-03 is in 2.0 days" in fault.text
 
 
-def test_a_key_that_is_not_the_certificates(keystore):
+def test_key_of_another_certificate(keystore):
     keystore.write_key(NODE, new_key())
     path = keystore.folder(NODE) / "key.pem"
     fault = only(keystore_faults(keystore.path, use()))
@@ -189,7 +189,7 @@ def test_a_key_that_is_not_the_certificates(keystore):
 
 
 @pytest.mark.parametrize("mode", [0o644, 0o620, 0o602])
-def test_a_key_that_others_may_read_or_change(keystore, mode):
+def test_key_that_others_may_read_or_change(keystore, mode):
     path = keystore.folder(NODE) / "key.pem"
     path.chmod(mode)
     assert only(keystore_faults(keystore.path, use())).text.startswith(f"{path}: mode {mode:o}: others may")
@@ -198,7 +198,7 @@ def test_a_key_that_others_may_read_or_change(keystore, mode):
 
 
 @pytest.mark.parametrize("name", ["cert.pem", "key.pem", "identity_ca.cert.pem", "permissions.p7s", "governance.p7s"])
-def test_rubbish_is_told_as_such(keystore, name):
+def test_unreadable_file_is_reported(keystore, name):
     path = keystore.folder(NODE) / name
     path.write_bytes(b"\x00\xffrubbish")
     faults = keystore_faults(keystore.path, use())
@@ -207,7 +207,7 @@ def test_rubbish_is_told_as_such(keystore, name):
 
 
 @pytest.mark.parametrize("name", ["permissions.p7s", "governance.p7s"])
-def test_a_changed_text_breaks_the_signature(keystore, name):
+def test_changed_text_breaks_the_signature(keystore, name):
     path = keystore.folder(NODE) / name
     changed = path.read_bytes().replace(b"<id>7</id>", b"<id>8</id>")
     path.write_bytes(changed)
@@ -216,7 +216,7 @@ def test_a_changed_text_breaks_the_signature(keystore, name):
 
 
 @pytest.mark.parametrize("name", ["permissions.p7s", "governance.p7s"])
-def test_a_signature_of_another_ship(keystore, name):
+def test_signature_of_another_ship(keystore, name):
     path = keystore.folder(NODE) / name
     text = governance_text(DOMAIN) if name.startswith("g") else permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     keystore.sign(path, text, OTHER_AUTHORITY)
@@ -230,7 +230,7 @@ def test_a_signature_of_another_ship(keystore, name):
      ("2027-06-01T12:00:00", "next year", "not_after is 'next year': expected a date as 2026-05-01T00:00:00"),
      ("<default>DENY</default>", "", "has no default"), ("</dds>", "", "holds no XML")],
 )  # fmt: skip
-def test_permissions_that_are_signed_and_say_nothing_of_use(keystore, right, wrong, told):
+def test_signed_permissions_with_invalid_content(keystore, right, wrong, told):
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     assert right in text
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace(right, wrong))
@@ -239,14 +239,14 @@ def test_permissions_that_are_signed_and_say_nothing_of_use(keystore, right, wro
     assert fault.text.startswith(f"{keystore.folder(NODE)}/permissions.p7s")
 
 
-def test_a_file_beyond_all_bounds_is_not_read(keystore):
+def test_too_large_file_is_not_read(keystore):
     path = keystore.folder(NODE) / "permissions.p7s"
     with path.open("r+b") as file:
         file.truncate(1 << 40)
     assert "is larger than 4000000 bytes" in only(keystore_faults(keystore.path, use())).text
 
 
-def test_another_domain(keystore):
+def test_permissions_of_another_domain(keystore):
     faults = keystore_faults(keystore.path, use(domain_id=8))
     assert len(faults) == 4
     assert all("no rule for domain 8, in which the suite runs" in fault.text for fault in faults)
@@ -259,7 +259,7 @@ def test_another_domain(keystore):
      ("read_access_control>true", "read_access_control>false"),
      ("write_access_control>true", "write_access_control>false")],
 )  # fmt: skip
-def test_a_governance_that_leaves_the_policies_without_effect(keystore, right, wrong):
+def test_ineffective_governance(keystore, right, wrong):
     text = governance_text(DOMAIN)
     assert right in text
     path = keystore.folder(NODE) / "governance.p7s"
@@ -269,8 +269,8 @@ def test_a_governance_that_leaves_the_policies_without_effect(keystore, right, w
     assert fault.of_policy
 
 
-def test_policies_that_are_older_than_the_code(keystore):
-    """Of a code that published one topic less, with its fingerprint: what is denied now is named."""
+def test_outdated_policies(keystore):
+    """Made from code that published one topic less, with its fingerprint: the missing permission is named."""
     older = dataclasses.replace(OF_NODE, publishes=OF_NODE.publishes - {"/demo/ship/integrity"})
     keystore.permit(NODE, older)
     texts = [fault.text for fault in keystore_faults(keystore.path, use())]
@@ -280,21 +280,21 @@ def test_policies_that_are_older_than_the_code(keystore):
     assert len(texts) == 2
 
 
-def test_policies_whose_rules_fit_and_whose_declarations_do_not(keystore):
+def test_policies_from_other_declarations(keystore):
     keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=OF_NODE.declared[1:]))
     fault = only(keystore_faults(keystore.path, use()))
     assert "are older than the code" in fault.text
     assert fault.of_policy
 
 
-def test_policies_of_another_program_need_no_fingerprint(keystore):
+def test_policies_of_another_program_without_fingerprint(keystore):
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", re.sub(r"<!--.*-->\n", "", text))
     assert keystore_faults(keystore.path, use()) == []
 
 
-def test_policies_that_allow_more_than_the_code_declares(keystore):
-    """As 'ros2 security create_enclave' makes them where it is given no policy: everything."""
+def test_policies_that_allow_too_much(keystore):
+    """As 'ros2 security create_enclave' makes them without a policy: everything is allowed."""
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     wide = text.replace("<topic>rt/rosout</topic>", "<topic>rt/*</topic>")
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", wide)
@@ -304,7 +304,7 @@ def test_policies_that_allow_more_than_the_code_declares(keystore):
     assert "default is ALLOW: expected DENY" in only(keystore_faults(keystore.path, use())).text
 
 
-def test_a_deny_rule_before_it_takes_a_right_away(keystore):
+def test_earlier_deny_rule_takes_precedence(keystore):
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     denied = "<publish><topics><topic>rt/demo/ship/attitude</topic></topics></publish>"
     rule = f"<deny_rule><domains><id_range><min>0</min></id_range></domains>{denied}</deny_rule>"
@@ -312,7 +312,7 @@ def test_a_deny_rule_before_it_takes_a_right_away(keystore):
     assert "publish of rt/demo/ship/attitude is not allowed" in only(keystore_faults(keystore.path, use())).text
 
 
-def test_locked_policies_and_open_ones_are_told_apart(tmp_path):
+def test_locked_and_unlocked_policies_differ(tmp_path):
     def param(locked):
         return [rights for rights in rights_in("demo", locked) if rights.enclave == "/demo/param"]
 
@@ -323,7 +323,7 @@ def test_locked_policies_and_open_ones_are_told_apart(tmp_path):
                for text in told)  # fmt: skip
 
 
-def test_a_file_that_is_signed_by_hand_as_the_page_says(keystore, tmp_path):
+def test_file_signed_by_hand_as_documented(keystore, tmp_path):
     text, certificate, key = (tmp_path / name for name in ("permissions.xml", "ca.cert.pem", "ca.key.pem"))
     text.write_text(permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR))
     keystore.write_certificate(certificate, AUTHORITY.certificate)
@@ -335,7 +335,7 @@ def test_a_file_that_is_signed_by_hand_as_the_page_says(keystore, tmp_path):
     assert keystore_faults(keystore.path, use()) == []
 
 
-def test_faults_come_together(keystore):
+def test_several_faults_at_once(keystore):
     keystore.write_key(NODE, new_key(), mode=0o644)
     keystore.permit(NODE, OF_NODE, -DAY / 2)
     (keystore.folder("/demo/monitor") / "cert.pem").write_text("rubbish")
@@ -344,7 +344,7 @@ def test_faults_come_together(keystore):
         assert part in texts
 
 
-def test_without_openssl_a_keystore_is_not_checked_and_has_failed_where_it_is_required(keystore, monkeypatch):
+def test_missing_openssl_fails_only_if_security_is_required(keystore, monkeypatch):
     monkeypatch.setenv("PATH", "/nonexistent")
     (row,) = judge_keystore(str(keystore.path), use(), False)
     assert (row.result, row.advice) == (Result.NOT_CHECKED, "sudo apt install openssl")
@@ -352,7 +352,7 @@ def test_without_openssl_a_keystore_is_not_checked_and_has_failed_where_it_is_re
     assert row.result is Result.FAIL
 
 
-def test_rows_of_a_bad_keystore_fail(keystore):
+def test_rows_of_a_faulty_keystore_fail(keystore):
     keystore.permit(NODE, dataclasses.replace(OF_NODE, publishes=frozenset()))
     (keystore.folder("/demo/monitor") / "key.pem").chmod(0o644)
     rows = list(judge_keystore(str(keystore.path), use(), False))

@@ -1,6 +1,6 @@
-"""A keystore whose parts fit one another, and which protects nothing: weak keys, open files, an authority's own key.
+"""A consistent keystore without protection: weak keys, open file permissions, an authority's own key.
 
-Certificates are made by the program ``openssl``: the Python library refuses to sign with some of what is tested.
+Certificates are made by the program ``openssl``: the Python library refuses to sign with some of the tested kinds.
 """
 
 import datetime
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="there i
 ROOT = Path(__file__).parents[3]
 DOMAIN = 7
 NODE = "/demo/ship_attitude"
-# Of today: openssl lets certificates begin at no other time; those that tests make begin before this.
+# Today: openssl gives certificates no other begin; those made by tests begin before this time.
 NOW = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(hours=1)
 RIGHTS = suite_rights(
     [node.adapter for node in checked_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")[0]], "demo", False
@@ -86,7 +86,7 @@ P256 = "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:prime256v1"
         (("-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:wap-wsg-idm-ecid-wtls8"), "its key cannot be used"),
     ],
 )
-def test_a_key_that_is_too_short(keystore, tmp_path, options, told):
+def test_too_short_key(keystore, tmp_path, options, told):
     issue(keystore, tmp_path, *options)
     texts = texts_of(keystore)
     assert any(text.startswith(f"{keystore.folder(NODE)}/cert.pem: too weak: {told}") for text in texts), texts
@@ -95,20 +95,20 @@ def test_a_key_that_is_too_short(keystore, tmp_path, options, told):
 @pytest.mark.parametrize(
     "options", [("-algorithm", "RSA", "-pkeyopt", "rsa_keygen_bits:2048"), P256, ("-algorithm", "ED25519")]
 )
-def test_a_key_that_is_long_enough(keystore, tmp_path, options):
+def test_sufficient_key(keystore, tmp_path, options):
     issue(keystore, tmp_path, *options)
     assert texts_of(keystore) == []
 
 
 @pytest.mark.parametrize("digest", ["sha1", "sha224"])
-def test_a_certificate_with_a_short_digest(keystore, tmp_path, digest):
+def test_certificate_with_short_digest(keystore, tmp_path, digest):
     issue(keystore, tmp_path, *P256, digest=digest)
     expected = f"{keystore.folder(NODE)}/cert.pem: too weak: it is signed with {digest.upper()}: expected SHA-256"
     assert any(text.startswith(expected) for text in texts_of(keystore))
 
 
 @pytest.mark.parametrize("digest", ["sha1", "sha224"])
-def test_permissions_signed_with_a_short_digest(keystore, tmp_path, digest):
+def test_permissions_with_short_digest(keystore, tmp_path, digest):
     write_private(tmp_path / "ca.key", AUTHORITY.key)
     Keystore.write_certificate(tmp_path / "ca.pem", AUTHORITY.certificate)
     (tmp_path / "permissions.xml").write_text(permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR))
@@ -119,15 +119,15 @@ def test_permissions_signed_with_a_short_digest(keystore, tmp_path, digest):
     assert expected in texts_of(keystore)
 
 
-def test_a_program_that_could_make_certificates(keystore, tmp_path):
+def test_certificate_that_can_sign_others(keystore, tmp_path):
     issue(keystore, tmp_path, *P256, extensions="basicConstraints=critical,CA:TRUE")
     (text,) = texts_of(keystore)
     assert text.startswith(f"{keystore.folder(NODE)}/cert.pem: CA:TRUE: the program could make certificates itself")
 
 
 @pytest.mark.parametrize("name", ["identity_ca.cert.pem", "permissions_ca.cert.pem"])
-def test_an_authority_whose_time_is_over(keystore, name):
-    """The enclave was given to another authority with the same key: only the dates of its certificate differ."""
+def test_expired_authority(keystore, name):
+    """The certificate of the enclave's authority has expired; its key is that of the ship's authority."""
     old = certificate_of("sros2CA", AUTHORITY.key, now=NOW - YEAR - 2 * DAY)
     Keystore.write_certificate(keystore.folder(NODE) / name, old)
     (text,) = [text for text in texts_of(keystore) if text.startswith(f"{keystore.folder(NODE)}/{name}: ")]
@@ -136,19 +136,19 @@ def test_an_authority_whose_time_is_over(keystore, name):
 
 
 @pytest.mark.parametrize("place", ["private/ca.key.pem", "public/old.pem", "enclaves/demo/ship_attitude/spare"])
-def test_the_private_key_of_the_authority(keystore, place):
+def test_private_key_of_the_authority(keystore, place):
     path = keystore.path / place
     write_private(path, AUTHORITY.key)
     (text,) = texts_of(keystore)
     told = "the private key of the authority 'CN=sros2CA': whoever reads it can make certificates of this ship"
     assert text == f"{path}: {told}"
-    # It is mended ashore: a suite that is started again at sea starts.
+    # It is corrected ashore: a suite can be started again at sea.
     assert require_keystore(keystore.path, KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY)) == [text]
     (row, *_) = judge_keystore(str(keystore.path), KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY), False)
     assert row.result is Result.FAIL
 
 
-def test_links_to_one_key_of_an_authority_are_one_line(keystore):
+def test_links_to_one_key_are_one_fault(keystore):
     """As ``ros2 security`` lays them out."""
     write_private(keystore.path / "private" / "ca.key.pem", AUTHORITY.key)
     for name in ("identity_ca.key.pem", "permissions_ca.key.pem"):
@@ -156,7 +156,7 @@ def test_links_to_one_key_of_an_authority_are_one_line(keystore):
     assert len(texts_of(keystore)) == 1
 
 
-def test_a_private_key_outside_the_enclaves_of_which_nobody_knows_whose_it_is(keystore):
+def test_unknown_private_key_outside_the_enclaves(keystore):
     write_private(keystore.path / "private" / "ca.key.pem", new_key())
     (text,) = texts_of(keystore)
     assert "the private key of a certificate authority, by its place" in text
@@ -172,7 +172,7 @@ def test_a_private_key_outside_the_enclaves_of_which_nobody_knows_whose_it_is(ke
         ("enclaves/demo/ship_attitude/cert.pem", 0o664, "its group", "change it"),
     ],
 )
-def test_folders_and_files_that_others_may_change(keystore, place, mode, who, harm):
+def test_folders_and_files_writable_by_others(keystore, place, mode, who, harm):
     path = keystore.path / place
     path.chmod(mode)
     (fault,) = faults_of(keystore)

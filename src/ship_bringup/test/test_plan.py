@@ -1,4 +1,4 @@
-"""Which programs a suite file asks for beside the estimators, and what their end means."""
+"""Programs of a suite file in addition to the estimators, and the consequence of their end."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def roles(plan):
     return {program.name: program.role for program in plan.programs}
 
 
-def test_nmea_nodes_are_started_and_the_suite_does_not_need_them(suite):
+def test_roles_of_nmea_nodes(suite):
     plan = plan_of(suite, SuiteOptions(namespace="aurora", monitor=True))
     assert roles(plan) == {
         "ship_attitude": Role.NODE, "nmea_in": Role.FEEDER, "nmea_out": Role.WATCHER, "monitor": Role.WATCHER,
@@ -45,29 +45,29 @@ def test_nmea_nodes_are_started_and_the_suite_does_not_need_them(suite):
     assert command[at + 1 : at + 4] == (str(suite.resolve()), "-r", "__ns:=/aurora")
 
 
-def test_with_a_bag_no_instrument_is_read_and_what_goes_out_is_warned_of(suite):
+def test_bag_excludes_nmea_in_and_warns_of_nmea_out(suite):
     plan = plan_of(suite, SuiteOptions(bag=DEMO))
     assert roles(plan) == {"ship_attitude": Role.NODE, "nmea_out": Role.WATCHER, "play": Role.PLAYER}
     (command,) = [program.command for program in plan.programs if program.name == "nmea_out"]
     assert "use_sim_time:=true" in command
-    assert any("by THS alone, which says S (simulator)" in warning for warning in plan.warnings)
+    assert any("only as THS, with mode S (simulator)" in warning for warning in plan.warnings)
 
 
-def test_a_bad_key_of_theirs_is_told_before_anything_starts(suite):
+def test_bad_nmea_parameter_is_reported_before_the_start(suite):
     suite.write_text(suite.read_text().replace("port: 10110", "prt: 10110"))
     line = suite.read_text().splitlines().index(next(s for s in suite.read_text().splitlines() if "prt" in s)) + 1
     with pytest.raises(BadInput, match=rf"suite.yaml:{line}: parameter 'sinks.bridge.prt' is unknown: .* 'port'\?"):
         plan_of(suite, SuiteOptions())
 
 
-def test_a_place_that_two_want_is_told_before_anything_starts(suite):
+def test_shared_port_is_reported_before_the_start(suite):
     suite.write_text(suite.read_text().replace("port: 10110}", "port: 10110, listen_port: 10111}"))
     with pytest.raises(BadInput, match=r"suite.yaml:\d+: .*'sinks.bridge.listen_port' = 10111 .*'sources.gyro.port'"):
         plan_of(suite, SuiteOptions())
 
 
-def test_nmea_nodes_are_a_suite_without_estimators_too(tmp_path):
-    """As on a second computer: they may run there alone, and the suite is over when both are."""
+def test_suite_of_nmea_nodes_only(tmp_path):
+    """For example on a second computer: they run there alone, and the suite ends when both have ended."""
     path = tmp_path / "suite.yaml"
     path.write_text(NMEA)
     assert roles(plan_of(path, SuiteOptions(namespace="aurora"))) == {"nmea_in": Role.NODE, "nmea_out": Role.NODE}

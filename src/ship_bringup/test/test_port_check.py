@@ -1,4 +1,4 @@
-"""Ports, own addresses and devices of the NMEA nodes: free, taken by whom, and not this machine's."""
+"""Ports, own addresses and devices of the NMEA nodes: available, in use by a program, or not of this machine."""
 
 import os
 import pty
@@ -24,7 +24,7 @@ HELD = {
 
 @pytest.fixture
 def look(tmp_path):
-    """What is found of one sink or source, and the rows about it."""
+    """Return a function that checks one sink or source."""
 
     def states(node, text, namespace="", running=()):
         group = "sinks" if node == "nmea_out" else "sources"
@@ -38,12 +38,12 @@ def look(tmp_path):
 
 
 @pytest.mark.parametrize("what", HELD)
-def test_a_port_is_free_and_then_another_program_has_it(look, what):
+def test_free_port_and_port_in_use(look, what):
     node, key, kind, text = HELD[what]
     port = free_port(kind)
     text, name = text.replace("PORT", str(port)), f"{'TCP' if kind is STREAM else 'UDP'} port {port}"
-    for _ in range(2):  # tried, and given back
-        assert look(node, text) == [(Result.OK, f"suite.yaml:4: {key}: {name} can be had", "")]
+    for _ in range(2):  # bound, and released
+        assert look(node, text) == [(Result.OK, f"suite.yaml:4: {key}: {name} is available", "")]
     with socket.socket(socket.AF_INET, kind) as other:
         other.bind(("", port))
         if kind is STREAM:
@@ -52,12 +52,12 @@ def test_a_port_is_free_and_then_another_program_has_it(look, what):
         assert (result, advice) == (Result.FAIL, "end that one, or give another port")
         assert found.startswith(f"suite.yaml:4: {key}: {name} is in use by ")
         assert found.endswith(f"(process {os.getpid()})")
-        # Started by hand, to hear the instruments.
+        # Started by hand, to check the instruments.
         ((result, found, _),) = look(node, text, "demo", [f"/demo/{node}"])
         assert (result, found) == (Result.NOT_CHECKED, f"suite.yaml:4: {key}: {name} is in use while /demo/{node} runs")
 
 
-def test_the_program_that_has_a_port_is_named_by_its_script(look, tmp_path):
+def test_program_of_a_port_is_named_by_its_script(look, tmp_path):
     script = tmp_path / "old_logger.py"
     text = "import socket, sys\ns = socket.create_server(('', 0))\nprint(s.getsockname()[1], flush=True)\n"
     script.write_text(text + "sys.stdin.read()\n")
@@ -68,7 +68,7 @@ def test_the_program_that_has_a_port_is_named_by_its_script(look, tmp_path):
     assert found.endswith(f" is in use by old_logger.py (process {process.pid})")
 
 
-def test_a_program_that_cannot_be_seen_may_be_the_suite_itself():
+def test_unknown_program_may_be_the_suite():
     state = PlaceState("/nmea_out", "suite.yaml:4: sinks.a.port", held_port("", PlaceKind.TCP, 10110), 98)
     (row,) = judge_places([state], [])
     assert row.found.endswith("TCP port 10110 is in use by another program, or by this suite if it already runs")
@@ -78,11 +78,11 @@ def test_a_program_that_cannot_be_seen_may_be_the_suite_itself():
     ("node", "text", "rows"),
     [
         ("nmea_out", "kind: tcp_server, address: 203.0.113.7, port: 10110",
-         ["port: TCP port 10110 of 203.0.113.7 cannot be had: this machine has no such address"]),
+         ["port: TCP port 10110 of 203.0.113.7 is not available: this machine has no such address"]),
         ("nmea_out", "kind: udp, address: 239.192.0.4, port: 1, interface: 203.0.113.7",
-         ["interface: 203.0.113.7 cannot be had: this machine has no such address"]),
+         ["interface: 203.0.113.7 is not available: this machine has no such address"]),
         ("nmea_in", "kind: udp, becomes: ins, address: 203.0.113.7, port: 10110",
-         ["port: UDP port 10110 of 203.0.113.7 cannot be had: this machine has no such address"]),
+         ["port: UDP port 10110 of 203.0.113.7 is not available: this machine has no such address"]),
         ("nmea_out", "kind: udp, address: 239.192.0.4, port: 1, interface: 127.0.0.1",
          ["interface: 127.0.0.1 is an address of this machine"]),
         ("nmea_in", "kind: tcp, becomes: ins, address: 203.0.113.7, port: 10110", []),
@@ -90,13 +90,13 @@ def test_a_program_that_cannot_be_seen_may_be_the_suite_itself():
         ("nmea_out", "kind: serial, device: /dev/ttyNONE7", []),
     ],
 )  # fmt: skip
-def test_own_addresses_are_those_of_this_machine(look, node, text, rows):
+def test_own_addresses_are_of_this_machine(look, node, text, rows):
     found = look(node, text)
     assert [words.partition(".a.")[2] for _, words, _ in found] == rows
-    assert all((result is Result.FAIL) is ("cannot" in words) for result, words, _ in found)
+    assert all((result is Result.FAIL) is ("not available" in words) for result, words, _ in found)
 
 
-def test_a_device_that_another_program_has_open(look):
+def test_device_in_use_by_another_program(look):
     first, second = pty.openpty()
     try:
         text = f"kind: serial, device: {os.ttyname(second)}"

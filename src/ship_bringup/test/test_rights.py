@@ -1,4 +1,4 @@
-"""Who may do what in a suite: least privilege, as SROS2 policy and as permissions of DDS Security.
+"""Rights in a suite: least privilege, as SROS2 policy and as permissions of DDS Security.
 
 The structure of the XML is that of ``policy.xsd`` 0.2.0 and ``permissions.xsd`` of sros2.
 """
@@ -29,7 +29,7 @@ def rights_of(name, **options):
 
 
 def may(rights, action, topic):
-    """Whether the permissions of an enclave allow it, read as DDS Security 1.1, 9.4.1.3, says and not by our reader."""
+    """True if the permissions of an enclave allow it, read by DDS Security 1.1, 9.4.1.3, and not by our reader."""
     grant = ET.fromstring(permissions_text(rights, 7, FIRST, LAST)).find("permissions/grant")
     assert grant.findtext("default") == "DENY"
     assert [rule.tag for rule in grant if rule.tag.endswith("_rule")] == ["allow_rule"]
@@ -38,7 +38,7 @@ def may(rights, action, topic):
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_only_its_own_node_publishes_an_attitude_or_pointing(example):
+def test_only_the_own_node_publishes_attitude_and_pointing(example):
     every = rights_of(example)
     for topic, node in (("ship/attitude", "ship_attitude"), ("theodolite/pointing", "optical_axis")):
         publishers = {name for name, rights in every.items() if may(rights, "publish", f"rt/demo/{topic}")}
@@ -46,7 +46,7 @@ def test_only_its_own_node_publishes_an_attitude_or_pointing(example):
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_a_sensor_publishes_its_own_topics_and_hears_no_other(example):
+def test_sensor_publishes_only_its_own_topics(example):
     every = rights_of(example)
     assert may(every["/demo/sensors/ins"], "publish", "rt/demo/ins/imu")
     for name, rights in every.items():
@@ -59,19 +59,19 @@ def test_a_sensor_publishes_its_own_topics_and_hears_no_other(example):
 
 
 @pytest.mark.parametrize("locked", [False, True])
-def test_parameters_of_an_estimator_are_set_by_param_alone_and_by_nobody_when_locked(locked):
+def test_only_param_sets_parameters_unless_locked(locked):
     every = rights_of("theodolite", locked=locked)
     for node in ("ship_attitude", "optical_axis", "alerts"):
         for service in ("set_parameters", "set_parameters_atomically"):
             topic = f"rq/demo/{node}/{service}Request"
             asking = {name for name, rights in every.items() if may(rights, "publish", topic)}
             assert asking == ({"/demo/param"} if service.endswith("atomically") and not locked else set())
-        # Its own permission to answer stays: without it, ROS could not start the node.
+        # Its own permission to respond remains: without it, ROS could not start the node.
         assert may(every[f"/demo/{node}"], "subscribe", f"rq/demo/{node}/set_parametersRequest")
     assert may(every["/demo/param"], "publish", "rq/demo/ship_attitude/get_parametersRequest")
 
 
-def test_nobody_may_set_the_clock_or_tell_a_truth_unless_bags_are_played():
+def test_clock_and_truth_need_played_bags():
     for rights in rights_of("two_sensors").values():
         assert not any("clock" in topic or "truth" in topic for topic in published(rights) | subscribed(rights))
     played = rights_of("two_sensors", played=True)
@@ -90,7 +90,7 @@ NMEA = """
 """
 
 
-def test_nmea_out_hears_what_it_tells_and_nmea_in_gives_what_its_sources_say(tmp_path):
+def test_rights_of_nmea_nodes(tmp_path):
     path = tmp_path / "suite.yaml"
     path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + NMEA)
     companions = companions_of(path, "demo")
@@ -103,14 +103,14 @@ def test_nmea_out_hears_what_it_tells_and_nmea_in_gives_what_its_sources_say(tmp
     given = {topic for topic in into.publishes if topic.startswith("/demo/")}
     assert given == {f"/demo/{topic}" for topic in ("ins/imu", "gnss/fix", "reference/s330/imu")}
     assert set(heard_by_nmea(companions)) == {"ins/imu", "gnss/fix", "reference/s330/imu"}
-    # Nobody else may give them; with nmea_in left out, a driver of the INS may.
+    # No other node may publish them; without nmea_in, a driver of the INS may.
     assert [name for name, rights in every.items() if "/demo/ins/imu" in rights.publishes] == ["/demo/nmea_in"]
     assert "/demo/sensors/ins" in rights_of("two_sensors")
     assert {"/demo/sensors/star_fore", "/demo/sensors/ins"} & set(every) == {"/demo/sensors/star_fore"}
     assert not {"/demo/nmea_out", "/demo/nmea_in"} & set(rights_of("two_sensors"))
 
 
-def test_a_wrong_parameter_of_a_companion_is_one_line(tmp_path):
+def test_wrong_parameter_of_a_companion_is_one_line(tmp_path):
     path = tmp_path / "suite.yaml"
     path.write_text(NMEA.replace("becomes: ins", "becomes: gold"))
     with pytest.raises(BadInput, match=rf"^{path}:6: parameter 'sources.seapath.becomes'"):
@@ -131,11 +131,11 @@ def test_services_are_two_topics_one_each_way():
     [("ins/imu", "ins"), ("star/fore/observations", "star_fore"), ("reference/seapath/imu", "reference_seapath"),
      ("beacon/a/baseline", "beacon_a"), ("met/pressure", "met"), ("theodolite/encoder", "theodolite")],
 )  # fmt: skip
-def test_devices(topic, device):
+def test_device_of_topic(topic, device):
     assert device_of(topic) == device
 
 
-def test_the_policy_has_the_structure_of_the_schema():
+def test_policy_has_the_structure_of_the_schema():
     root = ET.fromstring(policy_text(tuple(rights_of("theodolite").values())))
     assert (root.tag, root.attrib) == ("policy", {"version": "0.2.0"})
     actions = {"topics": {"publish", "subscribe"}, "services": {"reply", "request"}}
@@ -150,7 +150,7 @@ def test_the_policy_has_the_structure_of_the_schema():
             assert all(name.text.startswith("/") for name in group)
 
 
-def test_governance_lets_nobody_in_without_a_certificate():
+def test_governance_requires_certificates():
     rule = ET.fromstring(governance_text(7)).find("domain_access_rules/domain_rule")
     assert rule.findtext("domains/id") == "7"
     assert rule.findtext("allow_unauthenticated_participants") == "false"
@@ -160,7 +160,7 @@ def test_governance_lets_nobody_in_without_a_certificate():
     assert {topic.findtext(f"enable_{each}_access_control") for each in ("read", "write")} == {"true"}
 
 
-def test_the_fingerprint_changes_with_topics_types_and_parameters_and_with_nothing_else():
+def test_fingerprint_depends_on_all_declarations():
     one = rights_of("two_sensors")["/demo/ship_attitude"]
     assert one.fingerprint == rights_of("two_sensors")["/demo/ship_attitude"].fingerprint
     declared = [each.replace("sensor_msgs/msg/Imu", "sensor_msgs/msg/Imu2") for each in one.declared]
@@ -175,7 +175,7 @@ def test_the_fingerprint_changes_with_topics_types_and_parameters_and_with_nothi
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_the_policies_that_are_shipped_are_those_of_the_code(example, tmp_path, capsys):
+def test_shipped_policies_match_the_code(example, tmp_path, capsys):
     suite_file = ROOT / "examples" / f"{example}.yaml"
     assert policies.main([str(suite_file), "--out", str(tmp_path / "out")]) == 0
     made = (tmp_path / "out" / "policy.xml").read_bytes()
@@ -184,7 +184,7 @@ def test_the_policies_that_are_shipped_are_those_of_the_code(example, tmp_path, 
     assert path.read_bytes() == made, told
 
 
-def test_the_same_command_gives_the_same_bytes_and_writes_over_nothing(tmp_path, capsys):
+def test_policies_are_reproducible_and_overwrite_nothing(tmp_path, capsys):
     command = [str(ROOT / "examples" / "theodolite.yaml"), "--namespace", "demo", "--locked", "--domain", "7"]
     command += ["--valid-from", "2026-05-01", "--valid-days", "365"]
     assert policies.main([*command, "--out", str(tmp_path / "one")]) == 0
@@ -205,8 +205,8 @@ def test_the_same_command_gives_the_same_bytes_and_writes_over_nothing(tmp_path,
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
-    [(["--domain", "233"], "233 is no domain of ROS"), (["--valid-from", "1.5.26"], "expected one as 2026-05-01"),
-     (["--valid-days", "0"], "0 is no number of days")],
+    [(["--domain", "233"], "233 is not a domain of ROS"), (["--valid-from", "1.5.26"], "expected one as 2026-05-01"),
+     (["--valid-days", "0"], "0 is not a number of days")],
 )  # fmt: skip
 def test_bad_arguments_are_one_line(arguments, told, tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
@@ -215,7 +215,7 @@ def test_bad_arguments_are_one_line(arguments, told, tmp_path, capsys):
     assert told in capsys.readouterr().err
 
 
-def test_an_unknown_key_of_the_suite_file_is_one_line_and_nothing_is_written(tmp_path, capsys):
+def test_unknown_parameter_of_the_suite_file_is_one_line(tmp_path, capsys):
     path = tmp_path / "suite.yaml"
     path.write_text("/**/ship_attitude:\n  ros__parameters:\n    lagg_s: 2.0\n")
     assert policies.main([str(path), "--out", str(tmp_path / "out")]) == 2

@@ -1,4 +1,4 @@
-"""The time without a sign of life, by made-up times for which a process waited for a processor."""
+"""Time since the last heartbeat, with invented times for which a process waited for a processor."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ MISSING = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
 
 class Schedstat:
-    """The file of a process with these times of waiting at one reading after another, s; an exception is raised."""
+    """The file of a process with these waiting times at successive readings, s; an exception is raised."""
 
     def __init__(self, *waited_s: float | Exception) -> None:
         self._waited_s = list(waited_s)
@@ -29,15 +29,15 @@ class Schedstat:
     ("waited_s", "time_s"),
     [
         ((20.0, 20.0, 20.0), 1.5),
-        ((20.0, 20.4, 25.0), 0.1),  # the last step was all waiting
-        ((20.0, MISSING, 20.0), 1.5),  # the keeper had no file descriptor left
+        ((20.0, 20.4, 25.0), 0.1),  # waiting during the whole last step
+        ((20.0, MISSING, 20.0), 1.5),  # the supervisor had no file descriptor left
         ((20.0, MISSING, MISSING), 1.5),
         ((20.0, MISSING, 20.3), 1.2),
         ((MISSING, 20.0, 20.3), 1.2),
         ((20.0, 0.0, 0.0), 1.5),
     ],
 )
-def test_no_more_than_the_step_counts_whatever_can_be_read(monkeypatch, waited_s, time_s):
+def test_only_time_with_a_processor_counts(monkeypatch, waited_s, time_s):
     monkeypatch.setattr("ship_bringup.suite.signs_of_life.Path", lambda _path: Schedstat(*waited_s))
     silence = Silence(1)
     silence.add(0.5)
@@ -45,8 +45,8 @@ def test_no_more_than_the_step_counts_whatever_can_be_read(monkeypatch, waited_s
     assert silence.time_s == pytest.approx(time_s)
 
 
-def test_a_process_told_to_begin_has_as_long_for_its_first_sign_of_life_as_any_start():
-    """What it sent in reserve says nothing of its work."""
+def test_begin_resets_the_heartbeat_age():
+    """Heartbeats sent in reserve are no evidence of its work."""
     heartbeats = HeartbeatSocket()
     process = Process([sys.executable, "-c", "input()"], heartbeats.sender_descriptor, waits=True)
     process.silence.restart(has_beaten=True)

@@ -1,4 +1,4 @@
-"""Lines of a suite that stdout does not take: a reader that is gone or does not read, a full disk."""
+"""Lines of a suite that stdout does not accept: a reader that has ended or does not read, a full disk."""
 
 import contextlib
 import os
@@ -21,38 +21,38 @@ def pipe():
             os.close(number)
 
 
-def test_lines_go_to_stdout_and_no_file_is_made(tmp_path, pipe):
+def test_lines_are_written_to_stdout(tmp_path, pipe):
     reader, writer = pipe
     SuiteLog(tmp_path / "suite.log", writer).write("one ″")
     assert os.read(reader, 100) == "one ″\n".encode()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_a_reader_lines_go_to_the_file(tmp_path, pipe):
+def test_lines_are_written_to_the_file_without_reader(tmp_path, pipe):
     reader, writer = pipe
     os.close(reader)
     log = SuiteLog(tmp_path / "logs" / "suite.log", writer)
     for line in ("one", "two"):
         log.write(line)
     kept = (tmp_path / "logs" / "suite.log").read_text().splitlines()
-    assert kept == ["[suite] lines go on here, because stdout does not take them: Broken pipe", "one", "two"]
+    assert kept == ["[suite] lines continue here, because stdout does not accept them: Broken pipe", "one", "two"]
 
 
-def test_on_a_full_disk_lines_go_to_the_file(tmp_path):
+def test_lines_are_written_to_the_file_on_a_full_disk(tmp_path):
     full = os.open("/dev/full", os.O_WRONLY)
     SuiteLog(tmp_path / "suite.log", full).write("one")
     os.close(full)
     assert (tmp_path / "suite.log").read_text().splitlines()[0].endswith("No space left on device")
 
 
-def test_a_line_that_neither_takes_is_lost_and_nothing_else(tmp_path, pipe):
+def test_line_is_lost_if_neither_accepts_it(tmp_path, pipe):
     reader, writer = pipe
     os.close(reader)
     SuiteLog(tmp_path, writer).write("a folder of that name is there")
     SuiteLog(tmp_path / ("n" * 300), writer).write("no such name")
 
 
-def test_a_reader_that_does_not_read_holds_up_nothing_and_gets_the_next_lines_when_it_reads(tmp_path, pipe):
+def test_blocked_reader_delays_nothing(tmp_path, pipe):
     reader, writer = pipe
     log = SuiteLog(tmp_path / "suite.log", writer)
     began_s = time.monotonic()
@@ -68,11 +68,11 @@ def test_a_reader_that_does_not_read_holds_up_nothing_and_gets_the_next_lines_wh
     missed = int(notice.split()[1])
     kept = (tmp_path / "suite.log").read_text().splitlines()[1:]
     assert [int(line) for line in [*lines, *kept]] == list(range(3000))
-    assert notice == f"[suite] {missed} lines that were not taken here are in {tmp_path}/suite.log"
+    assert notice == f"[suite] {missed} lines that were not accepted here are in {tmp_path}/suite.log"
     assert (len(kept), last) == (missed, "last")
 
 
-def test_the_file_is_bounded(tmp_path, pipe, monkeypatch):
+def test_file_size_is_bounded(tmp_path, pipe, monkeypatch):
     monkeypatch.setattr(suite_log, "LARGEST_FILE_BYTES", 1000)
     os.close(pipe[0])
     log = SuiteLog(tmp_path / "suite.log", pipe[1])
@@ -84,7 +84,7 @@ def test_the_file_is_bounded(tmp_path, pipe, monkeypatch):
     assert sum(sizes.values()) > 1000
 
 
-def test_the_file_is_where_ros_has_its_logs(monkeypatch, tmp_path):
+def test_file_is_in_the_log_folder_of_ros(monkeypatch, tmp_path):
     monkeypatch.delenv("ROS_LOG_DIR", raising=False)
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     assert log_path("") == tmp_path / "log" / "suite.log"
@@ -105,7 +105,7 @@ raise SystemExit(Keeper([Program("p", (sys.executable, "-c", text))], SuiteLog(P
 
 
 @pytest.mark.parametrize("stdout", ["closed pipe", "/dev/full"])
-def test_the_suite_goes_on_without_its_stdout_until_its_user_ends_it(tmp_path, stdout):
+def test_suite_continues_without_stdout(tmp_path, stdout):
     pid, log = tmp_path / "pid", tmp_path / "suite.log"
     command = [sys.executable, "-c", KEEPER.format(pid=str(pid), log=str(log))]
     with open("/dev/full", "wb") as full:

@@ -1,4 +1,4 @@
-"""NMEA 0183 live: the suite's attitude and alerts out to bridge and logger, instruments' sentences in as topics.
+"""NMEA 0183 live: attitude and alerts sent to bridge and logger, instruments' sentences received and published.
 
-It stands beside :mod:`ship_monitor`; no estimator knows of it, and nothing that it does can hold one up.
+The package depends on no estimator, and no estimator depends on it. Nothing in it can delay an estimator.
 """

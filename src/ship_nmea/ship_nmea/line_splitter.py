@@ -1,4 +1,4 @@
-"""Bytes as they arrive, from an instrument or from the bridge, become lines."""
+"""Split received bytes, from an instrument or from the bridge, into lines."""
 
 import re
 
@@ -8,14 +8,14 @@ _END = re.compile(rb"[\r\n]+")
 
 
 class LineSplitter:
-    """Puts the lines of a stream together; a line that is too long is cut, but for a sentence at its end."""
+    """Splitter of a byte stream into lines; a line that is too long is cut, except for a sentence at its end."""
 
     def __init__(self) -> None:
         self._rest = b""
         self._skips = False
 
     def take(self, data: bytes) -> list[bytes]:
-        """The lines that end in the next bytes; one cut has a byte more than :data:`LONGEST_LINE`."""
+        """Return the lines that end in the next bytes; a cut line has one byte more than :data:`LONGEST_LINE`."""
         *ended, rest = _END.split(self._rest + data)
         found: list[bytes] = []
         for line in ended:
@@ -26,17 +26,19 @@ class LineSplitter:
         return [line for line in [*found, too_long] if line]
 
     def end(self) -> list[bytes]:
-        """What is left where a datagram or a connection ends."""
+        """Return what is left at the end of a datagram or a connection."""
         rest, self._rest, self._skips = self._rest, b"", False
         return [rest] if rest else []
 
 
 def _before_and_sentence(line: bytes, is_skipped: bool) -> tuple[bytes, bytes]:
-    """Return a line as what is too long in it, cut, and the rest: a sentence may follow binary data without a line end.
+    """Split a line that is too long into its first part, cut, and the sentence at its end.
+
+    A sentence may follow binary data without a line end.
 
     Args:
-        line: or the beginning of one.
-        is_skipped: whether it is the rest of a line that was cut already.
+        line: the line, or its beginning.
+        is_skipped: True if the first part of the line was already cut.
     """
     if len(line) <= LONGEST_LINE and not is_skipped:
         return b"", line

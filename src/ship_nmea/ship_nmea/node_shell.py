@@ -1,6 +1,6 @@
-"""The shell of both nodes: parameters, guarded callbacks, the clock, and a report once a second.
+"""Runtime of both nodes: parameters, guarded callbacks, the clock, and diagnostics once a second.
 
-A node of this package is this shell and its work: what it does with the shell's node, and what there is to say of that.
+A node of this package consists of this runtime and its :class:`Work`.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from ship_node.parameters.parameter_file import misfit_warnings, placed
 SPIN_TIMEOUT_S = 0.1
 REPORT_PERIOD_S = 1.0
 
-_EXIT_CODES = "0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)"
+_EXIT_CODES = "0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (reported in one line)"
 
 
 def run_nmea_node(
@@ -46,17 +46,17 @@ def run_nmea_node(
     begin: "Callable[[NmeaNode], Work]",
     arguments: Sequence[str] | None,
 ) -> int:
-    """Run a node of this package until SIGINT or SIGTERM; what its executable calls.
+    """Run a node of this package until SIGINT or SIGTERM.
 
     Args:
         name: of the node and of its executable.
-        description: what ``--help`` says of it, before the parameters.
+        description: text of ``--help`` before the parameters.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
         begin: makes the work.
-        arguments: the command line without the program's name; None takes the process's own.
+        arguments: the command line without the program's name; None for that of the process.
 
     Returns:
-        Exit code: 0 ended by a signal, 2 bad arguments or parameters (one line on stderr says which).
+        Exit code: 0 ended by a signal, 2 bad arguments or parameters (reported in one line on stderr).
     """
     rows = "\n".join(key_rows(config_type))
     parser = CommandParser(
@@ -73,37 +73,37 @@ def run_nmea_node(
 
 
 class Work(Protocol):
-    """What a node does; it is made of its :class:`NmeaNode`, and raises InputError where its parameters cannot be."""
+    """Function of a node, created from its :class:`NmeaNode`; it raises InputError if its parameters are unusable."""
 
     def statuses(self) -> Iterable[DiagnosticStatus]:
-        """What there is to say of it, once a second."""
+        """Return its diagnostics, once a second."""
         ...
 
     def close(self) -> None:
-        """Give sockets, devices and threads back."""
+        """Release sockets, devices and threads."""
         ...
 
 
 class NmeaNode:
-    """A node around its work; see :func:`ship_node.live.node_shell.run_node`, which runs it.
+    """A node and its runtime; it is run by :func:`ship_node.live.node_shell.run_node`.
 
     Attributes:
         node: the rclpy node.
         config: its parameters; none of them changes while the node runs.
         factory: makes messages.
-        clock: the node's time, by /clock where that rules.
-        guard: calls what may raise.
+        clock: the node's time, by /clock if it follows that.
+        guard: calls functions that may raise.
 
     Args:
         name: of the node.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
         begin: makes the work.
         context: an initialised rclpy context.
-        parameter_files: given on the command line, to say where a bad parameter stands.
+        parameter_files: files given on the command line, for the place of a bad parameter in its error text.
 
     Raises:
-        BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or the work cannot begin at
-            all with it. The text names file and line.
+        BadInput: a parameter is unknown, of the wrong type, out of its range or missing, or the work cannot start with
+            it. The text contains file and line.
     """
 
     def __init__(
@@ -140,28 +140,28 @@ class NmeaNode:
         self._events.start(self.node)
 
     def begin_without(self, refusals: Sequence[InputError], count: int) -> None:
-        """Go on without places that cannot be opened, each told in the log, as long as one of all is left.
+        """Log the places that cannot be opened, and raise if none is open.
 
         Args:
-            refusals: why some cannot be opened.
-            count: of all places.
+            refusals: errors of the places that cannot be opened.
+            count: number of all places.
 
         Raises:
-            InputError: the first, where none is left.
+            InputError: the first error, if no place is open.
         """
         if len(refusals) == count:
             raise refusals[0]
         for error in refusals:
             text = placed(error, self._parameter_files, self._full_name)
-            self.node.get_logger().error(f"{text}; the others go on, and it is tried again")
+            self.node.get_logger().error(f"{text}; the others continue, and opening it is retried")
 
     def subscribe(self, topic: InputTopic, take: Callable[[Any], None], latched: bool = False) -> None:
-        """Give each message of a topic to ``take``.
+        """Call ``take`` with each message of a topic.
 
         Args:
-            topic: what to listen to.
-            take: is called with the message; what it raises is counted and reported.
-            latched: whether the last message from before is wanted, too.
+            topic: to subscribe to.
+            take: called with the message; its exceptions are counted and reported.
+            latched: True if the last message published before is needed too.
         """
         qos = input_qos(topic, self._parameters.has_reliable_inputs)
         if latched:
@@ -179,24 +179,24 @@ class NmeaNode:
             )
 
     def publisher(self, topic: OutputTopic) -> Publisher:
-        """What publishes on a topic."""
+        """Return a publisher of a topic."""
         kind, qos = message_class(topic.type_name), output_qos(topic)
         with overrides_checked(self.node, topic.topic):
             return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overridable())
 
     def every(self, period_s: float, what: str, function: Callable[[], None]) -> None:
-        """Call a function so often, by a clock that never stops; ``what`` names it where it raises."""
+        """Call a function periodically, by a steady clock; ``what`` names it in reports of its exceptions."""
         self.node.create_timer(
             period_s, partial(self._call, what, function), clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
     def spin(self, stop: Callable[[], bool]) -> None:
-        """Work until ``stop()`` or until the context ends."""
+        """Handle callbacks until ``stop()`` is true or the context ends."""
         while not stop() and self._context.ok():
             self._events.take(SPIN_TIMEOUT_S)
 
     def close(self) -> None:
-        """End the work and give everything back to the middleware."""
+        """Close the work and destroy the node."""
         self.guard.call("end", self._work.close)
         self._events.close()
         self.node.destroy_node()

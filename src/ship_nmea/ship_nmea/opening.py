@@ -1,7 +1,7 @@
-"""Ports, devices and files where sentences come in or go out: opening them, and what is wrong with one, in plain words.
+"""Open ports, devices and files for sentences, and describe errors of opening them.
 
-Some problems go away by waiting: a plug is put in. Others somebody has to put right: the node says so at its start,
-with the parameter that names the place.
+Some errors disappear by waiting, for example a device that is not plugged in yet. Others need the user: the node
+reports them at its start, with the parameter that names the place.
 """
 
 import errno
@@ -19,32 +19,32 @@ _HOPELESS = (
     errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES, errno.EPERM, errno.EISDIR, errno.EROFS, errno.ENOTDIR,
     errno.EINVAL, errno.ENOTTY, errno.EAGAIN,
 )  # fmt: skip
-"""What does not go away by waiting."""
+"""Errors that do not disappear by waiting."""
 
 _TO_DO = {
-    errno.EADDRINUSE: "another program has it: end that one, or give another port",
-    errno.EAGAIN: "another program has it: end that one",
+    errno.EADDRINUSE: "another program uses it: end that program, or use another port",
+    errno.EAGAIN: "another program uses it: end that program",
     errno.EADDRNOTAVAIL: "this machine has no such address",
-    errno.ENOTTY: "it is no serial device: expected one as /dev/ttyUSB0",
-    errno.EACCES: "this user may not: a port below 1024 needs a right of its own, give another one",
+    errno.ENOTTY: "not a serial device: expected for example /dev/ttyUSB0",
+    errno.EACCES: "not permitted: ports below 1024 are privileged, use a higher one",
 }
 _TO_DO_OF_KIND = {
-    ("serial", errno.EACCES): "this user may not: join the group of the device, often 'dialout'",
-    ("file", errno.EACCES): "this user may not: give a folder in which it may write",
-    ("serial", errno.EINVAL): "expected a rate that the device knows, as 4800 or 38400",
+    ("serial", errno.EACCES): "not permitted: add this user to the group of the device, often 'dialout'",
+    ("file", errno.EACCES): "not permitted: use a folder in which this user may write",
+    ("serial", errno.EINVAL): "expected a rate that the device supports, for example 4800 or 38400",
 }
 
 
 def opened_serial(device: str, baud: int, wait_s: float) -> serial.Serial:
-    """A serial device, 8 data bits, no parity, one stop bit, as NMEA 0183 has it; nobody else may open it meanwhile.
+    """Open a serial device for exclusive use: 8 data bits, no parity, one stop bit, as in NMEA 0183.
 
     Args:
         device: its path.
         baud: bits per second.
-        wait_s: how long a read waits for the first byte.
+        wait_s: timeout of a read for the first byte, s.
 
     Raises:
-        OSError: it cannot be opened; always with its number, which pyserial leaves out at times.
+        OSError: it cannot be opened; the error number is always set, also if pyserial omits it.
     """
     try:
         return serial.Serial(device, baud, timeout=wait_s, write_timeout=0, exclusive=True)
@@ -59,20 +59,20 @@ def opened_serial(device: str, baud: int, wait_s: float) -> serial.Serial:
 
 
 def words(problem: Exception) -> str:
-    """What is wrong, in one line, without what a library puts around it."""
+    """Return the text of an error in one line, without additions of a library."""
     if isinstance(problem, OSError) and problem.errno and not isinstance(problem, socket.gaierror):
         return os.strerror(problem.errno)
     return one_line(getattr(problem, "strerror", None) or str(problem) or type(problem).__name__)
 
 
 def refusal(problem: Exception, prefix: str, config: Any, named_by: Mapping[str, tuple[str, str]]) -> BadInput | None:
-    """What to tell of a first opening that waiting would not mend; None where it may go away by itself.
+    """Return the error of a first opening if waiting cannot clear it, otherwise None.
 
     Args:
-        problem: what opening raised.
-        prefix: of the names of the place's parameters, as ``"sinks.bridge"``.
+        problem: exception raised by the opening.
+        prefix: of the names of the place's parameters, for example ``"sinks.bridge"``.
         config: parameters of the place, with its ``kind``.
-        named_by: kind → the parameter that names the place, and the one that holds its own address, or its rate.
+        named_by: kind → the parameter that names the place, and the parameter of its own address or its rate.
     """
     number = (isinstance(problem, OSError) and problem.errno) or 0
     is_unresolved = isinstance(problem, socket.gaierror)

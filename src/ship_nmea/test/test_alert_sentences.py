@@ -1,4 +1,4 @@
-"""Alerts as sentences, against examples that open decoders quote (ALF) and a recorded line (ALC); bridge's commands."""
+"""Alerts as sentences, against examples of open decoders (ALF) and a recorded line (ALC); commands of the bridge."""
 
 import re
 from pathlib import Path
@@ -35,15 +35,15 @@ def rendered(sentences):
     return [sentence.render() for sentence in sentences]
 
 
-def test_alf_in_one_sentence_is_that_of_the_decoders():
+def test_alf_in_one_sentence_equals_decoder_example():
     lost = AlertToTell(192, 1, 1, 0, "W", "A", time_ns(12, 43, 4.5), "LOST TARGET")
     (sentence,) = alf(lost, "II", "", 0)
-    # Its category is A: the radar's picture is needed to decide. Ours never is.
+    # Its category is A: the radar picture is needed to decide. It is never needed for alerts of the suite.
     sentence.category = "A"
     assert sentence.render() == "$IIALF,1,1,0,124304.50,A,W,A,,192,1,1,0,LOST TARGET*14"
 
 
-def test_alf_in_two_sentences_is_that_of_the_decoders():
+def test_alf_in_two_sentences_equals_decoder_example():
     lost = AlertToTell(512, 1, 2, 0, "A", "S", time_ns(8, 19, 50.1), "HEADING LOST", "NO SYSTEM HEADING AVAILABLE")
     sentences = alf(lost, "II", "XYZ", 1)
     for sentence in sentences:
@@ -54,11 +54,11 @@ def test_alf_in_two_sentences_is_that_of_the_decoders():
     ]
 
 
-def test_an_empty_alc_is_that_of_a_speed_log():
+def test_empty_alc_equals_recorded_line():
     assert rendered(alc([], "VD", "FEC", 65)) == ["$VDALC,01,01,65,0*6F"]
 
 
-def test_a_long_list_is_split_between_alerts_and_every_alert_is_in_it():
+def test_long_list_is_split_between_alerts():
     alerts = [AlertToTell(9_990_000 + n, 999_999, 99, 0, "W", "V", 0, "") for n in range(20)]
     found = []
     sentences = alc(alerts, "IN", "ZZZ", 7)
@@ -73,7 +73,7 @@ def test_a_long_list_is_split_between_alerts_and_every_alert_is_in_it():
     assert found == [alert.identifier for alert in alerts]
 
 
-def test_a_text_of_any_characters_is_one_field_of_a_sentence_that_is_not_too_long():
+def test_text_with_reserved_characters_is_one_field():
     text = "heading σ 3.2″ is over its limit of 2″, $PASHR*00!, because of the star sensor starboard"
     sentences = alf(AlertToTell(10_000, 1, 1, 0, "A", "V", 0, "A,B*C$DE^F", text), "IN", "ZZZ", 3)
     for sentence in sentences:
@@ -93,18 +93,18 @@ def test_a_text_of_any_characters_is_one_field_of_a_sentence_that_is_not_too_lon
     ("ins: refused", 10, "ins.."),
     ("", 10, ""),
 ])  # fmt: skip
-def test_a_text_that_is_too_long_ends_behind_a_word_and_says_so(text, most, field):
+def test_long_text_is_cut_after_a_word(text, most, field):
     assert text_field(text, most) == field
 
 
-def test_a_description_begins_with_what_is_lost():
+def test_description_begins_with_the_lost_quantity():
     message = alert("star.fore.out")
     message.text = "Tilt lost, heading over its limit: ins refused in a row"
     (taken,) = AlertLedger().take([message], 0)
     assert alf(taken, "IN", "ZZZ", 1)[1].text == "Tilt lost^2C heading over its limit: ins.."
 
 
-def test_arc_and_hbt_have_the_fields_of_the_manuals():
+def test_fields_of_arc_and_hbt():
     refused = arc(AlertCommand(10_001, None, "S"), "IN", "ZZZ", time_ns(1, 2, 3)).render()
     assert refused.rpartition("*")[0] == "$INARC,010203.00,ZZZ,10001,,S"
     assert hbt(True, "IN", 30.0, 12).render().rpartition("*")[0] == "$INHBT,30,A,2"
@@ -115,12 +115,12 @@ def summed(body):
     return f"${body}*{pynmea2.NMEASentence.checksum(body):02X}"
 
 
-def test_a_command_is_read_and_what_is_for_others_is_left():
+def test_commands_for_other_sources_are_ignored():
     assert alert_command(summed("IIACN,123519.00,ZZZ,10001,2,A,C"), "ZZZ") == AlertCommand(10_001, 2, "A")
     assert alert_command(summed("IIACN,,ZZZ,10001,,Q,C"), "ZZZ") == AlertCommand(10_001, None, "Q")
     for other in (
         "IIACN,,FEC,10001,2,A,C",  # another source's
-        "IIACN,,ZZZ,10001,2,A,",  # no command, but what is set
+        "IIACN,,ZZZ,10001,2,A,",  # no command flag
         "IIHBT,30,A,0",
         "GPZDA,123519.00,01,08,2014,,",
         "IIXYZ,1",  # unknown to the parser
@@ -137,7 +137,7 @@ def test_a_command_is_read_and_what_is_for_others_is_left():
     summed("IIACN,,ZZZ,10001,2,,C"),
     "", "$", "\x00\xff", "$IIACN", "A" * 5000,
 ])  # fmt: skip
-def test_a_command_that_cannot_be_read_is_refused(text):
+def test_unreadable_command_raises(text):
     with pytest.raises(ValueError, match=r"."):
         alert_command(text, "ZZZ")
 
@@ -148,7 +148,7 @@ def alert(id_="star.fore.out", instance=1, priority=Alert.WARNING, state=Alert.A
     return message
 
 
-def test_every_change_is_told_once_with_the_next_revision():
+def test_every_change_is_sent_once_with_the_next_revision():
     ledger = AlertLedger()
     (first,) = ledger.take([alert()], 0)
     assert (first.revision, first.state, first.priority, first.title) == (1, "V", "W", "STAR FORE OUT")
@@ -161,8 +161,8 @@ def test_every_change_is_told_once_with_the_next_revision():
     assert ledger.told == []
 
 
-def test_what_becomes_more_urgent_is_another_instance_and_the_one_before_is_told_as_normal_first():
-    """As ship_watch escalates: a warning that nobody answers ends, and an alarm with the next instance begins."""
+def test_escalation_is_a_new_instance_after_the_old_one_is_normal():
+    """As ship_watch escalates: an unacknowledged warning ends, and an alarm with the next instance begins."""
     ledger = AlertLedger()
     (warning,) = ledger.take([alert()], 0)
     ended, alarm = ledger.take([alert(instance=2, priority=Alert.ALARM)], 9)
@@ -174,7 +174,7 @@ def test_what_becomes_more_urgent_is_another_instance_and_the_one_before_is_told
     assert [told.instance for told in ledger.told] == [2]
 
 
-def test_what_only_comes_again_begins_anew():
+def test_recurring_alert_starts_without_escalation():
     ledger = AlertLedger()
     ledger.take([alert()], 0)
     ledger.take([alert(instance=2, priority=Alert.ALARM)], 0)
@@ -192,7 +192,7 @@ NODES = ("ship_attitude", "optical_axis", "nmea_in", "nmea_out")
 
 
 def ids_of_the_suite():
-    """All ids of the table of alerts, with each device, source and node put in."""
+    """Return all ids of the table of alerts, with each device, source and node inserted."""
     ids = re.findall(r"^\| `([^`]+)` \|", TABLE.read_text(), re.MULTILINE)
     ids = [id_ for id_ in ids if "." in id_]
     for word, names in (("ID", DEVICES), ("SOURCE", SOURCES), ("NODE", NODES)):
@@ -201,7 +201,7 @@ def ids_of_the_suite():
     return ids
 
 
-def test_a_title_keeps_its_subject_and_no_two_alerts_have_the_same():
+def test_titles_are_unique_and_keep_their_subject():
     ids = ids_of_the_suite()
     assert len(ids) > 100
     told = {id_: AlertLedger().take([alert(id_)], 0)[0].title for id_ in ids}
@@ -215,14 +215,14 @@ def test_a_title_keeps_its_subject_and_no_two_alerts_have_the_same():
 
 
 @pytest.mark.parametrize("id_", ["", "a.b.c.d.e.f.g.h.i.j.k.l", "1234567890123456789.out", "x" * 200])
-def test_an_id_of_any_kind_has_a_title_that_fits(id_):
+def test_title_of_any_id_fits(id_):
     (told,) = AlertLedger().take([alert(id_)], 0)
     for sentence in alf(told, "IN", "ZZZ", 1):
         assert len(sentence.text) <= 16 or sentence.number == 2
         assert len(sentence.render()) + 2 <= LONGEST_BYTES
 
 
-def test_two_alerts_never_share_a_number(monkeypatch):
+def test_alert_numbers_are_unique(monkeypatch):
     monkeypatch.setattr("ship_nmea.out.alert_ledger.zlib", SimpleNamespace(crc32=lambda _: 9_989_999))
     ledger = AlertLedger()
     one, two = ledger.take([alert("a"), alert("b")], 0)
@@ -230,7 +230,7 @@ def test_two_alerts_never_share_a_number(monkeypatch):
     assert ledger.meant(AlertCommand(two.identifier, None, "A")) == ("b", 1)
 
 
-def test_a_command_without_an_instance_means_the_present_one():
+def test_command_without_instance_refers_to_the_present_one():
     ledger = AlertLedger()
     (told,) = ledger.take([alert(instance=7)], 0)
     assert ledger.meant(AlertCommand(told.identifier, None, "A")) == ("star.fore.out", 7)
@@ -238,7 +238,7 @@ def test_a_command_without_an_instance_means_the_present_one():
     assert ledger.meant(AlertCommand(told.identifier + 1, None, "A")) is None
 
 
-def test_a_list_that_cannot_be_read_changes_nothing():
+def test_unreadable_list_changes_nothing():
     ledger = AlertLedger()
     ledger.take([alert("a"), alert("b")], 0)
     with pytest.raises(IndexError):
@@ -247,7 +247,7 @@ def test_a_list_that_cannot_be_read_changes_nothing():
     assert ledger.take([alert("a"), alert("b")], 0) == []
 
 
-def test_more_alerts_than_a_suite_can_have_are_left_out_and_counted():
+def test_alerts_beyond_the_maximum_are_counted():
     ledger = AlertLedger()
     told = ledger.take([alert(f"a{n}") for n in range(MOST_ALERTS + 3)], 0)
     assert len(told) == MOST_ALERTS

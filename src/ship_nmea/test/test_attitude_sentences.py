@@ -1,8 +1,8 @@
 """The attitude as sentences: printed examples, byte for byte; signs; rounding; void fields.
 
 Sources: a Seapath 320's lines in the data description of NCEI accession 0086548 (PSXN, HDT; fields by Kongsberg
-M300-62), Navis NavDP 4000, 000.JDP-10000-OME (THS), NovAtel OEM7 (PASHR). Heave, which the suite does not know, is put
-in by the test where an example has it.
+M300-62), Navis NavDP 4000, 000.JDP-10000-OME (THS), NovAtel OEM7 (PASHR). The suite does not estimate heave; the test
+inserts it if an example has it.
 """
 
 import math
@@ -37,7 +37,7 @@ def attitude(heading_deg, pitch_deg, roll_deg, worth=Worth.NORMAL, sigmas_deg=(0
     return AttitudeToTell(time_ns, worth, angles, tuple(math.radians(sigma) for sigma in sigmas_deg), 0.0)
 
 
-def test_hdt_and_psxn23_are_those_of_a_seapath_320():
+def test_hdt_and_psxn23_equal_a_seapath_320():
     shown = attitude(104.68, 1.93, 1.28)
     assert hdt(shown, "GP", 2).render() == "$GPHDT,104.68,T*0E"
     sentence = psxn23(shown, "", 2)
@@ -45,18 +45,18 @@ def test_hdt_and_psxn23_are_those_of_a_seapath_320():
     assert sentence.render() == "$PSXN,23,1.28,1.93,104.68,-0.24*18"
 
 
-def test_psxn20_is_that_of_a_seapath_320():
+def test_psxn20_equals_a_seapath_320():
     sentence = psxn20(attitude(104.68, 1.93, 1.28), "", 2)
-    assert sentence.render() == "$PSXN,20,2,2,0,0*3B"  # 2 xor 2 leaves the sum of 0, 0
+    assert sentence.render() == "$PSXN,20,2,2,0,0*3B"  # 2 xor 2 gives the same checksum as 0, 0
     sentence.horiz_qual = sentence.hgt_qual = "0"
     assert sentence.render() == "$PSXN,20,0,0,0,0*3B"
 
 
-def test_ths_of_an_estimated_heading_is_that_of_the_navdp_manual():
+def test_ths_of_an_estimated_heading_equals_the_navdp_manual():
     assert ths(attitude(316.70, 0.0, 0.0, Worth.ESTIMATED), "HE", 2).render() == "$HETHS,316.70,E*1A"
 
 
-def test_pashr_is_that_of_the_novatel_manual():
+def test_pashr_equals_the_novatel_manual():
     time_ns = MIDNIGHT_NS + ((16 * 60 + 30) * 60 + 29) * 10**9
     shown = attitude(158.09, 0.31, -0.30, sigmas_deg=(0.059, 0.029, 0.029), time_ns=time_ns)
     sentence = pashr(shown, "", 2)
@@ -64,13 +64,13 @@ def test_pashr_is_that_of_the_novatel_manual():
     assert sentence.render() == "$PASHR,163029.000,158.09,T,-0.30,+0.31,+0.01,0.029,0.029,0.059,1,1*3B"
 
 
-def test_rot_counts_degrees_a_minute_and_a_turn_to_port_is_negative():
+def test_rot_is_in_degrees_per_minute_and_negative_to_port():
     shown = AttitudeToTell(MIDNIGHT_NS, Worth.NORMAL, (1.0, 0.0, 0.0), heading_rate=math.radians(-35.6 / 60.0))
     assert rot(shown, "GP", 1).render().startswith("$GPROT,-35.6,A*")
 
 
 @pytest.mark.parametrize("name", ATTITUDE_SENTENCES)
-def test_a_void_attitude_has_void_fields_and_says_so(name):
+def test_void_attitude_has_void_fields_and_status(name):
     sentence = ATTITUDE_SENTENCES[name](AttitudeToTell(MIDNIGHT_NS), "IN", 4).render()
     assert sentence.rpartition("*")[0] == {
         "HDT": "$INHDT,,T",
@@ -83,7 +83,7 @@ def test_a_void_attitude_has_void_fields_and_says_so(name):
 
 
 @pytest.mark.parametrize("name", ATTITUDE_SENTENCES)
-def test_of_a_played_attitude_only_ths_tells_and_says_so(name):
+def test_only_ths_is_valid_for_a_played_attitude(name):
     shown = as_played(name, attitude(10.0, 1.0, 2.0, Worth.SIMULATED))
     assert ATTITUDE_SENTENCES[name](shown, "IN", 1).render().rpartition("*")[0] == {
         "HDT": "$INHDT,,T",
@@ -98,7 +98,7 @@ def test_of_a_played_attitude_only_ths_tells_and_says_so(name):
 @pytest.mark.parametrize(("worth", "mode", "quality"), [
     (Worth.NORMAL, "A", 0), (Worth.ESTIMATED, "E", 1), (Worth.SIMULATED, "S", 1),
 ])  # fmt: skip
-def test_the_status_says_what_the_attitude_is_worth(worth, mode, quality):
+def test_status_follows_from_quality(worth, mode, quality):
     shown = attitude(10.0, 1.0, 2.0, worth)
     assert pynmea2.parse(ths(shown, "IN", 3).render(), check=True).mode == mode
     read = pynmea2.parse(psxn20(shown, "IN", 3).render(), check=True)
@@ -114,7 +114,7 @@ ANGLES = [
 
 @pytest.mark.parametrize("angles", ANGLES)
 @pytest.mark.parametrize("decimals", [1, 2, 4, 7])
-def test_another_parser_reads_back_what_was_told_to_the_last_digit(angles, decimals):
+def test_another_parser_reads_back_all_digits(angles, decimals):
     half = 0.5000001 * 10.0**-decimals
     shown = attitude(*angles)
     for text in (f"{make(shown, 'IN', decimals)}" for make in (hdt, ths, pashr, psxn23)):
@@ -141,12 +141,12 @@ def test_zero_has_no_minus():
     (1e-12, "0.00001"), (0.00001, "0.00001"), (0.0000101, "0.00002"), (2.0, "2.00000"), (math.nan, ""),
     (math.inf, ""),
 ])  # fmt: skip
-def test_an_accuracy_is_rounded_up_and_never_to_zero(sigma_deg, printed):
+def test_sigma_is_rounded_up_and_never_to_zero(sigma_deg, printed):
     fields = pashr(attitude(1.0, 2.0, 3.0, sigmas_deg=(sigma_deg,) * 3), "", 4).render().split(",")
     assert fields[7:10] == [printed] * 3
 
 
-def test_the_accuracies_stand_in_the_order_roll_pitch_heading():
+def test_sigmas_are_in_the_order_roll_pitch_heading():
     fields = pashr(attitude(1.0, 2.0, 3.0, sigmas_deg=(0.3, 0.2, 0.1)), "", 1).render().split(",")
     assert fields[7:10] == ["0.10", "0.20", "0.30"]
 
@@ -154,21 +154,21 @@ def test_the_accuracies_stand_in_the_order_roll_pitch_heading():
 @pytest.mark.parametrize(("before_ns", "printed"), [
     (1, "000000.000"), (500_000, "000000.000"), (500_001, "235959.999"), (1_000_000, "235959.999"),
 ])  # fmt: skip
-def test_a_time_just_before_midnight_is_never_the_24th_hour(before_ns, printed):
+def test_time_just_before_midnight_is_not_hour_24(before_ns, printed):
     time_ns = MIDNIGHT_NS - before_ns
     assert pashr(attitude(1.0, 2.0, 3.0, time_ns=time_ns), "", 4).render().split(",")[1] == printed
 
 
-def test_a_star_sensors_accuracy_survives_the_default_decimals():
-    """0.3″, as no field of 0.001° could show."""
+def test_default_decimals_show_star_sensor_accuracy():
+    """0.3″, which a field of 0.001° could not show."""
     shown = attitude(1.0, 2.0, 3.0, sigmas_deg=(math.degrees(0.3 * ARCSEC),) * 3)
     read = pynmea2.parse(pashr(shown, "", 4).render(), check=True)
     assert 0.3 <= read.heading_accuracy * 3600.0 <= 0.34
 
 
 @pytest.mark.parametrize("angles_deg", [(10.0, 0.0, 0.0), (350.0, 20.0, -15.0), (180.0, -35.0, 40.0)])
-def test_the_heading_rate_is_that_of_the_heading(angles_deg):
-    """Against the heading a moment later, by the rotations of ship_geometry."""
+def test_heading_rate_is_the_derivative_of_heading(angles_deg):
+    """Against the heading a short time later, by the rotations of ship_geometry."""
     rate_flu = np.array([0.02, -0.03, 0.05])
     rotation_nd = rotation_from_angles(*np.radians(angles_deg))
     step_s = 1e-6
@@ -182,6 +182,6 @@ def test_the_heading_rate_is_that_of_the_heading(angles_deg):
     assert told == pytest.approx(expected / step_s, abs=1e-5)
 
 
-def test_at_the_zenith_there_is_no_rate_of_turn():
+def test_no_rate_of_turn_at_the_zenith():
     assert math.isnan(heading_rate(math.radians(89.95), 0.0, (0.0, 0.0, 0.1)))
     assert math.isnan(heading_rate(math.nan, 0.0, (0.0, 0.0, 0.1)))

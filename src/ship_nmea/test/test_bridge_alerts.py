@@ -1,6 +1,7 @@
-"""A simulated alert management of a bridge: it hears ALF, ALC and HBT and acknowledges with ACN.
+"""A simulated alert management of a bridge: it receives ALF, ALC and HBT and acknowledges with ACN.
 
-The alerts are those of the real node ``alerts``, over DDS. The bridge sits at a TCP sink; another one at a UDP sink.
+The alerts are those of the real node ``alerts``, over DDS. The bridge is connected to a TCP sink, another one to a UDP
+sink.
 """
 
 import os
@@ -20,11 +21,11 @@ from ship_testing.listening_node import free_port
 pytestmark = pytest.mark.live
 
 SILENT = 10_000 + zlib.crc32(b"attitude.silent") % 9_990_000
-"""Number of the alert that the ship has gone silent."""
+"""Number of the alert for a missing ship attitude."""
 
 
 class AlertManagement:
-    """What a bridge knows of the alerts, from the sentences alone."""
+    """The state of the alerts on a bridge, from the sentences alone."""
 
     def __init__(self):
         self.alerts, self.refused, self.beats = {}, [], []
@@ -38,7 +39,7 @@ class AlertManagement:
             if sentence.number == 1:
                 self.alerts[key] = sentence
             else:
-                # The second sentence says only which alert it describes.
+                # The second sentence contains only the identity of the alert.
                 assert (sentence.sequence, sentence.revision) == (self.alerts[key].sequence, self.alerts[key].revision)
                 assert sentence.state == sentence.priority == sentence.category == ""
         elif kind == "ALC":
@@ -57,7 +58,7 @@ class AlertManagement:
             self.beats.append(sentence.status)
 
     def state(self, identifier):
-        """State and revision of the newest instance of an alert."""
+        """Return the state of the newest instance of an alert."""
         found = [alert for (_, number, _), alert in self.alerts.items() if number == identifier]
         return found[-1].state if found else None
 
@@ -80,7 +81,7 @@ class Bridge:
 
 @pytest.fixture
 def processes(tmp_path):
-    """Starts programs in the namespace demo; at the end those that still run are ended, and all logs printed."""
+    """Start programs in the namespace demo; at the end stop those that still run, and print all logs."""
     running = []
     environment = os.environ | {"ROS_LOG_DIR": str(tmp_path / "log")}
 
@@ -114,13 +115,13 @@ def bridge():
 
 
 def acknowledgement(identifier):
-    """ACN without an instance: the present one is meant."""
+    """Return an ACN without an instance, which refers to the present one."""
     body = f"BNACN,,ZZZ,{identifier},,A,C"
     return f"${body}*{pynmea2.NMEASentence.checksum(body):02X}\r\n".encode()
 
 
 def foreign(kind, port):
-    """A socket of another host, as far as a sink can tell."""
+    """Return a socket that a sink sees as another host."""
     found = socket.socket(socket.AF_INET, kind)
     found.bind(("127.0.0.2", 0))
     found.connect(("127.0.0.1", port))
@@ -128,12 +129,12 @@ def foreign(kind, port):
 
 
 def count(ship, name):
-    """A count in the diagnostics of the alerts."""
+    """Return a count in the diagnostics of the alerts."""
     status = ship.statuses.get("nmea_out: alerts")
     return int(next((pair.value for pair in status.values if pair.key == name), 0)) if status else 0
 
 
-def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, processes, tmp_path):
+def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge, processes, tmp_path):
     udp_port, listen_port = free_port(), free_port()
     mute = Display(free_port(socket.SOCK_STREAM))
     limits = tmp_path / "limits.yaml"
@@ -161,7 +162,7 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
         wing.bind(("127.0.0.1", udp_port))
         wing.setblocking(False)
         until(ship, bridge.display.connect)
-        # Nobody keeps the alerts yet: an empty list would say that all is well.
+        # No alert node yet: an empty list would report that there is no alert.
         seen(lambda knows: "V" in knows.beats)
         assert bridge.knows.listed is None
         alerts = processes(
@@ -169,18 +170,18 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
             "--limits", str(limits), "--state", str(tmp_path / "alerts.json"), "--ros-args", "-r", "__ns:=/demo",
         )  # fmt: skip
         seen(lambda knows: knows.beats[-1] == "A" and knows.listed is not None, ship.tell)
-        until(ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell)  # it has heard the ship
-        seen(lambda knows: knows.state(SILENT) == "V")  # now she is silent
+        until(ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell)  # ship/attitude was received
+        seen(lambda knows: knows.state(SILENT) == "V")  # no ship/attitude any more
         told = bridge.knows.alerts["ZZZ", SILENT, 1]
         assert (told.priority, told.text) == ("A", "ATTITUDE SILENT")
         seen(lambda knows: ("ZZZ", SILENT, 1) in knows.listed)
 
-        # Who is told no alerts acknowledges none.
+        # A client that receives no alerts cannot acknowledge any.
         until(ship, mute.connect)
         mute.send(f"BNACN,120000.00,ZZZ,{SILENT},1,A,C")
         until(ship, lambda: mute.read() or mute.last("ARC"))
         mute.close()
-        # A host that is not the bridge acknowledges none, and is not answered.
+        # A host that is not the bridge cannot acknowledge any, and receives no answer.
         for number, (kind, port) in enumerate(
             ((socket.SOCK_STREAM, bridge.display.port), (socket.SOCK_DGRAM, listen_port)), start=1
         ):
@@ -188,7 +189,7 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
                 stranger.send(acknowledgement(SILENT))
                 until(ship, lambda number=number: count(ship, "not allowed") == number)
         bridge.command(SILENT, 2, "A")  # no such instance
-        bridge.command(SILENT, 1, "S")  # silencing one alert is not known here
+        bridge.command(SILENT, 1, "S")  # silencing one alert is not supported
         bridge.command(SILENT + 1, 1, "A")  # no such alert
         refused = [(SILENT, 2, "A"), (SILENT, 1, "S"), (SILENT + 1, 1, "A")]
         seen(lambda knows: sorted(knows.refused) == sorted(refused))
@@ -203,11 +204,11 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
         revision = bridge.knows.alerts["ZZZ", SILENT, 1].revision
         assert revision == told.revision + 1
         seen(lambda knows: knows.listed.get(("ZZZ", SILENT, 1)) == revision)
-        # The ship is back: the alert is over, and leaves the list.
+        # ship/attitude is published again: the alert is rectified and removed from the list.
         seen(lambda knows: knows.state(SILENT) == "N", ship.tell)
         seen(lambda knows: ("ZZZ", SILENT, 1) not in knows.listed, ship.tell)
 
-        # The wing hears the same, and may acknowledge, too.
+        # The wing receives the same, and may acknowledge, too.
         heard = []
 
         def wing_hears(state):
@@ -222,7 +223,7 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
         wing.sendto(acknowledgement(SILENT), ("127.0.0.1", listen_port))
         until(ship, lambda: (found := wing_hears("A")) and found.instance == again.instance)
 
-        # Who keeps the alerts is gone: the bridge learns it by the heartbeat, and no list says that all is well.
+        # The alert node has ended: the heartbeat reports it to the bridge, and no empty list is sent.
         alerts.send_signal(signal.SIGINT)
         alerts.wait(20.0)
         seen(lambda knows: knows.beats[-1] == "V")

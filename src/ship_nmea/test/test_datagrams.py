@@ -10,7 +10,7 @@ HDT, ROT = sentence("HEHDT,218.53,T").encode(), sentence("HEROT,3.5,A").encode()
 
 
 def lines_of(*datagrams):
-    """Lines of datagrams, each (data, sender, ms), and of what is waited for in the end."""
+    """Return the lines of datagrams, each (data, sender, ms), and the incomplete lines at the end."""
     lines, found = DatagramLines(), []
     for data, sender, ms in datagrams:
         found += lines.take(data, sender, ms, ms * 1_000_000)
@@ -18,8 +18,8 @@ def lines_of(*datagrams):
 
 
 @pytest.mark.parametrize("at", range(1, len(HDT) + 1))
-def test_a_sentence_over_two_datagrams_is_put_together(at):
-    """Wherever it is cut, with another one before it, and one of another sender between its parts."""
+def test_sentence_over_two_datagrams_is_joined(at):
+    """Cut at any place, after another sentence, and with a datagram of another sender between its parts."""
     data = ROT + b"\r\n" + HDT + b"\r\n"
     cut = len(ROT) + 2 + at
     found, late = lines_of((data[:cut], ONE, 0), (HDT + b"\r\n", OTHER, 50), (data[cut:], ONE, 190))
@@ -27,7 +27,7 @@ def test_a_sentence_over_two_datagrams_is_put_together(at):
     assert late == []
 
 
-def test_what_does_not_go_on_within_200_ms_is_half_a_sentence():
+def test_sentence_is_not_joined_after_200_ms():
     found, late = lines_of((HDT[:10], ONE, 0), (HDT[10:] + b"\r\n", ONE, 201))
     assert [line for _, line, _ in found] == [HDT[:10], HDT[10:]]
     found, late = lines_of((HDT[:10], ONE, 7))
@@ -35,14 +35,14 @@ def test_what_does_not_go_on_within_200_ms_is_half_a_sentence():
     assert JOINED_WITHIN_NS == 200_000_000
 
 
-def test_what_has_no_line_end_and_is_whole_does_not_wait():
+def test_whole_sentence_without_line_end_is_not_delayed():
     for data in (HDT, b"MET,1,2,3,4,5,6", b"\xb5b\x01\x07", HDT + b" "):
         found, late = lines_of((data, ONE, 0), (data, ONE, 1))
         assert [line.strip() for _, line, _ in found] == 2 * [data.strip()]
         assert late == []
 
 
-def test_senders_that_never_go_on_are_bounded():
+def test_incomplete_sentences_are_bounded():
     lines = DatagramLines()
     found = [lines.take(HDT[:10], f"10.0.0.7:{port}", 0, 0) for port in range(1000)]
     assert sum(map(len, found)) == 900

@@ -1,4 +1,4 @@
-"""Bytes → lines → sentences: chunks joined, halves told, nothing kept without bound."""
+"""Bytes → lines → sentences: chunks are joined, half lines are reported, and memory is bounded."""
 
 import random
 
@@ -14,7 +14,7 @@ HDT, PSXN23 = b"$HEHDT,218.53,T*12", b"$PSXN,23,0.35,-1.74,218.26,0.58*13"
 
 
 def said(line):
-    """Kind, name or reason of each text in a line."""
+    """Return kind, name or reason of each text in a line."""
     found = [heard.says for heard in heard_texts(line)]
     return [
         says.kind if isinstance(says, Sentence) else says.name if isinstance(says, NotOfInterest)
@@ -23,7 +23,7 @@ def said(line):
 
 
 @pytest.mark.parametrize("end", [b"\r\n", b"\n", b"\r"])
-def test_lines_in_whatever_chunks_they_come(end):
+def test_lines_in_chunks_of_any_size(end):
     lines = [HDT, PSXN23, b"$PSXN,20,1,0,0,0*3A"] * 20
     stream, rng = end.join(lines) + end, random.Random(1)
     splitter, found = LineSplitter(), []
@@ -35,7 +35,7 @@ def test_lines_in_whatever_chunks_they_come(end):
     assert splitter.end() == []
 
 
-def test_what_has_no_end_is_kept_for_the_end():
+def test_line_without_end_is_returned_by_flush():
     splitter = LineSplitter()
     assert splitter.take(HDT) == []
     assert splitter.end() == [HDT]
@@ -43,7 +43,7 @@ def test_what_has_no_end_is_kept_for_the_end():
 
 
 @pytest.mark.parametrize("size", [LONGEST_LINE + 1, 100_000])
-def test_a_line_without_end_is_told_once_and_not_kept(size):
+def test_line_without_end_is_returned_once_and_not_kept(size):
     splitter = LineSplitter()
     found = splitter.take(b"x" * size)
     for _ in range(1000):
@@ -87,19 +87,19 @@ def test_a_line_without_end_is_told_once_and_not_kept(size):
         (b"\\s:HE0001*7C\\" + HDT, ["HDT"]),
     ],
 )
-def test_what_a_line_says(line, expected):
+def test_content_of_lines(line, expected):
     assert said(line) == expected
 
 
 UBX = b"\xb5b\x01\x07\x08\x00" + bytes(range(0x20, 0x28)) + b"\x8a\x3f"
 RTCM = b"\xd3\x02\xbc" + bytes(number % 251 for number in range(700)) + b"\x47\xea\x4b"
-"""A message with ``$`` in it, and one of more bytes than a line may have, with line ends in it."""
+"""A message with ``$`` in it, and one longer than a line may be, with line ends in it."""
 
 
 @pytest.mark.parametrize("binary", [UBX, RTCM, RTCM.translate(None, b"\r\n"), RTCM.translate(None, b"\r\n$")])
 @pytest.mark.parametrize("size", [7, 100, 10_000])
-def test_binary_messages_before_sentences_cost_none(binary, size):
-    """A receiver that gives UBX or RTCM on the same line, in pieces as they come."""
+def test_no_sentence_is_lost_after_binary_messages(binary, size):
+    """A receiver that sends UBX or RTCM on the same line, in chunks of any size."""
     stream, splitter, found = 5 * (binary + HDT + b"\r\n" + PSXN23 + b"\r\n"), LineSplitter(), []
     for at in range(0, len(stream), size):
         found += [name for line in splitter.take(stream[at : at + size]) for name in said(line)]
@@ -107,7 +107,7 @@ def test_binary_messages_before_sentences_cost_none(binary, size):
     assert set(found) <= {"HDT", "PSXN23", BINARY, NOISE, TOO_LONG, HALF}
 
 
-def test_binary_before_a_sentence_is_no_fault():
+def test_binary_before_a_sentence_is_not_rejected():
     assert said(UBX + HDT) == [BINARY, BINARY, "HDT"]
     assert said(UBX) == [BINARY, NOISE]
 

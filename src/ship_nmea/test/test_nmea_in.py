@@ -1,4 +1,4 @@
-"""nmea_in over DDS, with real sockets and a real serial line: what it publishes, counts, tells and survives."""
+"""nmea_in over DDS, with real sockets and a real serial line: what it publishes, counts and reports, and faults."""
 
 import os
 import shutil
@@ -44,7 +44,7 @@ def ended(*bodies):
 
 
 def psxn(moment, heading_deg, pitch_deg, roll_deg):
-    """A burst of a Seapath, rendered by pynmea2: PSXN,23 tells roll positive with port up, pitch with bow up."""
+    """Return a burst of a Seapath, rendered by pynmea2: PSXN,23 has roll positive with port up, pitch with bow up."""
     zda = pynmea2.ZDA("IN", "ZDA", (f"{moment:%H%M%S.%f}", f"{moment:%d}", f"{moment:%m}", f"{moment:%Y}", "", ""))
     angles = (f"{roll_deg:.2f}", f"{pitch_deg:.2f}", f"{heading_deg:.2f}", "0.00")
     quality = pynmea2.ProprietarySentence("SXN", ["", "20", "0", "0", "0", "0"])
@@ -53,7 +53,7 @@ def psxn(moment, heading_deg, pitch_deg, roll_deg):
 
 
 def pashr(moment, heading_deg, pitch_deg, roll_deg):
-    """PASHR as an RT300 writes it: heading, T, roll, pitch, heave, three accuracies, quality, INS status."""
+    """Return PASHR as an RT300 writes it: heading, T, roll, pitch, heave, three accuracies, quality, INS status."""
     time_text = f"{moment:%H%M%S.%f}"[:9]
     angles = (f"{heading_deg:.3f}", "T", f"{roll_deg:+.3f}", f"{pitch_deg:+.3f}")
     fields = ["R", time_text, *angles, "+0.00", "0.001", "0.001", "0.001", "2", "1"]
@@ -61,7 +61,7 @@ def pashr(moment, heading_deg, pitch_deg, roll_deg):
 
 
 @pytest.mark.parametrize(("burst", "print_deg"), [(psxn, 0.005), (pashr, 0.0005)])
-def test_attitudes_come_back_to_what_is_printed(listening, burst, print_deg):
+def test_attitudes_are_exact_to_the_printed_decimals(listening, burst, print_deg):
     node = listening({"seapath": udp("ins")}, namespace="aurora")
     start = datetime.now(timezone.utc).replace(microsecond=0) - timedelta(seconds=2)
     moments = [start + timedelta(milliseconds=100 * number) for number in range(len(ANGLES_DEG))]
@@ -78,12 +78,12 @@ def test_attitudes_come_back_to_what_is_printed(listening, burst, print_deg):
         assert np.linalg.norm(np.rad2deg(error)) <= 3 * print_deg
         assert message.header.frame_id == "ins"
         assert message.angular_velocity_covariance[0] == -1.0
-    values = node.wait_until(lambda: (told := node.told("seapath"))[:2] == (OK, "gives ins/imu") and told[2])
+    values = node.wait_until(lambda: (told := node.told("seapath"))[:2] == (OK, "publishes ins/imu") and told[2])
     assert values["ins/imu"] == str(len(ANGLES_DEG))
 
 
-def test_bow_east_is_no_turn_of_ros_axes(listening):
-    """REP-103: ENU <- FLU is the identity where the bow points east; independent of our own conversions."""
+def test_bow_east_is_the_identity_in_ros_axes(listening):
+    """REP-103: ENU <- FLU is the identity if the bow points east; independent of our own conversions."""
     node = listening({"seapath": udp("ins")})
     node.send("seapath", psxn(datetime.now(timezone.utc), 90.0, 0.0, 0.0))
     (message,) = node.wait_until(lambda: node.heard["ins/imu"])
@@ -92,7 +92,7 @@ def test_bow_east_is_no_turn_of_ros_axes(listening):
 
 
 def test_each_role_has_its_topics_and_stamps(listening):
-    """GGA of the Palmer's log; HDT and weather carry no time and are stamped by the arrival, as all with 'arrival'."""
+    """GGA of the Palmer's log. HDT and weather contain no time and get the arrival, as all do with 'arrival'."""
     node = listening({
         "gps": udp("gnss", time="arrival"), "gyro": udp("gyro"), "second": udp("reference", time="arrival"),
         "mast": udp("weather"),
@@ -112,7 +112,7 @@ def test_each_role_has_its_topics_and_stamps(listening):
     assert node.heard["met/pressure"][0].fluid_pressure == pytest.approx(100_950.0)
 
 
-def test_a_source_uses_sentences_without_checksum_where_its_parameter_allows_it(listening):
+def test_sentences_without_checksum_need_the_parameter(listening):
     node = listening({"old": udp("gyro", checksum="optional"), "new": udp("gyro")})
     for id_ in ("old", "new"):
         node.send(id_, b"$HEHDT,218.0,T\r\n")
@@ -127,7 +127,7 @@ def test_a_source_uses_sentences_without_checksum_where_its_parameter_allows_it(
     assert [len(node.heard[f"reference/{id_}/imu"]) for id_ in ("old", "new")] == [2, 1]
 
 
-def test_sources_of_one_port_are_told_apart_by_their_talkers(listening):
+def test_sources_of_one_port_are_separated_by_talker(listening):
     port = free_port()
     node = listening({
         id_: {"kind": "udp", "address": "127.0.0.1", "port": port, "becomes": "gyro", "talkers": [talker]}
@@ -140,7 +140,7 @@ def test_sources_of_one_port_are_told_apart_by_their_talkers(listening):
     assert (values["other talker: HN"], values["other talker: GP"]) == ("1", "1")
 
 
-def test_a_group_of_the_ships_network_is_heard(listening):
+def test_multicast_group_is_received(listening):
     """IEC 61162-450: a group of its own for each kind of data, a mark and a TAG block before the sentence."""
     node = listening({"gyro": udp("gyro") | {"address": "239.192.0.4", "interface": "127.0.0.1"}})
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -150,8 +150,8 @@ def test_a_group_of_the_ships_network_is_heard(listening):
     node.wait_until(lambda: node.heard["reference/gyro/imu"])
 
 
-def test_what_is_no_good_is_counted_by_name_and_the_rest_is_used(listening):
-    """All of them at once, between sentences that are good."""
+def test_unusable_lines_are_counted_and_the_rest_is_used(listening):
+    """All faults in one datagram, between valid sentences."""
     node = listening({"gyro": udp("gyro", talkers=["HE"])})
     good = ended("HEHDT,218.53,T")
     node.send("gyro", b"".join(
@@ -174,8 +174,8 @@ def test_what_is_no_good_is_counted_by_name_and_the_rest_is_used(listening):
     assert node.exceptions() == "no exception"
 
 
-def test_a_time_that_cannot_be_is_an_error_although_lines_come(listening):
-    """A status rests on what was put out: sentences of 2014 give nothing today."""
+def test_impossible_time_is_an_error(listening):
+    """The status depends on published messages: sentences of 2014 give none today."""
     node = listening({"seapath": udp("ins", silent_after_s=0.5)})
 
     def told():
@@ -184,11 +184,11 @@ def test_a_time_that_cannot_be_is_an_error_although_lines_come(listening):
         return level == ERROR and "instrument time" in text and text
 
     text = node.wait_until(told)
-    assert text.startswith("lines come, and no ins/imu for")
+    assert text.startswith("lines come, but no ins/imu for")
     assert "'2014-08-01T00:00:00Z is " in text
 
 
-def test_a_silent_source_is_told_and_comes_back(listening):
+def test_source_without_data_is_an_error_until_data_arrives(listening):
     node = listening({"gyro": udp("gyro", silent_after_s=0.3)})
     node.send("gyro", ended("HEHDT,10.0,T"))
     node.wait_until(lambda: node.told("gyro")[0] == ERROR and "no line for" in node.told("gyro")[1])
@@ -200,8 +200,8 @@ def test_a_silent_source_is_told_and_comes_back(listening):
     node.wait_until(speaks)
 
 
-def test_a_sender_from_elsewhere_and_cut_datagrams_cost_the_ins_nothing(listening):
-    """Every 20th datagram is foreign and stamped 30 s ahead; the INS's are cut in two, with UBX before them."""
+def test_foreign_sender_and_cut_datagrams_lose_no_ins_message(listening):
+    """Every 20th datagram is foreign and stamped 30 s ahead; the INS's are cut in two, after UBX data."""
     node = listening({"seapath": udp("ins"), "gps": udp("gnss", **{"from": ["127.0.0.3"]})})
     start = datetime.now(timezone.utc) - timedelta(seconds=2)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
@@ -236,10 +236,10 @@ class Server:
         self.listener.close()
 
 
-def test_a_server_that_goes_and_comes_and_lines_cut_into_pieces(listening):
+def test_server_restart_and_lines_in_chunks(listening):
     port = free_port(socket.SOCK_STREAM)
     node = listening({"gyro": {"kind": "tcp", "address": "127.0.0.1", "port": port, "becomes": "gyro"}})
-    node.wait_until(lambda: node.told("gyro")[1] == f"tcp 127.0.0.1:{port}: Connection refused; it is tried again")
+    node.wait_until(lambda: node.told("gyro")[1] == f"tcp 127.0.0.1:{port}: Connection refused; retried")
     server = Server(port)
     text = ended("HEHDT,10.0,T", "HEHDT,20.0,T")
     for place in range(0, len(text), 5):
@@ -257,8 +257,8 @@ def test_a_server_that_goes_and_comes_and_lines_cut_into_pieces(listening):
     server.close()
 
 
-def test_a_serial_line_that_is_unplugged_and_plugged_in_again(listening, tmp_path):
-    """A real pseudo-terminal, behind a link as udev makes one; it is not there at the start."""
+def test_serial_line_is_unplugged_and_plugged_in(listening, tmp_path):
+    """A real pseudo-terminal, behind a link as udev makes one; it does not exist at the start."""
     device = tmp_path / "ttyUSB0"
     node = listening({"gyro": {"kind": "serial", "device": str(device), "baud": 9600, "becomes": "gyro"}})
     node.wait_until(lambda: "No such file or directory" in node.told("gyro")[1])
@@ -277,12 +277,12 @@ def test_a_serial_line_that_is_unplugged_and_plugged_in_again(listening, tmp_pat
         device.unlink()
         os.close(controller)
         os.close(terminal)
-        node.wait_until(lambda: "is tried again" in node.told("gyro")[1])
+        node.wait_until(lambda: "; retried" in node.told("gyro")[1])
     assert node.exceptions() == "no exception"
 
 
 def refused(tmp_path, text, *before):
-    """What the node says of a parameter file, and its exit code; ``before`` stands before its command."""
+    """Return the exit code of the node with a parameter file, and its error line; ``before`` precedes its command."""
     path = tmp_path / "suite.yaml"
     path.write_text(text)
     command = [*before, sys.executable, "-c", START, "--ros-args", "--params-file", str(path)]
@@ -294,7 +294,7 @@ def refused(tmp_path, text, *before):
 SOURCE = "/**/nmea_in:\n  ros__parameters:\n    sources:\n      seapath:\n        becomes: ins\n"
 
 
-def test_bad_input_is_one_line_with_file_line_and_key(tmp_path):
+def test_bad_input_is_one_line_with_file_line_and_parameter(tmp_path):
     port = free_port()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("0.0.0.0", port))
@@ -302,7 +302,7 @@ def test_bad_input_is_one_line_with_file_line_and_key(tmp_path):
     assert code == 2
     assert line == (
         f"nmea_in: suite.yaml:7: parameter 'sources.seapath.port' = {port}: Address already in use: another "
-        "program has it: end that one, or give another port"
+        "program uses it: end that program, or use another port"
     )
     code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n        address: 192.0.2.1\n")
     assert code == 2
@@ -311,7 +311,7 @@ def test_bad_input_is_one_line_with_file_line_and_key(tmp_path):
     code, line = refused(tmp_path, f"{SOURCE}        kind: serial\n        device: {tmp_path / 'suite.yaml'}\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.device' =")
-    assert line.endswith("it is no serial device: expected one as /dev/ttyUSB0")
+    assert line.endswith("not a serial device: expected for example /dev/ttyUSB0")
     code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        prt: 10110\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.prt' is unknown: expected one of port")
@@ -319,27 +319,27 @@ def test_bad_input_is_one_line_with_file_line_and_key(tmp_path):
     assert (code, line) == (2, "nmea_in: parameter 'sources' names no source: expected one as 'sources.gyro.kind'")
 
 
-def test_a_busy_port_of_one_source_leaves_the_others(listening):
+def test_busy_port_of_one_source_does_not_stop_the_others(listening):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         busy = udp("gnss")
         other.bind(("127.0.0.1", busy["port"]))
         node = listening({"busy": busy, "well": udp("gyro")}, as_process=True)
         node.send("well", ended("HEHDT,10.0,T"))
         node.wait_until(lambda: node.heard["reference/well/imu"] and node.told("busy")[0] == ERROR)
-        assert node.told("busy")[1].endswith("Address already in use; it is tried again")
+        assert node.told("busy")[1].endswith("Address already in use; retried")
     node.wait_until(lambda: "Address" not in node.told("busy")[1])
     expected = (
-        f"nmea_in.yaml:8: parameter 'sources.busy.port' = {busy['port']}: Address already in use: another program has "
-        "it: end that one, or give another port; the others go on, and it is tried again"
+        f"nmea_in.yaml:8: parameter 'sources.busy.port' = {busy['port']}: Address already in use: another program uses "
+        "it: end that program, or use another port; the others continue, and opening it is retried"
     )
     assert expected in node.log.read_text()
 
 
-def test_no_permission_on_a_device(tmp_path):
+def test_device_without_permission(tmp_path):
     controller, terminal = os.openpty()
     device = os.ttyname(terminal)
     os.chmod(device, 0)
-    # Root may open everything, unless it gives that up.
+    # Root may open every file, unless it drops the capability.
     as_others = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
     if as_others and shutil.which("setpriv") is None:
         pytest.skip("root may open every device, and setpriv is not installed")
@@ -348,8 +348,8 @@ def test_no_permission_on_a_device(tmp_path):
     os.close(terminal)
     assert code == 2
     assert line == (
-        f"nmea_in: suite.yaml:7: parameter 'sources.seapath.device' = '{device}': Permission denied: this user "
-        "may not: join the group of the device, often 'dialout'"
+        f"nmea_in: suite.yaml:7: parameter 'sources.seapath.device' = '{device}': Permission denied: not "
+        "permitted: add this user to the group of the device, often 'dialout'"
     )
 
 
@@ -358,8 +358,8 @@ def resident_mb(process):
         return next(int(line.split()[1]) for line in status if line.startswith("VmRSS:")) / 1024
 
 
-def test_everything_goes_wrong_at_once(listening, tmp_path):
-    """A flood, noise, a server that comes and goes, a device that is unplugged; one source is well."""
+def test_many_faults_at_once(listening, tmp_path):
+    """A flood, noise, a server that restarts, a device that is unplugged; one source works."""
     tcp_port = free_port(socket.SOCK_STREAM)
     controller, terminal = os.openpty()
     device = tmp_path / "ttyUSB0"
@@ -377,7 +377,7 @@ def test_everything_goes_wrong_at_once(listening, tmp_path):
 
     def flood():
         heading, sender = ended("HEHDT,10.0,T"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        while not stop.wait(0.001):  # faster than any machine takes them: the system sends as fast as this thread runs
+        while not stop.wait(0.001):  # faster than any machine processes them: sending is as fast as this thread
             for _ in range(10):
                 sender.sendto(10 * heading, ("127.0.0.1", node.config.sources["flooded"].port))
         sender.close()
@@ -385,7 +385,7 @@ def test_everything_goes_wrong_at_once(listening, tmp_path):
     sent = 0
 
     def trouble_until(happened):
-        """Let it go on until something has happened, with 10 headings a second of the source that is well."""
+        """Run until a condition holds, with 10 headings per second of the working source."""
         nonlocal sent
         end_s = time.monotonic() + 60.0
         while not happened():
@@ -402,16 +402,16 @@ def test_everything_goes_wrong_at_once(listening, tmp_path):
     flooding.start()
     try:
         trouble_until(lambda: well and int(node.told("flooded")[2].get("dropped", "0")) > 2000)
-        # Before DDS has matched both sides some may be lost.
+        # Some may be lost before DDS has matched both sides.
         node.wait_until(lambda: int(node.told("well")[2]["lines"]) == sent)
         before_mb, before, sent = resident_mb(node.process), len(well), 0
         server.close()
         device.unlink()
         os.close(controller)
         os.close(terminal)
-        trouble_until(lambda: all("is tried again" in node.told(id_)[1] for id_ in ("server", "device")))
+        trouble_until(lambda: all("; retried" in node.told(id_)[1] for id_ in ("server", "device")))
         trouble_until(lambda: int(node.told("flooded")[2]["dropped"]) > 8000 and "noise" in node.told("noisy")[1])
-        assert node.told("flooded")[1].startswith("overflow: more came than can be taken; ")
+        assert node.told("flooded")[1].startswith("overflow: input faster than processing; ")
         assert node.told("well")[0] == OK
         node.wait_until(lambda: len(well) - before >= sent)
         assert resident_mb(node.process) - before_mb < 8.0
@@ -419,7 +419,7 @@ def test_everything_goes_wrong_at_once(listening, tmp_path):
         stop.set()
         flooding.join()
     assert node.exceptions() == "no exception"
-    # A line at the start, and one whenever the state of one of five sources changes, or why.
+    # A line at the start, and one at each change of state or reason of one of five sources.
     assert len(node.log.read_text().splitlines()) < 15
     node.process.send_signal(signal.SIGTERM)
     assert node.process.wait(10.0) == 0

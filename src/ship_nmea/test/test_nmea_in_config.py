@@ -1,4 +1,4 @@
-"""Parameters of nmea_in that cannot be: each is named with what was expected."""
+"""Invalid parameters of nmea_in: the error names each one and what was expected."""
 
 import pytest
 
@@ -17,16 +17,16 @@ SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
         ({"a": {"kind": "tcp", "becomes": "ins", "port": 4001}}, "sources.a.address", "needs the server's name"),
         ({"a": {"kind": "serial", "becomes": "ins"}}, "sources.a.device", "needs one, as /dev/ttyUSB0"),
         ({"a": UDP | {"becomes": "ins", "interface": "eth0"}}, "sources.a.interface", "expected an IPv4 address"),
-        ({"a": UDP | {"becomes": "ins", "device": "/dev/x"}}, "sources.a.device", "means nothing to kind udp"),
+        ({"a": UDP | {"becomes": "ins", "device": "/dev/x"}}, "sources.a.device", "does not apply to kind udp"),
         ({}, "sources", "names no source"),
         ({"a": UDP}, "sources.a.becomes", "must be given"),
         ({"a": UDP | {"becomes": "compass"}}, "sources.a.becomes", "must be one of ins, reference, gyro"),
         ({"a": UDP | {"becomes": "ins", "port": 70000}}, "sources.a.port", "out of its range"),
         ({"a": UDP | {"becomes": "ins", "speed": 1}}, "sources.a.speed", "is unknown"),
         ({"a": UDP | {"becomes": "ins", "from": ["ins.local"]}}, "sources.a.from", "expected IPv4 addresses"),
-        ({"a": SERIAL | {"becomes": "ins", "from": ["10.0.0.7"]}}, "sources.a.from", "means nothing to kind serial"),
+        ({"a": SERIAL | {"becomes": "ins", "from": ["10.0.0.7"]}}, "sources.a.from", "does not apply to kind serial"),
         ({"a": UDP | {"becomes": "ins", "talkers": ["gp"]}}, "sources.a.talkers", "two capital letters"),
-        ({n: UDP | {"becomes": "ins"} for n in "ab"}, "sources.b.becomes", "'a' becomes that already"),
+        ({n: UDP | {"becomes": "ins"} for n in "ab"}, "sources.b.becomes", "'a' already has this role"),
         (
             {n: SERIAL | {"becomes": "gyro", "baud": baud} for n, baud in (("a", 4800), ("b", 9600))},
             "sources.b.baud",
@@ -35,7 +35,7 @@ SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
         (
             {n: GROUP | {"becomes": "gyro", "interface": own} for n, own in (("a", ""), ("b", "10.0.0.7"))},
             "sources.b.interface",
-            "'a' hears the same by the default one, and one is opened",
+            "'a' receives the same by the default one; only one is opened",
         ),
         (
             {n: UDP | {"becomes": "gyro", "address": own} for n, own in (("a", "127.0.0.1"), ("b", ""))},
@@ -49,13 +49,13 @@ SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
         ),
     ],
 )
-def test_what_cannot_be_is_named(sources, parameter, complaint):
+def test_invalid_parameters_are_named(sources, parameter, complaint):
     with pytest.raises(ParameterError, match=complaint) as caught:
         build(NmeaInConfig, {"sources": sources})
     assert caught.value.parameters == (parameter,)
 
 
-def test_of_two_receivers_the_one_of_its_own_gives_the_fix():
+def test_separate_gnss_receiver_gives_the_fix():
     alone = build(NmeaInConfig, {"sources": {"a": UDP | {"becomes": "ins"}}})
     assert list(alone.role("a").topics("a")) == ["ins/imu", "gnss/fix"]
     both = build(NmeaInConfig, {"sources": {"a": UDP | {"becomes": "ins"}, "b": UDP | {"becomes": "gnss"}}})
@@ -74,7 +74,7 @@ def test_of_two_receivers_the_one_of_its_own_gives_the_fix():
             (UDP | {"port": 4001}, ["sources.b.port"]), ({"kind": "tcp", "address": "10.0.0.1", "port": 4001}, []))],
     ],
 )  # fmt: skip
-def test_sources_of_one_place_share_it_and_others_have_their_own(one, other, held):
+def test_sources_share_a_place_only_if_it_is_the_same(one, other, held):
     config = build(NmeaInConfig, {"sources": {"a": one | {"becomes": "gyro"}, "b": other | {"becomes": "reference"}}})
     assert [place.parameter for place in config.places] == held
     assert (config.sources["a"].place == config.sources["b"].place) is (len(held) < 2 and other["kind"] == one["kind"])

@@ -1,4 +1,4 @@
-"""``nmea_out`` as a process of its own: attitudes over DDS come out as sentences, and what is wrong at the start."""
+"""``nmea_out`` as a process of its own: attitudes over DDS are sent as sentences; errors at the start are reported."""
 
 import math
 import os
@@ -52,7 +52,7 @@ def ended(process):
 
 @pytest.fixture(scope="module")
 def bridge(tmp_path_factory, ship):
-    """A display at the TCP sink of a node, which has a slow file beside it."""
+    """A display at the TCP sink of a node that also has a slow file sink."""
     folder, port = tmp_path_factory.mktemp("bridge"), free_port(socket.SOCK_STREAM)
     process = started(folder / "log.txt", *parameters(
         sinks__bridge__kind="tcp_server", sinks__bridge__port=port, sinks__bridge__decimals=3,
@@ -70,7 +70,7 @@ def bridge(tmp_path_factory, ship):
 
 
 def heard(ship, bridge, found, tell=lambda: None):
-    """Read the bridge's sentences until ``found``, of those from now on."""
+    """Read the bridge's sentences, from now on, until ``found`` is true."""
     bridge.forget()
 
     def look():
@@ -88,7 +88,7 @@ def shows(bridge, heading_deg):
 @pytest.mark.parametrize(("status", "mode", "quality"), [
     (ShipAttitude.VALID, "A", 0), (ShipAttitude.COASTING, "E", 1), (ShipAttitude.DEGRADED, "E", 1),
 ])  # fmt: skip
-def test_an_attitude_comes_out_with_what_it_is_worth(ship, bridge, status, mode, quality):
+def test_attitude_is_sent_with_its_quality(ship, bridge, status, mode, quality):
     heading_deg = 100.0 + 10.0 * status
     told = {}
 
@@ -106,7 +106,7 @@ def test_an_attitude_comes_out_with_what_it_is_worth(ship, bridge, status, mode,
     assert (pashr.pitch, pashr.roll) == (2.0, -3.0)
     # 3″, 2″ and 1″, rounded up at 0.0001°.
     assert (pashr.heading_accuracy, pashr.pitch_accuracy, pashr.roll_accuracy) == (0.0009, 0.0006, 0.0003)
-    assert pashr.data[1][4:] in told  # the time is the stamp's
+    assert pashr.data[1][4:] in told  # the time is that of the stamp
 
 
 def is_void(bridge):
@@ -124,13 +124,13 @@ def is_void(bridge):
 @pytest.mark.parametrize(("how", "told"), [
     ({"status": ShipAttitude.INVALID}, "ship/attitude is INVALID"),
     ({"status": 17}, "ship/attitude is INVALID"),
-    ({"heading_deg": math.nan}, "ship/attitude has an angle that is no number"),
-    ({"roll_deg": math.inf}, "ship/attitude has an angle that is no number"),
+    ({"heading_deg": math.nan}, "ship/attitude has an angle that is not a number"),
+    ({"roll_deg": math.inf}, "ship/attitude has an angle that is not a number"),
     ({"age_s": 5.0}, "the stamp of ship/attitude is 5.0"),
     ({"age_s": -5.0}, "after this node's clock"),
-    (None, "ship/attitude silent for"),
+    (None, "ship/attitude: no message for"),
 ])  # fmt: skip
-def test_what_is_not_claimed_or_not_of_now_comes_out_void(ship, bridge, how, told):
+def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
     heard(ship, bridge, lambda: shows(bridge, 55.0), lambda: ship.tell(55.0))
     ship.statuses.clear()
     heard(ship, bridge, lambda: is_void(bridge), lambda: how and ship.tell(**how))
@@ -146,8 +146,8 @@ def test_what_is_not_claimed_or_not_of_now_comes_out_void(ship, bridge, how, tol
     assert not any(one.heading for one in bridge.sentences if type(one).__name__ == "HDT")
 
 
-def test_an_attitude_at_ten_kilohertz_comes_out_at_the_sinks_rate(ship, bridge):
-    """The node lives, what it sends is new, and another sink keeps its own rate."""
+def test_attitude_at_ten_kilohertz_is_sent_at_the_rate_of_the_sink(ship, bridge):
+    """The node stays alive, its sentences are recent, and another sink keeps its own rate."""
     heard(ship, bridge, lambda: shows(bridge, 1.0), lambda: ship.tell(1.0))
     began_s, before = time.monotonic(), bridge.file.read_text().count("HDT")
     while time.monotonic() - began_s < 3.0:
@@ -161,11 +161,11 @@ def test_an_attitude_at_ten_kilohertz_comes_out_at_the_sinks_rate(ship, bridge):
     assert bridge.process.poll() is None
 
 
-def test_a_black_box_that_it_does_not_keep_is_told(bridge):
+def test_unused_black_box_parameter_is_a_warning(bridge):
     assert "parameter 'black_box' is not used: no replay runs this node" in bridge.log.read_text()
 
 
-def test_the_diagnostics_tell_of_every_sink(ship, bridge):
+def test_diagnostics_contain_every_sink(ship, bridge):
     until(ship, lambda: {"nmea_out: sink bridge", "nmea_out: sink log"} <= set(ship.statuses))
     assert ship.statuses["nmea_out: sink bridge"].hardware_id == "/demo/nmea_out"
     assert ship.statuses["nmea_out: sink log"].level == b"\x00"
@@ -180,7 +180,7 @@ SINK = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge:\n"
     (SINK + "        kind: tcp\n", ":5: parameter 'sinks.bridge.kind' = 'tcp' must be one of udp, tcp_server,"),
     (SINK + "        kind: serial\n", ":5: parameter 'sinks.bridge.device' must be given for kind serial"),
     (SINK + "        kind: file\n        path: log\n        port: 7\n",
-     ":7: parameter 'sinks.bridge.port' means nothing to kind file, which takes path"),
+     ":7: parameter 'sinks.bridge.port' does not apply to kind file, which takes path"),
     (SINK + "        kind: udp\n        address: bridge\n        port: 10110\n",
      ":6: parameter 'sinks.bridge.address' is 'bridge': expected an IPv4 address"),
     (SINK + "        kind: tcp_server\n        port: 10110\n        sentences: [HDT, VTG]\n",
@@ -188,12 +188,12 @@ SINK = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge:\n"
     (SINK + "        kind: tcp_server\n        port: 10110\n    talker: hehe\n",
      ":7: parameter 'talker' = 'hehe': expected 2 capital letters"),
     (SINK + "        kind: tcp_server\n        port: BUSY\n",
-     ":6: parameter 'sinks.bridge.port' = BUSY: Address already in use: another program has it"),
+     ":6: parameter 'sinks.bridge.port' = BUSY: Address already in use: another program uses it"),
     ("/**/nmea_out:\n  ros__parameters:\n    talker: HE\n", ": parameter 'sinks' names no sink"),
     ("/**/nmeaout:\n  ros__parameters:\n    talker: HE\n", ":1: section '/**/nmeaout' does not fit node '/nmea_out'"),
 ])  # fmt: skip
-def test_a_bad_start_is_one_line_with_file_line_and_what_was_expected(tmp_path, monkeypatch, capsys, text, told):
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the tests stay
+def test_bad_parameter_is_one_line_with_file_line_and_expectation(tmp_path, monkeypatch, capsys, text, told):
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # keep the handlers of the tests
     path = tmp_path / "suite.yaml"
     with socket.socket() as busy:
         busy.bind(("", 0))
@@ -208,7 +208,7 @@ def test_a_bad_start_is_one_line_with_file_line_and_what_was_expected(tmp_path, 
     assert said.err.startswith(place + told.replace("BUSY", port)), said.err
 
 
-def test_a_busy_port_of_one_sink_leaves_the_others(tmp_path):
+def test_busy_port_of_one_sink_does_not_stop_the_others(tmp_path):
     log = tmp_path / "log.txt"
     with socket.socket() as busy:
         busy.bind(("", 0))
@@ -225,12 +225,12 @@ def test_a_busy_port_of_one_sink_leaves_the_others(tmp_path):
         finally:
             assert ended(process) == 0
     assert path.read_text().startswith("$INHDT,,T*")
-    told = f"parameter 'sinks.busy.port' = {port}: Address already in use: another program has it"
+    told = f"parameter 'sinks.busy.port' = {port}: Address already in use: another program uses it"
     assert told in log.read_text()
 
 
-def test_of_a_played_bag_no_alert_goes_out_and_the_heartbeat_says_so(tmp_path):
-    """Nor has a void PASHR before the first /clock the time of 1970."""
+def test_no_alert_of_a_played_bag_is_sent(tmp_path):
+    """A void PASHR before the first /clock does not have the time of 1970."""
     ship = TellingShip()
     path, began = tmp_path / "log.nmea", datetime.now(timezone.utc)
     process = started(tmp_path / "log.txt", *parameters(
@@ -242,7 +242,7 @@ def test_of_a_played_bag_no_alert_goes_out_and_the_heartbeat_says_so(tmp_path):
     clock = ship.node.create_publisher(Clock, "/clock", 10)
     try:
         until(ship, lambda: path.exists() and path.read_text().count("PASHR") > 2)
-        until(ship, lambda: "none goes out, the heartbeat says V" in said(ship, "alerts"), lambda: tick(clock, began))
+        until(ship, lambda: "no alert is sent, heartbeat status V" in said(ship, "alerts"), lambda: tick(clock, began))
         beats = path.read_text().count("HBT")
         until(ship, lambda: path.read_text().count("HBT") > beats + 2, lambda: tick(clock, began))
     finally:
@@ -261,21 +261,21 @@ def said(ship, name):
 
 
 def tick(clock, began):
-    """A clock that runs at the bag's time, a year ago."""
+    """Publish the bag's time, a year ago, on /clock."""
     message = Clock()
     message.clock.sec = int(began.timestamp()) - 31_536_000
     message.clock.nanosec = time.monotonic_ns() % 10**9
     clock.publish(message)
 
 
-def test_a_bad_start_ends_the_process_with_2():
+def test_bad_parameter_ends_the_process_with_2():
     result = subprocess.run([*NODE, "-p", "talker:=x"], capture_output=True, text=True, timeout=60, check=False)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr == "nmea_out: parameter 'sinks' names no sink: expected one as 'sinks.bridge.kind'\n"
 
 
-def test_a_pace_takes_so_many_of_those_that_come_and_all_of_as_many():
-    """Also where they come with jitter; and after a silence there is no burst."""
+def test_throttle_selects_the_rate():
+    """Also with jitter; after a gap there is no burst."""
     period_ns = 10_000_000
     jitter = [0, 3_000_000, -2_000_000, 1_000_000, -3_000_000]
     for rate_hz, taken in ((10.0, 100), (100.0, 1000), (1000.0, 1000), (30.0, 300)):

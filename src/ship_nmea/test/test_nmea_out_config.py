@@ -1,4 +1,4 @@
-"""What two sinks of nmea_out may share, and what they may not."""
+"""Ports, devices and files that two sinks of nmea_out may share, and those that they may not."""
 
 import pytest
 
@@ -23,7 +23,7 @@ FILE = {"kind": "file", "path": "/var/log/ship/a.nmea"}
            "sinks.b.listen_port", "'sinks.a.listen_port' has UDP port 10111 already")],
     ],
 )  # fmt: skip
-def test_what_only_one_sink_can_have_is_refused(one, other, parameter, complaint):
+def test_exclusive_places_are_refused(one, other, parameter, complaint):
     with pytest.raises(ParameterError, match=complaint) as caught:
         build(NmeaOutConfig, {"sinks": {"a": one, "b": other}})
     assert caught.value.parameters == (parameter,)
@@ -39,7 +39,7 @@ def test_what_only_one_sink_can_have_is_refused(one, other, parameter, complaint
         (FILE, FILE | {"path": "/var/log/ship/b.nmea"}),
     ],
 )
-def test_what_several_sinks_can_have_is_taken(one, other):
+def test_shared_places_are_accepted(one, other):
     build(NmeaOutConfig, {"sinks": {"a": one, "b": other}})
 
 
@@ -47,17 +47,17 @@ def test_what_several_sinks_can_have_is_taken(one, other):
     ("sink", "parameter", "complaint"),
     [
         (SERVER | {"from": ["bridge.local"]}, "sinks.a.from", "names 'bridge.local': expected IPv4 addresses"),
-        (SERIAL | {"from": ["10.0.0.7"]}, "sinks.a.from", "means nothing to kind serial"),
+        (SERIAL | {"from": ["10.0.0.7"]}, "sinks.a.from", "does not apply to kind serial"),
     ],
 )
-def test_addresses_that_cannot_command_are_refused(sink, parameter, complaint):
+def test_invalid_command_addresses_are_refused(sink, parameter, complaint):
     with pytest.raises(ParameterError, match=complaint) as caught:
         build(NmeaOutConfig, {"sinks": {"a": sink}})
     assert caught.value.parameters == (parameter,)
 
 
-def test_commands_come_from_configured_addresses_alone():
-    """Of UDP that is the address sent to, if no other is named; of a serial line its far end."""
+def test_commands_are_accepted_from_configured_addresses_only():
+    """Default for UDP is the destination address; a serial line has only its far end."""
     listed = {"from": ["10.0.0.7"]}
     sinks = build(NmeaOutConfig, {"sinks": {
         "udp": UDP, "other": UDP | listed, "server": SERVER, "bridge": SERVER | listed | {"port": 10111},

@@ -1,4 +1,4 @@
-"""The recorded ship's lines sent live give what import_nmea makes of the same lines."""
+"""The recorded ship's lines sent live give the same messages as import_nmea gives from them."""
 
 from datetime import datetime, timezone
 from pathlib import Path
@@ -17,11 +17,11 @@ LOGS = Path(__file__).parents[4] / "shared" / "data" / "nbp1406"
 FILES = {"seapath": "seap", "s330": "s330", "gyro": "gyr1", "mast": "mwx1"}
 ROLES = {"seapath": "ins", "s330": "reference", "gyro": "gyro", "mast": "weather"}
 ARRIVAL_STAMPED = ("reference/gyro/imu", "met/temperature", "met/humidity", "met/pressure")
-"""Of these the sentences carry no time: the stamp is the arrival."""
+"""Topics whose sentences contain no time: the stamp is the arrival."""
 
 MIDNIGHT_NS = datetime_ns(datetime(2014, 8, 1, tzinfo=timezone.utc))
 EXCERPT_S, CLOCK_STEP_S, BLOCK_S = 240, 80, 10
-"""An instrument's time is believed within a minute of the node's: /clock stands in the middle of each step."""
+"""An instrument's time is accepted within a minute of the node's: /clock is constant in the middle of each step."""
 
 pytestmark = [
     pytest.mark.live,
@@ -30,7 +30,7 @@ pytestmark = [
 
 
 def excerpt(source):
-    """(receive time in s since midnight, line) of the first minutes of a log."""
+    """Return (receive time in s since midnight, line) of the first minutes of a log."""
     lines = []
     for line in (LOGS / f"NBP1406_{FILES[source]}-2014-08-01").read_text().splitlines():
         hours, minutes, seconds = (float(part) for part in line.partition(" ")[0][11:-1].split(":"))
@@ -40,7 +40,7 @@ def excerpt(source):
 
 @pytest.fixture
 def imported(tmp_path):
-    """Topic → (log time in s since midnight, CDR bytes) of what import_nmea makes of the excerpts."""
+    """Topic → (log time in s since midnight, CDR bytes) of the messages of import_nmea from the excerpts."""
     paths = {}
     for source in FILES:
         paths[source] = tmp_path / f"{source}.log"
@@ -57,7 +57,7 @@ def imported(tmp_path):
     return found
 
 
-def test_the_recorded_ship_sent_live_gives_what_the_import_gives(listening, imported):
+def test_live_messages_equal_imported_ones(listening, imported):
     node = listening(
         {
             source: {"kind": "udp", "address": "127.0.0.1", "port": free_port(), "becomes": ROLES[source]}

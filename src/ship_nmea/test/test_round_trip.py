@@ -1,4 +1,4 @@
-"""ship/attitude → nmea_out → UDP → nmea_in → ins/imu: the same attitude, to what is printed."""
+"""ship/attitude → nmea_out → UDP → nmea_in → ins/imu: the same attitude, to the printed decimals."""
 
 import threading
 import time
@@ -33,7 +33,7 @@ ANGLES_DEG = [
 
 @pytest.fixture
 def teller(tmp_path):
-    """Starts nmea_out with a sink; returns what publishes an attitude, and waits for its reader."""
+    """Start nmea_out with a sink; return a publisher of attitudes."""
     context, stop = Context(), threading.Event()
     closing = []
 
@@ -60,7 +60,7 @@ def teller(tmp_path):
 
 
 @pytest.mark.smoke
-def test_an_attitude_comes_back(listening, teller):
+def test_attitude_round_trip(listening, teller):
     port = free_port()
     node = listening({"link": {"kind": "udp", "address": "127.0.0.1", "port": port, "becomes": "ins"}})
     publisher = teller(port)
@@ -71,8 +71,8 @@ def test_an_attitude_comes_back(listening, teller):
         times_ns = set()
 
         def heard(sent=sent, times_ns=times_ns):
-            """The message of one of these attitudes; a busy machine may lose some on the way to nmea_out."""
-            times_ns.add(time.time_ns() // 1_000_000 * 1_000_000)  # PASHR tells milliseconds
+            """Return the messages of one of these attitudes; a busy machine may lose some on the way to nmea_out."""
+            times_ns.add(time.time_ns() // 1_000_000 * 1_000_000)  # PASHR has milliseconds
             sent.header.stamp.sec, sent.header.stamp.nanosec = stamp_fields(max(times_ns))
             publisher.publish(sent)
             time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""Sinks with real sockets, a real pseudo-terminal and real files: what goes out, what is dropped, what comes back."""
+"""Sinks with real sockets, a real pseudo-terminal and real files: what is sent, dropped and received."""
 
 import errno
 import os
@@ -26,7 +26,7 @@ SENTENCE = "$INHDT,12.3456,T*08"
 
 
 def until(look):
-    """What ``look`` gives, as soon as that is true."""
+    """Return the value of ``look`` as soon as it is true."""
     end_s = time.monotonic() + PATIENCE_S
     while not (found := look()) and time.monotonic() < end_s:
         time.sleep(0.01)
@@ -36,7 +36,7 @@ def until(look):
 
 @pytest.fixture
 def open_sink():
-    """Makes sinks that begin to send; they end with the test. What they hear is in ``heard``."""
+    """Make started sinks, which are closed after the test. The lines that they receive are in ``heard``."""
     sinks = []
 
     def make(**values):
@@ -58,7 +58,7 @@ def connected(port):
     return client
 
 
-def test_udp_sends_whole_sentences_and_hears_commands(open_sink):
+def test_udp_sends_whole_sentences_and_receives_commands(open_sink):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge:
         bridge.bind(("127.0.0.1", 0))
         bridge.settimeout(PATIENCE_S)
@@ -73,7 +73,7 @@ def test_udp_sends_whole_sentences_and_hears_commands(open_sink):
         assert sink.status().level is Level.OK
 
 
-def test_udp_goes_on_where_nobody_listens(open_sink):
+def test_udp_continues_without_receiver(open_sink):
     sink = open_sink(kind="udp", address="127.0.0.1", port=free_port())
     for _ in range(5):
         sink.put(SENTENCE)
@@ -93,7 +93,7 @@ def test_udp_reaches_a_group(open_sink):
         assert member.recv(1000) == f"{SENTENCE}\r\n".encode()
 
 
-def test_tcp_serves_several_clients_and_hears_lines_in_pieces(open_sink):
+def test_tcp_serves_several_clients_and_receives_lines_in_chunks(open_sink):
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with connected(port) as one, connected(port) as two:
@@ -109,7 +109,7 @@ def test_tcp_serves_several_clients_and_hears_lines_in_pieces(open_sink):
 
 
 @pytest.mark.slow
-def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink, monkeypatch):
+def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
     monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 0.5)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
@@ -121,7 +121,7 @@ def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink,
         def one_more_reaches_the_reader():
             sink.put(SENTENCE)
             assert reader.recv(1000).endswith(b"\r\n")
-            return "1 clients sent away" in sink.status().message
+            return "1 clients disconnected" in sink.status().message
 
         until(one_more_reaches_the_reader)
         assert "1 clients, " in sink.status().message
@@ -129,7 +129,7 @@ def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink,
 
 
 @pytest.mark.slow
-def test_a_client_that_never_reads_is_sent_away_at_a_low_rate_too(open_sink, monkeypatch):
+def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monkeypatch):
     """Its own system takes 2 kB. The 8 kB that this side's keeps for it take minutes more to fill."""
     monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 1.0)
     port = free_port(socket.SOCK_STREAM)
@@ -146,18 +146,18 @@ def test_a_client_that_never_reads_is_sent_away_at_a_low_rate_too(open_sink, mon
             sink.put(SENTENCE)
             assert reader.recv(1000) == f"{SENTENCE}\r\n".encode()
             time.sleep(0.02)
-            return "1 clients, 1 clients sent away" in sink.status().message
+            return "1 clients, 1 clients disconnected" in sink.status().message
 
         until(one_more)
         assert count < 400  # of 21 bytes; 480 fill both buffers
 
 
-def test_one_host_cannot_take_all_places(open_sink):
+def test_one_host_cannot_use_all_connections(open_sink):
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     clients = [connected(port) for _ in range(MOST_OF_A_HOST + 2)]
     try:
-        until(lambda: "2 clients sent away, 127.0.0.1 has 8 places and gets no more" in sink.status().message)
+        until(lambda: "2 clients disconnected, 127.0.0.1 has 8 connections, the max" in sink.status().message)
         with socket.create_connection(("127.0.0.1", port), PATIENCE_S, ("127.0.0.2", 0)) as other:
             until(lambda: "9 clients" in sink.status().message)
             sink.put(SENTENCE)
@@ -167,7 +167,7 @@ def test_one_host_cannot_take_all_places(open_sink):
             client.close()
 
 
-def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
+def test_slow_client_receives_whole_sentences(open_sink):
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with socket.socket() as slow:
@@ -192,7 +192,7 @@ def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
         assert all(line == b"$end" or (len(line) == 71 and line[:1] == b"$") for line in lines)
 
 
-def test_a_port_in_use_is_refused_at_the_start(open_sink):
+def test_port_in_use_is_an_opening_error(open_sink):
     port = free_port(socket.SOCK_STREAM)
     open_sink(kind="tcp_server", port=port, address="127.0.0.1")
     refused = open_sink(kind="tcp_server", port=port, address="127.0.0.1").refusal
@@ -207,24 +207,24 @@ def test_a_port_in_use_is_refused_at_the_start(open_sink):
     until(lambda: sink.status().level is Level.OK)
 
 
-def test_an_address_that_is_not_this_machines_is_refused_at_the_start(open_sink):
+def test_foreign_address_is_an_opening_error(open_sink):
     sink = open_sink(kind="tcp_server", port=free_port(), address="192.0.2.1")
     assert "'sinks.bridge.address' = '192.0.2.1': Cannot assign" in str(sink.refusal)
 
 
-def test_what_is_no_serial_device_is_refused_at_the_start(open_sink, tmp_path):
+def test_file_as_serial_device_is_an_opening_error(open_sink, tmp_path):
     path = tmp_path / "log.nmea"
     path.touch()
     for device in (str(path), "/dev/null"):
         sink = open_sink(kind="serial", device=device)
         assert "'sinks.bridge.device'" in str(sink.refusal)
-        assert "it is no serial device" in str(sink.refusal)
-        assert "Inappropriate ioctl for device; tried again" in sink.status().message
+        assert "not a serial device" in str(sink.refusal)
+        assert "Inappropriate ioctl for device; retried" in sink.status().message
 
 
 @pytest.fixture
 def line(tmp_path):
-    """A serial line: the far end of a pseudo-terminal, and the name of this end, which can be plugged in elsewhere."""
+    """A serial line: the far end of a pseudo-terminal, and the path of this end, which may be another one."""
     lines = []
 
     def plugged(path=tmp_path / "ttyUSB0"):
@@ -243,7 +243,7 @@ def line(tmp_path):
     lines.clear()
 
 
-def test_serial_sends_and_hears_at_its_rate(open_sink, line):
+def test_serial_sends_and_receives_at_its_rate(open_sink, line):
     far, path = line()
     sink = open_sink(kind="serial", device=path, baud=4800)
     sink.put(SENTENCE)
@@ -253,7 +253,7 @@ def test_serial_sends_and_hears_at_its_rate(open_sink, line):
     until(lambda: sink.heard == ["$IIACN,1*00"])
 
 
-def test_a_serial_line_that_vanishes_is_told_and_taken_again_when_it_is_back(open_sink, tmp_path):
+def test_lost_serial_line_is_reported_and_opened_again(open_sink, tmp_path):
     def plug():
         far, near = os.openpty()
         tty.setraw(near)
@@ -268,42 +268,42 @@ def test_a_serial_line_that_vanishes_is_told_and_taken_again_when_it_is_back(ope
     (tmp_path / "ttyUSB0").unlink()
     os.close(far)
     status = until(lambda: sink.status().level is Level.ERROR and sink.status())
-    assert f"tried again every {RETRY_S:g} s" in status.message
+    assert f"retried every {RETRY_S:g} s" in status.message
     sink.put("$OLD")
     far = plug()
     try:
         until(lambda: sink.status().level is not Level.ERROR)
         sink.put(SENTENCE)
-        # What came while it was away is not sent afterwards.
+        # Sentences queued while it was unplugged are not sent afterwards.
         assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
         assert sink.status().values["dropped: while it was not open"] == "1"
     finally:
         os.close(far)
 
 
-def test_a_serial_line_whose_far_end_does_not_read_drops_what_gets_old(open_sink, line):
+def test_old_sentences_of_a_blocked_serial_line_are_dropped(open_sink, line):
     _, path = line()
     sink = open_sink(kind="serial", device=path)
 
     def one_more():
-        # A thousand a second: MOST_WAITING of them last for four times the age at which they are too old.
+        # A thousand per second: MOST_WAITING of them last for four times their maximum age.
         for _ in range(10):
             sink.put(SENTENCE * 20, lasts_ns=50_000_000)
-        return any("waited for too long" in why for why in sink.status().values)
+        return any("expired in the queue" in why for why in sink.status().values)
 
     until(one_more)
     assert sink.status().level is Level.WARN
     assert int(sink.status().values["waiting"]) <= MOST_WAITING
 
 
-def test_a_serial_device_that_is_not_there_yet_is_waited_for(open_sink, tmp_path):
+def test_missing_serial_device_is_retried(open_sink, tmp_path):
     sink = open_sink(kind="serial", device=str(tmp_path / "ttyUSB7"))
     assert sink.status().level is Level.ERROR
     assert sink.refusal is None
-    assert f"{tmp_path}/ttyUSB7 at 38400 Bd: No such file or directory; tried again" in sink.status().message
+    assert f"{tmp_path}/ttyUSB7 at 38400 Bd: No such file or directory; retried" in sink.status().message
 
 
-def test_a_serial_device_without_permission_is_refused_at_the_start(tmp_path):
+def test_serial_device_without_permission_is_an_opening_error(tmp_path):
     far, near = os.openpty()
     name = os.ttyname(near)
     os.chmod(name, stat.S_IRUSR * 0)
@@ -317,7 +317,7 @@ def test_a_serial_device_without_permission_is_refused_at_the_start(tmp_path):
     os.close(far)
     os.close(near)
     told = ended.stderr.splitlines()[-1]
-    assert f"BadInput: parameter 'sinks.gyro.device' = '{name}': Permission denied: this user may not" in told
+    assert f"BadInput: parameter 'sinks.gyro.device' = '{name}': Permission denied: not permitted" in told
 
 
 def test_a_file_is_appended_to(open_sink, tmp_path):
@@ -329,7 +329,7 @@ def test_a_file_is_appended_to(open_sink, tmp_path):
     assert path.read_bytes() == f"before\n{SENTENCE}\r\n".encode()
 
 
-def test_a_full_disk_is_told_and_tried_again(open_sink):
+def test_full_disk_is_reported_and_retried(open_sink):
     sink = open_sink(kind="file", path="/dev/full")
     sink.put(SENTENCE)
     status = until(lambda: sink.status().level is Level.ERROR and sink.status())
@@ -337,8 +337,8 @@ def test_a_full_disk_is_told_and_tried_again(open_sink):
     until(lambda: sink.status().level is not Level.ERROR)
 
 
-def test_a_disk_that_gets_full_leaves_no_half_sentence(tmp_path):
-    """The limit of a process for the size of a file cuts a write as a full disk does."""
+def test_full_disk_leaves_no_half_sentence(tmp_path):
+    """A process's limit of file size cuts a write as a full disk does."""
     path = tmp_path / "log.nmea"
     program = (
         "import resource, signal\n"
@@ -357,33 +357,33 @@ def test_a_disk_that_gets_full_leaves_no_half_sentence(tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "told"), [
-    ("tcp_server", "a port below 1024"), ("udp", "a port below 1024"), ("serial", "'dialout'"), ("file", "a folder"),
+    ("tcp_server", "ports below 1024"), ("udp", "ports below 1024"), ("serial", "'dialout'"), ("file", "a folder"),
 ])  # fmt: skip
-def test_the_advice_where_permission_is_missing_is_that_of_the_kind(kind, told):
+def test_advice_on_missing_permission_depends_on_the_kind(kind, told):
     named_by = {kind: ("port", "address")}
     assert told in str(refusal(PermissionError(errno.EACCES, "no"), "sinks.bridge", SinkConfig(kind=kind), named_by))
 
 
-def test_a_rate_that_a_device_does_not_know_is_named_by_its_parameter():
+def test_unsupported_rate_names_its_parameter():
     problem, named_by = OSError(errno.EINVAL, "no"), {"serial": ("device", "baud")}
     told = str(refusal(problem, "sinks.gyro", SinkConfig(kind="serial", baud=12345), named_by))
     assert told.startswith("parameter 'sinks.gyro.baud' = 12345: Invalid argument: expected a rate")
     assert refusal(OSError(errno.ENOENT, "no"), "sinks.gyro", SinkConfig(kind="serial"), named_by) is None
 
 
-def test_a_sentence_is_named_once():
+def test_duplicate_sentence_is_refused():
     assert SinkConfig(kind="file", path="x", sentences=("HDT", "THS")).misfit() is None
     twice = SinkConfig(kind="file", path="x", sentences=("HDT", "THS", "HDT"))
     assert twice.misfit() == ("sentences", "names HDT twice: expected each sentence once")
 
 
-def test_a_folder_is_no_file(open_sink, tmp_path):
+def test_folder_as_file_is_refused(open_sink, tmp_path):
     refused = open_sink(kind="file", path=str(tmp_path)).refusal
     assert str(refused) == f"parameter 'sinks.bridge.path' = '{tmp_path}': Is a directory"
 
 
-def test_a_disk_that_hangs_holds_up_neither_the_node_nor_its_end(tmp_path):
-    """A pipe that nobody reads is a file whose write never comes back."""
+def test_hanging_disk_delays_neither_node_nor_end(tmp_path):
+    """A pipe without a reader is a file whose write never returns."""
     path = tmp_path / "pipe"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -400,7 +400,7 @@ def test_a_disk_that_hangs_holds_up_neither_the_node_nor_its_end(tmp_path):
     os.close(reader)  # frees the thread
 
 
-def test_lines_without_an_end_and_of_any_length_are_bounded():
+def test_lines_without_end_are_bounded():
     splitter = LineSplitter()
     assert command_texts(splitter.take(b"x" * 5000)) == []
     assert command_texts(splitter.take(b"y" * 5000 + b"\n$ok\r\n")) == ["$ok"]

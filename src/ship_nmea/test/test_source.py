@@ -1,4 +1,4 @@
-"""A source without ROS: judged by what it gave, bounded whatever comes; and what the system drops is counted."""
+"""A source without ROS: its status follows from its messages, memory is bounded, drops of the system are counted."""
 
 import random
 import socket
@@ -38,8 +38,8 @@ def taken(source, line, arrival_ns, now_ns=0, *sender):
     return [topic for heard in heard_texts(line) for topic, _ in source.take(heard, arrival_ns, now_ns, *sender)]
 
 
-def test_the_nodes_time_goes_back_and_attitudes_come_again(source):
-    """A bag that is played in a loop; without starting anew each attitude were not later than the last one."""
+def test_backward_jump_of_node_time_resets_the_instrument(source):
+    """A bag that is played in a loop; without a reset no attitude would be later than the last one."""
     ins = source(becomes="ins")
     for _ in range(2):
         for seconds in range(3):
@@ -47,15 +47,15 @@ def test_the_nodes_time_goes_back_and_attitudes_come_again(source):
             assert taken(ins, pashr(moment), datetime_ns(moment)) == ["ins/imu"]
 
 
-def test_a_node_without_time_uses_no_line(source):
+def test_no_line_is_used_without_node_time(source):
     ins = source(becomes="ins", silent_after_s=1.0)
     assert taken(ins, pashr(START), 0, 2 * NS_PER_S) == []
     status = ins.status("", 0, 2 * NS_PER_S)
     assert (status.level, status.values[f"rejected: {NO_TIME}"]) == (Level.ERROR, "1")
 
 
-def test_a_clock_that_is_ahead_is_told_and_put_right_it_is_used_again(source):
-    """30 s ahead for 10 s, then right: attitudes are not refused for 20 s until their stamps are later again."""
+def test_corrected_clock_is_used_again(source):
+    """30 s ahead for 10 s, then right: attitudes are not rejected for 20 s until their stamps are later again."""
     ins, given = source(becomes="ins"), []
     for second in range(20):
         arrival = START + timedelta(seconds=second)
@@ -77,7 +77,7 @@ def zda(moment):
 
 
 @pytest.mark.parametrize("zda_first", [True, False])
-def test_an_attitude_has_the_time_of_the_zda_of_its_own_burst(source, zda_first):
+def test_attitude_has_the_time_of_the_zda_of_its_burst(source, zda_first):
     ins, stamps = source(becomes="ins"), []
     for second in range(10):
         moment = START + timedelta(seconds=second)
@@ -89,7 +89,7 @@ def test_an_attitude_has_the_time_of_the_zda_of_its_own_burst(source, zda_first)
     assert stamps == [datetime_ns(START) + second * NS_PER_S for second in range(10)]
 
 
-def test_a_clock_that_is_behind_is_reported(source):
+def test_clock_behind_is_reported(source):
     """GPS time less leap seconds taken for UTC: 18 s behind."""
     ins = source(becomes="ins")
     taken(ins, pashr(START - timedelta(seconds=18)), datetime_ns(START))
@@ -102,7 +102,7 @@ def test_a_clock_that_is_behind_is_reported(source):
     assert ins.status("", 0, 20 * NS_PER_S).level == Level.OK
 
 
-def test_two_compasses_on_one_line_are_named_while_both_are_there(source):
+def test_two_compasses_on_one_line_are_reported(source):
     gyro = source(becomes="gyro", silent_after_s=100.0)
     for second in range(30):
         arrival_ns = datetime_ns(START) + second * NS_PER_S
@@ -116,29 +116,29 @@ def test_two_compasses_on_one_line_are_named_while_both_are_there(source):
     assert gyro.status("", 0, 30 * NS_PER_S).level == Level.OK
 
 
-def test_a_clock_that_stands_gives_one_attitude(source):
+def test_frozen_clock_gives_one_attitude(source):
     ins = source(becomes="ins")
     given = [taken(ins, pashr(START), datetime_ns(START) + second * NS_PER_S, second * NS_PER_S) for second in range(9)]
     assert given == [["ins/imu"], *8 * [[]]]
     assert ins.status("", 0, 8 * NS_PER_S).level == Level.ERROR
 
 
-def test_an_instrument_that_says_itself_that_it_is_not_aligned_is_not_used(source):
+def test_unaligned_instrument_is_not_used(source):
     ins = source(becomes="ins")
     for fields, topics in (("0,0", []), ("0.0,0", []), ("0,1", ["ins/imu"])):
         text = sentence(f"PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,{fields}").encode()
         assert taken(ins, text, datetime_ns(START)) == topics
 
 
-def test_heave_is_shown(source):
+def test_heave_is_in_the_status(source):
     ins = source(becomes="ins")
     assert "heave_m" not in ins.status("", 0, 0).values
     taken(ins, sentence("PASHR,120000.000,90.0,T,+1.0,+2.0,-0.37,0.1,0.1,0.1,1,1").encode(), datetime_ns(START))
     assert ins.status("", 0, 0).values["heave_m"] == "-0.37"
 
 
-def test_of_hdt_and_ths_the_one_that_says_when_it_is_not_to_be_used_rules(source):
-    """HDT is used before the first THS and 3 s after the last one, whatever that said."""
+def test_ths_takes_precedence_over_hdt(source):
+    """HDT is used before the first THS and 3 s after the last one, whatever its mode."""
     gyro = source(becomes="gyro")
     hdt, used = "HDT,10.0,T", []
     said = {0: hdt, 1: "THS,1.0,A", 2: hdt, 3: "THS,1.0,V", 4: "THS,,V", 6: hdt, 7: hdt, 8: hdt, 9: "THS,1,A", 10: hdt}
@@ -152,13 +152,13 @@ def test_of_hdt_and_ths_the_one_that_says_when_it_is_not_to_be_used_rules(source
 @pytest.mark.parametrize(
     ("bodies", "told"),
     [
-        (["HEVTG,,T,,M,,N,,K,A"], "lines come, and no reference/a/imu for 2 s: heard are HEVTG"),
-        (["GPHDT,10.0,T"], "heard are no sentences of use, of other talkers GP"),
+        (["HEVTG,,T,,M,,N,,K,A"], "lines come, but no reference/a/imu for 2 s: received: HEVTG"),
+        (["GPHDT,10.0,T"], "received: no usable sentences, of other talkers GP"),
         (["HEHDT,,T"], "no values in it 1, as '$HEHDT,,T*"),
         ([], "udp 0.0.0.0:10110: no line for 2 s"),
     ],
 )
-def test_a_source_that_gives_nothing_is_told_with_the_reason(source, bodies, told):
+def test_source_without_messages_is_reported_with_the_reason(source, bodies, told):
     gyro = source(becomes="gyro", silent_after_s=1.0, talkers=["HE"])
     for body in bodies:
         taken(gyro, sentence(body).encode(), datetime_ns(START), 2 * NS_PER_S)
@@ -167,7 +167,7 @@ def test_a_source_that_gives_nothing_is_told_with_the_reason(source, bodies, tol
     assert told in status.message
 
 
-def test_a_fault_that_is_over_is_a_warning_for_ten_seconds(source):
+def test_past_fault_is_a_warning_for_ten_seconds(source):
     gyro = source(becomes="gyro", silent_after_s=100.0)
     taken(gyro, b"$HEHDT,10", datetime_ns(START), NS_PER_S)
     taken(gyro, sentence("HEHDT,10.0,T").encode(), datetime_ns(START), 2 * NS_PER_S)
@@ -177,7 +177,7 @@ def test_a_fault_that_is_over_is_a_warning_for_ten_seconds(source):
     assert levels == [Level.ERROR, Level.ERROR, Level.OK]
 
 
-def test_what_is_counted_is_bounded(source):
+def test_counters_are_bounded(source):
     """Ten thousand names of sentences and talkers, each once."""
     gyro, rng = source(becomes="gyro", talkers=["HE"]), random.Random(3)
     for _ in range(10_000):
@@ -203,7 +203,7 @@ TEMPLATES = [
 ODD = ["", "nan", "inf", "-1e400", "1e30", "x", "sNaN", "99", "235960.00", "250000", "-", "1,2", "0x10", "²", "1_0"]
 
 
-def test_fields_of_every_kind_never_raise_and_attitudes_are_attitudes(source):
+def test_odd_fields_never_raise(source):
     """Sentences with right checksums and odd fields: an instrument's software has faults as well."""
     rng, sources = random.Random(4), {role: source(becomes=role) for role, _ in TEMPLATES}
     given = 0
@@ -222,8 +222,8 @@ def test_fields_of_every_kind_never_raise_and_attitudes_are_attitudes(source):
     assert given > 1000
 
 
-def test_datagrams_that_the_system_drops_are_counted():
-    """Linux keeps so many bytes for a socket; nobody reads it while ten thousand datagrams come."""
+def test_datagrams_dropped_by_the_system_are_counted():
+    """Linux buffers a limited number of bytes for a socket, which is not read while ten thousand datagrams arrive."""
     port, count = free_port(), 10_000
     link = UdpLink("127.0.0.1", port, "")
     link.open()

@@ -1,1 +1,1 @@
-"""The return matrix: after every fault the outputs are VALID again within their bounds, by themselves."""
+"""The return matrix: after every fault the outputs become VALID again within their bounds."""

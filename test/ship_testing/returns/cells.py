@@ -1,7 +1,7 @@
-"""The cells of the return matrix: what goes wrong in each, and from when on all inputs are consistent.
+"""Cells of the return matrix: the faults of each, and the time from which all inputs are consistent.
 
-Every kind of fault meets every topic that can have it, for several durations and with a node that starts in the middle
-of it; then overlapping pairs, steps of clocks, and random histories. The list is the same in every run.
+Every kind of fault is combined with every topic that can have it, for several durations and with a node that starts
+during it; then overlapping pairs, steps of clocks, and random sequences. The list is the same in every run.
 """
 
 import itertools
@@ -85,14 +85,14 @@ _OFFSETS = {
 
 _CORRUPT_VALUE = 0.25
 _COARSE = {"reference/": 30.0, "beacon/": 300.0}
-"""Beginning of a topic → factor of turns of a device whose attitude is coarser than that of stars."""
+"""Beginning of a topic → factor of rotations of a device whose attitude is less accurate than that of stars."""
 
 POSITION_FROM_START = "a position that is wrong from the start"
 COMMON_CLOCK = "one clock of the INS and all stars: two faults that agree"
 IMAGE_MOVED = "an image that creeps on the detector (N′), or is off from the start: it looks like encoders that do so"
 SMALL_SLIP = "an encoder that slips by less than its readings show, until the second exposure after it"
 _SLIP_SEEN_ARCSEC = 50.0
-"""A larger slip shows in readings at 10 Hz of a mount that sweeps."""
+"""A larger slip is detectable in readings at 10 Hz of a mount that sweeps."""
 _MOVES_POSITION = ("offset", "corrupt", "position_off", "units")
 _INS_AND_STARS = "ins and stars"
 
@@ -128,14 +128,14 @@ class Cell:
     """One case of the matrix.
 
     Attributes:
-        number: place in the list; seed of what its faults draw.
+        number: place in the list; seed of the random numbers of its faults.
         voyage: name of the voyage.
         row: of the table: a kind of fault, or a set of cells.
         name: of the cell, for people.
         faults: of the inputs.
         steps: of the time base.
-        unseen: why no data can show that the inputs are wrong; empty where they can.
-        node_starts_s: begin of what the nodes receive, after the beginning of the voyage.
+        unseen: why the faults cannot be detected from the data; empty if they can.
+        node_starts_s: begin of the inputs of the nodes, after the beginning of the voyage.
     """
 
     number: int
@@ -154,12 +154,12 @@ class Cell:
 
     @property
     def starts_s(self) -> float:
-        """Time at which the first input is wrong, s."""
+        """Return the time at which the first input is wrong, s."""
         return min([fault.start_s for fault in self.faults] + [step.at_s for step in self.steps])
 
     @property
     def consistent_from_s(self) -> float:
-        """Time from which on all inputs are consistent, s: the end of the last fault and of what it has delayed."""
+        """Return the time from which all inputs are consistent, s: end of the last fault and its delays."""
         ends_s = [fault.end_s + (fault.delay_s if fault.kind in ("delay", "reorder") else 0.0) for fault in self.faults]
         return max(ends_s + [step.at_s for step in self.steps])
 
@@ -190,7 +190,7 @@ def all_cells(voyages: Mapping[str, VoyageData]) -> list[Cell]:
 
 
 def _class_unseen(faults: Sequence[Fault], from_start: bool) -> str:
-    """Return the class of what no data can show in time that one of the faults belongs to; empty where none does."""
+    """Return the class of undetectable faults of one of the faults; empty if all are detectable."""
     for fault in faults:
         if from_start and fault.topic == FIX_TOPIC and fault.kind in _MOVES_POSITION:
             return POSITION_FROM_START
@@ -211,7 +211,7 @@ Draft = dict[str, Any]
 
 
 def _kinds(voyages: Mapping[str, VoyageData]) -> Iterator[tuple[str, str, str, dict[str, Any]]]:
-    """Voyage, kind, topic and sizes of every kind of fault on every topic that can have it, each topic type once."""
+    """Yield voyage, kind, topic and sizes of every fault on every topic that can have it, each topic type once."""
     for voyage, data in voyages.items():
         for topic, kind in itertools.product(_own_topics(voyage, data), KINDS):
             type_name = data.topics[topic]
@@ -227,7 +227,7 @@ _OWN_TOPICS = {
 
 
 def _own_topics(voyage: str, data: VoyageData) -> list[str]:
-    """Topics whose single faults a voyage has."""
+    """Return the topics whose single faults a voyage has."""
     return [topic for topic in sorted(data.topics) if topic.startswith(_OWN_TOPICS.get(voyage, ""))]
 
 
@@ -251,7 +251,7 @@ def _starts(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
 
 
 def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
-    """The clock of each device, and of groups, steps and comes back."""
+    """Return cells in which the clock of each device, and of groups, steps and returns."""
     for voyage, data in voyages.items():
         devices = {topic: (topic,) for topic in _own_topics(voyage, data)}
         for name, beginnings in _GROUPS.items():
@@ -273,7 +273,7 @@ def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
 
 
 _BY_UTC = ("sky", "tracker", "mount")
-"""Voyages whose stars are directions in the sky: after a step for good these contradict UTC for good."""
+"""Voyages whose stars are directions in the sky: after a permanent step they contradict UTC permanently."""
 
 
 def _time_bases() -> Iterator[Draft]:
@@ -286,7 +286,7 @@ def _time_bases() -> Iterator[Draft]:
 
 
 def _pairs(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
-    """Two faults, of which the second begins while the first is there."""
+    """Return cells with two faults, of which the second begins during the first."""
     kinds = list(_kinds(voyages))
     for number in range(PAIRS):
         rng = random_stream(number, "returns.pair")

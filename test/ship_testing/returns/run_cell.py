@@ -1,7 +1,7 @@
-"""One cell of the return matrix: its messages, made in memory, go through the nodes in this process and are judged.
+"""Run one cell of the return matrix: its messages, created in memory, are given to the nodes in this process.
 
 A run ends when every output has been VALID for some seconds after the last fault, and no source is excluded,
-contradicted or refused. It ends, too, when the time within which they must return is over.
+contradicted or rejected. It also ends at the bound of the return time.
 """
 
 import copy
@@ -30,19 +30,19 @@ from ship_testing.returns.cells import FIX_TOPIC, START_S, Cell
 from ship_testing.returns.voyages import BOUND_S, VOYAGES, Message, VoyageData, load_voyage
 
 STEADY_S = 15.0
-"""Time for which all is well before a run ends, s."""
+"""Duration of normal state before a run ends, s."""
 
 _AFTER_BOUND_S = 5.0
 _AFTER_JUMP_S = 30.0
 """Bound of ``star_attitude`` after a wrong position, s."""
 
 _LONGEST_GAP_NS = 3 * NS_PER_S // 2
-"""An output that has not come for longer is not VALID, ns."""
+"""Longer without a message, an output is not VALID, ns."""
 
 _VALID, _UNAVAILABLE = 0, 2
 _WARN = 1
 _OF_SOURCES = ": input ", ": conflict "
-"""Parts of the names of diagnostics that report a source which is refused or contradicted."""
+"""Parts of the names of diagnostics that report a rejected or contradicted source."""
 
 
 def run_cell(cell: Cell, path: Path) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def run_cell(cell: Cell, path: Path) -> dict[str, Any]:
 
 
 def _in_child(task: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return what a task returns in a copy of this process, so that the nodes here stay as they are."""
+    """Return the result of a task in a forked copy of this process, which leaves the nodes here unchanged."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -89,7 +89,7 @@ def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
 
 
 class ReturnSink(VoyageSink):
-    """Keeps what :class:`VoyageSink` keeps, and since when each output has been VALID.
+    """A :class:`VoyageSink` that also records since when each output has been VALID.
 
     Args:
         truths: topic of an orientation → its truth.
@@ -105,7 +105,7 @@ class ReturnSink(VoyageSink):
         self.texts: dict[str, str] = {}
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take an output."""
+        """Record an output."""
         super().write(topic, message, log_time_ns)
         if topic in self.valid_since_ns:
             is_valid = int(message.status) == _VALID
@@ -141,19 +141,19 @@ class ReturnSink(VoyageSink):
 
 
 class SteppedTruth:
-    """The truth of a voyage whose time base has stepped: what is stamped by the new clock is found by the old one."""
+    """The truth of a voyage with steps of the time base: stamps of the new clock are converted to the old one."""
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
         self.offset_ns = 0
 
     def exactly_at(self, stamp_ns: int) -> Any:
-        """The true attitude at a stamp; None where there is none."""
+        """Return the true attitude at a stamp; None if there is none."""
         return self._truth.exactly_at(stamp_ns - self.offset_ns)
 
 
 def _judgement(cell: Cell, run: "_Run") -> dict[str, Any]:
-    """Give a run the messages of a cell until all is well again, or too late; return what became of its outputs."""
+    """Run the messages of a cell until all is normal, or the bound is exceeded; return the result of its outputs."""
     data, sink = run.data, run.sink
     bounds_s = {topic: _bound_s(cell, topic) for topic in sink.valid_since_ns}
     consistent_ns = data.time_ns(cell.consistent_from_s)
@@ -193,13 +193,13 @@ def _bound_s(cell: Cell, topic: str) -> float:
 
 
 class _Run:
-    """The nodes of a voyage, which take messages, with the ticks between them, by the computer's clock as it stands.
+    """The nodes of a voyage with their messages, and the ticks between them by the computer's clock.
 
     Attributes:
         data: the voyage.
-        sink: keeps what they publish.
+        sink: records their outputs.
         steps: (time, size) of the steps of the time base, ns.
-        next_ns: messages that arrive before it have been taken.
+        next_ns: messages that arrive before it have been processed.
     """
 
     def __init__(self, data: VoyageData) -> None:
@@ -213,7 +213,7 @@ class _Run:
         self._last_ns: int | None = None
 
     def take(self, message: Message) -> None:
-        """Take a message at its arrival, after the ticks that are due by then."""
+        """Process a message at its arrival, after the ticks that are due by then."""
         log_ns = message.log_ns
         last_ns = log_ns if self._last_ns is None else self._last_ns
         for tick_ns in range((last_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS, log_ns + 1, TICK_PERIOD_NS):
@@ -251,7 +251,7 @@ class _Run:
 
 @functools.lru_cache(maxsize=len(VOYAGES))
 def _prepared_run(path: Path) -> _Run:
-    """The nodes of a voyage after the time before the faults; they must not be used but in a copy of this process."""
+    """Return the nodes of a voyage after the time before the faults; use them only in a copy of this process."""
     run = _Run(load_voyage(path))
     run.next_ns = run.data.time_ns(START_S)
     for message in run.data.messages:
@@ -261,7 +261,7 @@ def _prepared_run(path: Path) -> _Run:
 
 
 def delivered(cell: Cell, data: VoyageData) -> Iterator[Message]:
-    """The messages of a voyage with the faults of a cell, in order of arrival."""
+    """Return the messages of a voyage with the faults of a cell, in order of arrival."""
     by_topic: dict[str, dict[str, Fault]] = {}
     for number, fault in enumerate(cell.faults):
         by_topic.setdefault(fault.topic, {})[f"f{number}"] = fault
@@ -271,14 +271,14 @@ def delivered(cell: Cell, data: VoyageData) -> Iterator[Message]:
 
 
 def _spoilt(topic: str, faults: dict[str, Fault], seed: int, data: VoyageData) -> Iterator[Message]:
-    """The messages of a topic with its faults."""
+    """Return the messages of a topic with its faults."""
     given = _deliveries(topic, list(faults.values()), data)
     for one in spoilt(given, data.topics[topic], faults, data.start_ns, seed, data.optics):
         yield Message(topic, one.message, one.stamp_ns or 0, one.log_time_ns, one.order)
 
 
 def _deliveries(topic: str, faults: Sequence[Fault], data: VoyageData) -> Iterator[Delivery]:
-    """The messages of a topic; those that a fault may change are copies."""
+    """Return the messages of a topic; those that a fault may change are copies."""
     for message in data.messages:
         if message.topic == topic:
             since_s = (message.stamp_ns - data.start_ns) / NS_PER_S

@@ -1,4 +1,4 @@
-"""The table of the return matrix, one row a kind of fault and group of topics, and a line for each cell that failed."""
+"""Table of the return matrix, one row per kind of fault and group of topics, and a line for each cell that failed."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ def _key(result: Result) -> tuple[int, str]:
 
 
 def is_beyond(result: Result) -> bool:
-    """True if an output was VALID with an error beyond its protection level, where data could show that."""
+    """True if an output was VALID with an error beyond its protection level, while the fault was detectable."""
     return _exceeds(result) and not result["unseen"]
 
 
@@ -50,7 +50,7 @@ def failed(results: Sequence[Result]) -> list[Result]:
 
 
 def rows(results: Sequence[Result]) -> list[Row]:
-    """Return the rows of the table: one a row name of the cells, and one for all."""
+    """Return the rows of the table: one per row name of the cells, and one for all."""
     by_row: dict[str, list[Result]] = defaultdict(list)
     for result in results:
         by_row[result["row"]].append(result)
@@ -68,7 +68,7 @@ def _row(name: str, group: Sequence[Result]) -> Row:
 
 
 def unseen_lines(results: Sequence[Result]) -> list[str]:
-    """Return a line for each class of faults that no data can show, with the cells that were VALID beyond a level."""
+    """Return a line for each class of undetectable faults, with the cells that were VALID beyond a level."""
     by_class: dict[str, list[Result]] = defaultdict(list)
     for result in results:
         if result["unseen"]:

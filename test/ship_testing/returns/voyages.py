@@ -1,4 +1,4 @@
-"""The voyages of the return matrix: small scenarios without faults, their bags, and the messages of a bag in memory.
+"""Voyages of the return matrix: small scenarios without faults, their bags, and the messages of a bag in memory.
 
 Rates are the lowest realistic ones, because the cells are many. Each scenario is one of ``bags/scenarios`` with other
 rates, and each has inputs that the others lack.
@@ -37,7 +37,7 @@ _ENCODER_HZ, _LIGHT_HZ = 10.0, 2.0
 
 
 def _ship(name: str) -> Scenario:
-    """A scenario of the ship, with slower devices; the exposures of two sensors are not simultaneous."""
+    """Return a scenario of the ship, with slower devices; the exposures of two sensors are not simultaneous."""
     whole = load_scenario(SCENARIOS / f"{name}.yaml")
     stars = {
         id_: replace(star, rate_hz=_STAR_HZ, phase_s=0.033 + 0.25 * place)
@@ -47,7 +47,7 @@ def _ship(name: str) -> Scenario:
 
 
 def _paper() -> Scenario:
-    """Two sensors that solve their attitudes, another attitude system and two antennas."""
+    """Return a ship with two sensors that solve their attitudes, another attitude system and two antennas."""
     ship = _ship("paper")
     gyro = Reference(rate_hz=_SLOW_HZ, phase_s=0.4, installation_sigma_arcsec=600.0, time_offset_sigma_s=0.05)
     antennas = ShipBaseline(forward_m=20.0, up_m=1.0, right_m=-3.0, rtk=Rtk(rate_hz=_SLOW_HZ))
@@ -55,13 +55,13 @@ def _paper() -> Scenario:
 
 
 def _sky() -> Scenario:
-    """Two sensors that send single stars, for the filter and for ``star_attitude``."""
+    """Return a ship with two sensors that send single stars, for the filter and for ``star_attitude``."""
     ship = _ship("paper_stars")
     return replace(ship, weather=replace(ship.weather, rate_hz=_SLOW_HZ))
 
 
 def _tracker() -> Scenario:
-    """One sensor with attitudes in the sky and one with attitudes in the horizon; the deflection is an input."""
+    """Return a sensor with attitudes in the sky and one with attitudes in the horizon; deflection is an input."""
     ship = _ship("paper")
     stars = ship.star_sensors
     gravity = replace(ship.gravity, told="topic", rate_hz=_SLOW_HZ, xi_arcsec=5.0, eta_arcsec=-3.0)
@@ -70,13 +70,13 @@ def _tracker() -> Scenario:
 
 
 def _theodolite() -> Scenario:
-    """Two lights all the time, the ship's attitude given."""
+    """Return a theodolite with two lights all the time and the ship's attitude as input."""
     whole = load_scenario(SCENARIOS / "theodolite.yaml")
     return replace(whole, ins=replace(whole.ins, rate_hz=1.0), **_pointing(whole))
 
 
 def _mount() -> Scenario:
-    """The same with a camera on the theodolite that sees stars, and a target."""
+    """Return the same with a camera for stars on the theodolite, and a target."""
     whole = load_scenario(SCENARIOS / "theodolite_night.yaml")
     parts = _pointing(whole)
     main = replace(whole.theodolite.main_detector, rate_hz=_SLOW_HZ)
@@ -87,7 +87,7 @@ def _mount() -> Scenario:
 
 
 def _pointing(whole: Scenario) -> dict[str, Any]:
-    """The parts of a scenario that the theodolite needs, with slower devices and lights that never leave."""
+    """Return the parts of a scenario that the theodolite needs, with slower devices and permanent lights."""
     device = replace(
         whole.theodolite,
         encoder=replace(whole.theodolite.encoder, rate_hz=_ENCODER_HZ),
@@ -118,7 +118,7 @@ VOYAGES: dict[str, Callable[[], Scenario]] = {
 
 
 def make_bag(name: str, folder: Path) -> Path:
-    """Return the path of the bag of a voyage; it is made where it is not there."""
+    """Return the path of the bag of a voyage; it is created if it does not exist."""
     path = folder / f"{name}_{LENGTH_S:.0f}s.mcap"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -173,7 +173,7 @@ class VoyageData:
             return suite_chain(bag, ADAPTERS, RosbagsFactory())[0]
 
     def time_ns(self, since_s: float) -> int:
-        """Time so many seconds after the beginning."""
+        """Return the time this many seconds after the beginning, ns."""
         return self.start_ns + round(since_s * NS_PER_S)
 
 

@@ -1,4 +1,4 @@
-"""What the checks before a voyage say, as rows of a table, and the exit code that follows from them."""
+"""Results of the checks before a voyage as rows of a table, and the exit code that follows from them."""
 
 import math
 from collections import Counter
@@ -11,11 +11,11 @@ from ship_bags.errors import one_line
 from ship_estimation.parameter_rows import in_columns
 
 MOST_ROWS = 12
-"""Of one check no more rows are shown than this; the others are counted."""
+"""Maximum number of rows shown for one check; the others are counted."""
 
 
 class Result(Enum):
-    """What a row means, from good to bad."""
+    """Result of a row, from good to bad."""
 
     OK = "OK"
     NOT_CHECKED = "not checked"
@@ -31,10 +31,10 @@ class CheckLine:
     """One row.
 
     Attributes:
-        check: which check it is of.
-        result: how it went.
+        check: name of the check.
+        result: its result.
         found: what was found.
-        advice: what to do; empty where there is nothing to do.
+        advice: what to do; empty if there is nothing to do.
     """
 
     check: str
@@ -44,7 +44,7 @@ class CheckLine:
 
 
 def table(lines: Sequence[CheckLine]) -> list[str]:
-    """The rows as lines of text; what to do stands below what was found."""
+    """Return the rows as lines of text; the advice is on a line below the finding."""
     shown = in_columns([("check", "result", "found"), *((x.check, x.result.value, one_line(x.found)) for x in lines)])
     indent = shown[0].index("found")
     text = shown[:1]
@@ -56,24 +56,24 @@ def table(lines: Sequence[CheckLine]) -> list[str]:
 
 
 def verdict(lines: Sequence[CheckLine]) -> str:
-    """The last line: whether the suite may start, and how many rows are not good."""
+    """Return the last line: ready or not ready, and the numbers of failed, warning and unchecked rows."""
     counts = Counter(line.result for line in lines)
     words = [
         f"{counts[result]} {name}{'s' if result is Result.WARN and counts[result] > 1 else ''}"
         for result, name in ((Result.FAIL, "failed"), (Result.WARN, "warning"), (Result.NOT_CHECKED, "not checked"))
         if counts[result]
     ]
-    return f"{'NOT READY' if counts[Result.FAIL] else 'READY'}: {', '.join(words) or 'all is good'}"
+    return f"{'NOT READY' if counts[Result.FAIL] else 'READY'}: {', '.join(words) or 'all checks passed'}"
 
 
 def worst_first(checks: Iterable[Iterable[CheckLine]]) -> list[CheckLine]:
-    """Rows of all checks: what failed first, then warnings, then the others, each in the order of the checks."""
+    """Return the rows of all checks: failures first, then warnings, then the others, in the order of the checks."""
     lines = [line for check in checks for line in bounded(check)]
     return sorted(lines, key=lambda line: _ORDER.index(line.result))
 
 
 def rounded(value: float) -> str:
-    """A number with three digits that count, never as a power of ten.
+    """Return a number with three significant digits, never with an exponent.
 
     Example:
         >>> rounded(0.00150123), rounded(4.0), rounded(1623.4)
@@ -86,7 +86,7 @@ def rounded(value: float) -> str:
 
 
 def bounded(lines: Iterable[CheckLine]) -> list[CheckLine]:
-    """The worst rows of one check first, each once, and how many more there are."""
+    """Return the worst rows of one check first, each once, and the number of further rows."""
     ordered = sorted(dict.fromkeys(lines), key=lambda line: _ORDER.index(line.result))
     if len(ordered) <= MOST_ROWS:
         return ordered
@@ -95,5 +95,5 @@ def bounded(lines: Iterable[CheckLine]) -> list[CheckLine]:
 
 
 def exit_code(lines: Iterable[CheckLine]) -> int:
-    """0 where no check failed, else 1."""
+    """Return 0 if no check failed, else 1."""
     return EXIT_BOUND_NOT_MET if any(line.result is Result.FAIL for line in lines) else EXIT_DONE

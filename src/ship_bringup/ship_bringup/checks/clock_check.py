@@ -1,4 +1,4 @@
-"""How far the computer's clock is from UTC, as chrony or PTP say, and what that is in a turn of the ship.
+"""Check of the computer's clock against UTC, by chrony or PTP, with the offset as an angle during a turn.
 
 The texts are those of ``chronyc tracking`` (chrony's manual page, command ``tracking``) and of ``pmc -u -b 0 'GET
 TIME_STATUS_NP'`` (linuxptp's manual pages).
@@ -14,7 +14,7 @@ from ship_bringup.checks.check_line import CheckLine, Result, rounded
 from ship_watch.limits import Limits
 
 TURN_DEG_PER_S = 5.0
-"""Rate of turn at which an offset is told as an angle: a ship in a hard turn."""
+"""Rate of turn used to express an offset as an angle: a hard turn of a ship."""
 
 _CHECK = "clock"
 _CHRONY = ("chronyc", "-n", "tracking")
@@ -26,15 +26,15 @@ _TO_DO = "set up chrony with the ship's GNSS receiver or time server, or ptp4l a
 
 @dataclass(frozen=True)
 class ClockState:
-    """What is known of the clock.
+    """State of the clock.
 
     Attributes:
-        source: who says so: chrony or PTP; empty where neither is there.
-        offset_s: of the clock from its source, without sign; NaN where it was not told.
-        bound_s: no larger error is possible where the source is right (chrony's root distance); NaN where not told.
-        is_synchronised: whether the source says that it follows a better clock.
-        detail: why nothing is known, or what the source says of itself.
-        is_dead: whether a program is there that should know and that tells nothing.
+        source: chrony or PTP; empty if neither is available.
+        offset_s: of the clock from its source, without sign; NaN if unknown.
+        bound_s: maximum error if the source is right (chrony's root distance); NaN if unknown.
+        is_synchronised: True if the source reports that it follows a better clock.
+        detail: why nothing is known, or the status reported by the source.
+        is_dead: True if a synchronisation program is installed but gives no answer.
     """
 
     source: str
@@ -46,7 +46,7 @@ class ClockState:
 
 
 def look_at_clock() -> ClockState:
-    """Ask chrony, then PTP."""
+    """Read the state from chrony, otherwise from PTP."""
     told, is_dead = [], False
     for command, read in ((_CHRONY, chrony_state), (_PTP, ptp_state)):
         if shutil.which(command[0]) is None:
@@ -56,18 +56,18 @@ def look_at_clock() -> ClockState:
         try:
             run = subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER_S, check=False)
         except subprocess.TimeoutExpired:
-            told.append(f"{command[0]} does not answer within {_ANSWER_S:g} s")
+            told.append(f"{command[0]} gave no answer within {_ANSWER_S:g} s")
             continue
         state = read(run.stdout)
         if state is not None:
             return state
         said = (run.stderr or run.stdout).strip().splitlines()
-        told.append(f"{command[0]} says: {said[-1] if said else 'nothing'}")
+        told.append(f"{command[0]} reports: {said[-1] if said else 'nothing'}")
     return ClockState("", detail=", ".join(told), is_dead=is_dead)
 
 
 def chrony_state(text: str) -> ClockState | None:
-    """What ``chronyc tracking`` printed; None where it is no such text."""
+    """Return the state printed by ``chronyc tracking``; None for any other text."""
     offset = re.search(rf"^System time\s*: {_NUMBER} seconds (?:slow|fast) of NTP time", text, re.MULTILINE)
     leap = re.search(r"^Leap status\s*: (.+)$", text, re.MULTILINE)
     if offset is None or leap is None:
@@ -83,19 +83,19 @@ def _root_s(name: str, text: str) -> float:
 
 
 def ptp_state(text: str) -> ClockState | None:
-    """What ``pmc`` printed of TIME_STATUS_NP; None where it is no such text."""
+    """Return the state printed by ``pmc`` for TIME_STATUS_NP; None for any other text."""
     offset = re.search(rf"^\s*master_offset\s+{_NUMBER}\s*$", text, re.MULTILINE)
     present = re.search(r"^\s*gmPresent\s+(true|false)\s*$", text, re.MULTILINE)
     if offset is None or present is None:
         return None
-    detail = "of the clock of the network card: see that phc2sys runs"
+    detail = "offset of the network card's clock: check that phc2sys runs"
     return ClockState("PTP", abs(float(offset[1])) * 1e-9, math.nan, present[1] == "true", detail)
 
 
 def judge_clock(state: ClockState, limits: Limits) -> CheckLine:
-    """Hold the clock against the ship's limits: FAIL over the limit of stamps, WARN over that of the heading."""
+    """Check the clock against the ship's limits: FAIL over the limit of stamps, WARN over that of the heading."""
     if state.is_dead:
-        found = f"nothing keeps the clock: {state.detail}"
+        found = f"no program synchronises the clock: {state.detail}"
         return CheckLine(_CHECK, Result.FAIL, found, "start it: systemctl status chrony, or ptp4l and phc2sys")
     if not state.source:
         return CheckLine(_CHECK, Result.WARN, f"neither chrony nor PTP: {state.detail}", _TO_DO)
@@ -106,16 +106,16 @@ def judge_clock(state: ClockState, limits: Limits) -> CheckLine:
     found += f" at {TURN_DEG_PER_S:g} deg/s"
     if math.isfinite(state.bound_s):
         bound_arcsec = arcsec_in_a_turn(state.bound_s)
-        found += f" (its source vouches for {rounded(state.bound_s * 1e3)} ms, {rounded(bound_arcsec)}\")"
+        found += f" (error bound {rounded(state.bound_s * 1e3)} ms, {rounded(bound_arcsec)}\")"
     if not state.offset_s <= limits.machine.clock_offset_s:
         over = f"over machine.clock_offset_s, {limits.machine.clock_offset_s * 1e3:g} ms"
         return CheckLine(_CHECK, Result.FAIL, f"{found}: {over}", "wait until it has settled: chronyc waitsync")
     if not turn_arcsec <= limits.heading_arcsec:
-        advice = "wait until it has settled, or take a nearer source: a GNSS receiver with PPS"
+        advice = "wait until it has settled, or use a nearer source: a GNSS receiver with PPS"
         return CheckLine(_CHECK, Result.WARN, f"{found}: over heading_arcsec, {limits.heading_arcsec:g}\"", advice)
     return CheckLine(_CHECK, Result.OK, found)
 
 
 def arcsec_in_a_turn(offset_s: float) -> float:
-    """The angle that the ship turns in this time at :data:`TURN_DEG_PER_S`, arcsec: 18 for a millisecond."""
+    """Return the angle of a turn at :data:`TURN_DEG_PER_S` in this time, arcsec: 18 per millisecond."""
     return TURN_DEG_PER_S * 3600.0 * offset_s

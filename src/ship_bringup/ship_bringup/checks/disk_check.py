@@ -1,9 +1,9 @@
-"""Whether the disk takes the night: a record of everything and a black box of each node.
+"""Check of the disk space for a voyage: a record of all topics and a black box of each node.
 
-Bytes an hour = 3600 s × (sum of the inputs from outside, and for each node: what it gives; with boxes also what it
-takes and gives once more). An input takes rate × (message + 31), the message as it was heard, else as is usual; a node
-gives at most twice what it takes, and :data:`REPORTS_BYTES_PER_S` of reports. Nothing counts on compression, which
-saves a quarter to two thirds.
+Bytes per hour = 3600 s × (sum of the inputs from outside, and for each node its outputs; with black boxes also its
+inputs and outputs once more). An input has rate × (message length + 31), as received, otherwise typical values. The
+outputs of a node are at most twice its inputs, plus :data:`REPORTS_BYTES_PER_S` of reports. Compression, which saves a
+quarter to two thirds, is not assumed.
 """
 
 import shutil
@@ -17,7 +17,7 @@ from ship_node.edge.adapter import Adapter
 from ship_watch.limits import Limits
 
 ENTRY_BYTES = 31
-"""What a message costs in MCAP beside its bytes: opcode, length, channel, sequence, two times."""
+"""Overhead of a message in MCAP: opcode, length, channel, sequence, two times."""
 
 REPORTS_BYTES_PER_S = 8000.0
 """Diagnostics, health, alignment, budget and integrity of one node: 5.6 and 7.2 kB/s in the suites of bags/."""
@@ -38,13 +38,13 @@ _USUAL = {
     "gnss": (1.0, 125),
     "met": (1.0, 36),
 }
-"""First word of a topic → rate in Hz and length of a message, as in the suites of bags/; stars: twenty of them."""
+"""First word of a topic → rate in Hz and message length, as in the suites of bags/; stars: twenty per message."""
 _UNKNOWN = (10.0, 500)
 
 
 @dataclass(frozen=True)
 class NightBytes:
-    """What a suite writes, bytes a second: a record of all topics, and the black boxes of its nodes."""
+    """Write rates of a suite, bytes/s: a record of all topics, and the black boxes of its nodes."""
 
     record: float
     boxes: float
@@ -52,13 +52,13 @@ class NightBytes:
 
 @dataclass(frozen=True)
 class DiskState:
-    """A folder's disk.
+    """The disk of a folder.
 
     Attributes:
-        folder: that was asked for.
-        device: number of the disk; None where it could not be asked.
-        free_bytes: what is free on it; None where it could not be asked.
-        asked: the folder that answered: the nearest one above, where `folder` is not there.
+        folder: the requested folder.
+        device: number of the disk; None if it cannot be read.
+        free_bytes: free space on it; None if it cannot be read.
+        asked: the folder that was measured: the nearest existing parent, if `folder` does not exist.
     """
 
     folder: Path
@@ -68,11 +68,11 @@ class DiskState:
 
 
 def night_bytes(adapters: Sequence[Adapter], heard: Sequence[HeardTopic]) -> NightBytes:
-    """What a suite writes.
+    """Return the write rates of a suite.
 
     Args:
         adapters: of its nodes.
-        heard: inputs as they were heard; of those that were not, what is usual counts.
+        heard: inputs as received; for others, typical values are used.
     """
     streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in heard if each.rate_hz > 0.0}
     given_inside = {topic.topic for adapter in adapters for topic in adapter.outputs}
@@ -84,7 +84,7 @@ def night_bytes(adapters: Sequence[Adapter], heard: Sequence[HeardTopic]) -> Nig
 
 
 def look_at_disk(folder: Path) -> DiskState:
-    """The disk of a folder, or of the nearest one above it that is there."""
+    """Return the disk of a folder, or of its nearest existing parent."""
     place = folder.absolute()
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -97,28 +97,28 @@ def look_at_disk(folder: Path) -> DiskState:
 def judge_disk(
     state: DiskState, needs_bytes_per_s: float, hours: float, limits: Limits, must_be_there: str = ""
 ) -> Iterator[CheckLine]:
-    """Whether what is free is enough for so many hours.
+    """Check that the free space is sufficient for a number of hours.
 
     Args:
         state: of the disk.
-        needs_bytes_per_s: what is written to it.
-        hours: how long.
+        needs_bytes_per_s: rate of writing to it.
+        hours: duration.
         limits: of the ship.
-        must_be_there: the setting that names this folder; empty for one that is still to be made.
+        must_be_there: the setting that names this folder; empty for a folder that will be created.
     """
     need_gb = needs_bytes_per_s * _SECONDS_PER_HOUR * hours / _GB
     needs = f"{hours:g} h need {need_gb:.1f} GB"
-    advice = "free some, or record elsewhere"
+    advice = "free some space, or record elsewhere"
     if state.free_bytes is None:
-        yield CheckLine(_CHECK, Result.FAIL, f"{state.folder}: cannot be asked how much is free; {needs}", "mount it")
+        yield CheckLine(_CHECK, Result.FAIL, f"{state.folder}: the free space cannot be read; {needs}", "mount it")
         return
     free_gb = state.free_bytes / _GB
     found = f"{state.folder}: {free_gb:.1f} GB free, {needs}"
     if state.asked is not None and state.asked != state.folder.absolute():
         if must_be_there:
-            # The disk above it is another one where this one is only not mounted.
+            # If it is not mounted, the parent folder is on another disk.
             found = f"{state.folder}, named by {must_be_there}, is not there; {needs}"
-            yield CheckLine(_CHECK, Result.FAIL, found, f"mount the disk, or set right {must_be_there}")
+            yield CheckLine(_CHECK, Result.FAIL, found, f"mount the disk, or correct {must_be_there}")
             return
         found = f"{state.folder} is not there yet: {free_gb:.1f} GB free in {state.asked}, {needs}"
     if not free_gb >= need_gb:

@@ -1,4 +1,4 @@
-"""The ROS domain that the suite will run in: whether it is its own, and who is there already."""
+"""Check of the ROS domain in which the suite will run: its settings, and the nodes already in it."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
@@ -11,21 +11,21 @@ _CHECK = "domain"
 _RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 _RANGES = "SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"
 _LAST_SAFE_DOMAIN = 101
-"""Ports of the domains beyond run into those that Linux gives to anybody."""
+"""Ports of higher domains are in the range that Linux assigns to any program."""
 
 
 def judge_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
-    """Rows about the variables that say in which domain nodes meet, and how far."""
+    """Check the variables that define the domain and the range of discovery."""
     text = environment.get(DOMAIN, "")
     if not text:
         advice = f"export {DOMAIN}=N with a number of the ship's own, 1 to {_LAST_SAFE_DOMAIN}"
-        yield CheckLine(_CHECK, Result.WARN, f"{DOMAIN} is not set: domain 0, which everybody shares", advice)
+        yield CheckLine(_CHECK, Result.WARN, f"{DOMAIN} is not set: domain 0, the default of all ROS systems", advice)
     elif not text.isascii() or not text.isdigit() or int(text) > LAST_DOMAIN:
         expected = f"expected a number from 0 to {LAST_DOMAIN}"
         yield CheckLine(_CHECK, Result.FAIL, f"{DOMAIN} is '{text}': {expected}", f"export {DOMAIN}=N")
     elif int(text) > _LAST_SAFE_DOMAIN:
         found = f"{DOMAIN} is {text}: other programs of this computer may be given its ports"
-        yield CheckLine(_CHECK, Result.WARN, found, f"take one up to {_LAST_SAFE_DOMAIN}")
+        yield CheckLine(_CHECK, Result.WARN, found, f"use one up to {_LAST_SAFE_DOMAIN}")
     else:
         yield CheckLine(_CHECK, Result.OK, f"{DOMAIN} is {text}")
     reach = environment.get(_RANGE, "")
@@ -34,19 +34,19 @@ def judge_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
         yield CheckLine(_CHECK, Result.FAIL, f"{_RANGE} is '{reach}': {expected}", f"export {_RANGE}=SUBNET")
     elif reach == "OFF" and not environment.get(_PEERS):
         advice = f"export {_RANGE}=SUBNET, or name the others in {_PEERS}"
-        yield CheckLine(_CHECK, Result.FAIL, f"{_RANGE} is OFF without {_PEERS}: nobody is met", advice)
+        yield CheckLine(_CHECK, Result.FAIL, f"{_RANGE} is OFF without {_PEERS}: no other node is discovered", advice)
     else:
-        yield CheckLine(_CHECK, Result.OK, f"others are met in {reach or 'SUBNET'}")
+        yield CheckLine(_CHECK, Result.OK, f"range of discovery: {reach or 'SUBNET'}")
 
 
 def judge_domain(state: NetworkState, own: Collection[str], beside: Collection[str] = ()) -> Iterator[CheckLine]:
-    """Rows about who is in the domain.
+    """Check the nodes in the domain.
 
     Args:
-        state: what was seen.
+        state: what was observed.
         own: full names of the suite's nodes, none of which is started yet.
-        beside: full names of ``nmea_in`` and ``nmea_out`` where the suite file has them: people may start them by hand
-            to hear the instruments.
+        beside: full names of ``nmea_in`` and ``nmea_out`` if the suite file has them; a user may have started them by
+            hand so that the instruments can be checked.
     """
     if state.failure:
         yield CheckLine(_CHECK, Result.NOT_CHECKED, state.failure)
@@ -54,19 +54,19 @@ def judge_domain(state: NetworkState, own: Collection[str], beside: Collection[s
     running = sorted(set(own) & set(state.nodes))
     if running:
         found = f"{', '.join(running)} is running already"
-        yield CheckLine(_CHECK, Result.FAIL, found, "end that suite first: two nodes of one name fight")
+        yield CheckLine(_CHECK, Result.FAIL, found, "end that suite first: two nodes must not have the same name")
     by_hand = sorted(set(beside) & set(state.nodes))
     if by_hand:
-        advice = "end it before the suite is started, which starts its own: two cannot use one port or device"
+        advice = "end it before the suite is started, which starts its own: both would use the same ports and devices"
         yield CheckLine(_CHECK, Result.WARN, f"{', '.join(by_hand)} is running already", advice)
     others = {node for names in state.given.values() for node in names} - set(own)
     for topic in sorted(topic for topic, names in state.given.items() if others & set(names)):
         names = ", ".join(sorted(set(state.given[topic]) - set(own)))
-        found = f"{topic}, which the suite gives, is published by {names}"
-        yield CheckLine(_CHECK, Result.FAIL, found, "end it, or give the suite another domain or --namespace")
+        found = f"{topic}, an output of the suite, is published by {names}"
+        yield CheckLine(_CHECK, Result.FAIL, found, "end it, or use another domain or --namespace for the suite")
     if state.has_clock:
-        advice = "end the player of the bag, or take another domain"
-        yield CheckLine(_CHECK, Result.WARN, "somebody publishes a clock, as for a bag", advice)
+        advice = "end the player of the bag, or use another domain"
+        yield CheckLine(_CHECK, Result.WARN, "/clock is published, as by the player of a bag", advice)
     for name, count in Counter(state.nodes).items():
         if count > 1:
             yield CheckLine(_CHECK, Result.WARN, f"{count} nodes are called {name}", "give each a name of its own")
@@ -74,6 +74,6 @@ def judge_domain(state: NetworkState, own: Collection[str], beside: Collection[s
     strangers = sorted(set(state.nodes) - drivers - set(own) - set(beside) - others)
     if strangers:
         advice = "if they are not the ship's: another domain, or DDS security"
-        yield CheckLine(_CHECK, Result.WARN, f"no part of the suite: {', '.join(strangers)}", advice)
+        yield CheckLine(_CHECK, Result.WARN, f"not part of the suite: {', '.join(strangers)}", advice)
     found = f"{state.rmw}; sensors: {', '.join(sorted(drivers)) or 'none'}"
     yield CheckLine(_CHECK, Result.OK, found)

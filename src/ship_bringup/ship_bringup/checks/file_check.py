@@ -1,4 +1,4 @@
-"""Files and rights: what the nodes read and write, and the devices that the suite file names."""
+"""Check of files and permissions: what the nodes read and write, and the devices in the suite file."""
 
 import getpass
 import os
@@ -16,7 +16,7 @@ from ship_bringup.suite.plan import SAVED_FILES
 _CHECK = "files"
 _DEVICES = "/dev/"
 _SINK = r"sinks\.[^.]+\.path"
-"""A file that ``nmea_out`` appends to."""
+"""A file to which ``nmea_out`` appends."""
 _SERIAL = r"(sinks|sources)\.[^.]+\.device"
 
 
@@ -25,13 +25,13 @@ class PathState:
     """A path that the suite needs.
 
     Attributes:
-        path: of it.
-        what: who names it, with its place.
-        is_device: whether it must be there already.
-        is_there: whether it is.
+        path: the path.
+        what: the setting that names it, with its file and line.
+        is_device: True if it is a device, which must exist already.
+        is_there: True if it exists.
         readable: by this user.
-        writable: by this user; where it is not there: whether it can be made.
-        is_other: whether something else is there: no device, or a folder where a file is appended to.
+        writable: by this user; if it does not exist, True if it can be created.
+        is_other: True if it is of another kind: no device, or a folder instead of a file.
     """
 
     path: Path
@@ -44,7 +44,7 @@ class PathState:
 
 
 def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
-    """All paths that a suite file names, and the folder of the boxes."""
+    """Return all paths in a suite file, and the folder of the black boxes."""
     found = [] if box is None else [_state(box, "--box", makes_parents=True)]
     for section in read_sections(suite_path)[1]:
         for name, (value, line) in section.parameters.items():
@@ -58,15 +58,15 @@ def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
 
 
 def judge_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator[CheckLine]:
-    """Rows of all paths.
+    """Check all paths.
 
     Args:
         states: what was found.
-        without: what the nodes should have a file for and have none, one line each.
+        without: settings of nodes that should name a saved file and do not, one line each.
     """
     user = getpass.getuser()
     for text in without:
-        yield CheckLine(_CHECK, Result.WARN, text, "give it a file: docs/how-to/bring_up.md")
+        yield CheckLine(_CHECK, Result.WARN, text, "configure a file: docs/how-to/bring_up.md")
     for state in states:
         problem, advice = _problem(state, user)
         result = Result.FAIL if problem else Result.OK
@@ -78,16 +78,16 @@ def judge_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator
 def _problem(state: PathState, user: str) -> tuple[str, str]:
     if state.is_other:
         if state.is_device:
-            return "is no serial device", "give one as /dev/ttyUSB0, or see what it is called: ls /dev/serial/by-id"
-        return "is a folder", f"give a file in it, as {state.path / 'attitude.nmea'}"
+            return "is no serial device", "use for example /dev/ttyUSB0, or check its name: ls /dev/serial/by-id"
+        return "is a folder", f"use a file in it, for example {state.path / 'attitude.nmea'}"
     if state.is_device and not state.is_there:
-        return "is not there", "plug the device in, or see what it is called: ls /dev/serial/by-id"
+        return "is not there", "plug the device in, or check its name: ls /dev/serial/by-id"
     if state.is_device and not (state.readable and state.writable):
-        return f"user {user} may not read and write it", f"sudo usermod -aG dialout {user}, then log in anew"
+        return f"user {user} may not read and write it", f"sudo usermod -aG dialout {user}, then log in again"
     if state.is_there and not (state.readable and state.writable):
         return f"user {user} may not read and write it", f"sudo chown {user} {state.path}"
     if not state.writable:
-        return f"user {user} cannot make it", f"make its folder: mkdir -p {state.path.parent}"
+        return f"user {user} cannot create it", f"create its folder: mkdir -p {state.path.parent}"
     return "", ""
 
 
@@ -98,7 +98,7 @@ def _state(
         is_other = is_device or is_appended
         return PathState(path, what, is_device, True, os.access(path, os.R_OK), _takes_files(path), is_other)
     if path.exists():
-        # A saved file is replaced whole: its folder must take the new one.
+        # A saved file is replaced by a new one, so its folder must be writable.
         writable = os.access(path, os.W_OK) and (is_device or is_appended or _takes_files(path.parent))
         is_other = is_device and not stat.S_ISCHR(path.stat().st_mode)
         return PathState(path, what, is_device, True, os.access(path, os.R_OK), writable, is_other)
@@ -109,7 +109,7 @@ def _state(
 
 
 def _takes_files(folder: Path) -> bool:
-    """Whether a file can be made in a folder: tried with one that has no name and is gone at once."""
+    """True if a file can be created in a folder; tested with an unnamed temporary file."""
     try:
         with tempfile.TemporaryFile(dir=folder):
             return True

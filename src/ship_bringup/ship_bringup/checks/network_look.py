@@ -1,4 +1,4 @@
-"""A look at the live network before the suite is there: who takes part, and what the sensors say for some seconds.
+"""State of the live network before the suite starts: its nodes, and what sensors publish for some seconds.
 
 This is the only check that needs ROS. It subscribes as the nodes will and publishes nothing.
 """
@@ -31,31 +31,36 @@ from ship_node.edge.topics import InputTopic
 NAME = "preflight"
 
 STRONGER = frozenset({"reliable", "transient_local"})
-"""Qualities of service by which a subscriber hears nobody who does not offer them."""
+"""Qualities of service that a subscriber may require; it receives nothing from publishers that lack them."""
 
 _DEPTH = 200
 _MOST_STAMPS = 200
-"""Of each topic the stamps of the newest messages, so many, are compared with the clock."""
+"""Maximum number of newest messages of a topic whose stamps are compared with the clock."""
 
 _DISCOVERY_S = 4.0
-"""Discovery on one machine takes 0.06 s to 1.6 s. Where the first announcements of a participant are lost, the next
-comes after 3 s more."""
+"""Time for discovery, s.
+
+On one machine it takes 0.06 s to 1.6 s. If the first announcements of a participant are lost, the next follow after
+3 s.
+"""
 _FIRST_MESSAGE_S = 12.0
-"""A topic that the suite needs and that has been silent is waited for so much longer: a busy machine may find its
-publisher late, and link it to us later still."""
+"""Additional timeout for the first message of a required topic, s.
+
+On a busy machine its publisher may be discovered late, and matched later still.
+"""
 
 _ENOUGH_S = 0.1
-"""A look asks this often whether enough has come."""
+"""Period at which the end conditions are checked, s."""
 
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
-"""Of a publisher that was met before its node was."""
+"""Node name of a publisher that was discovered before its node."""
 _NAMES_S = 5.0
-"""So long a node is waited for that has been met by a publisher of its; one that is no ROS node never gets a name."""
+"""Timeout for the name of a publisher's node, s; a publisher that is no ROS node never gets a name."""
 
 
 @dataclass(frozen=True)
 class Publisher:
-    """One publisher of a topic: its node's full name, its type, and which of the stronger qualities it offers."""
+    """A publisher of a topic: its node's full name, its type, and the stronger qualities that it offers."""
 
     node: str
     type_name: str
@@ -64,15 +69,15 @@ class Publisher:
 
 @dataclass(frozen=True)
 class HeardTopic:
-    """What was heard of one input of the suite.
+    """What was received of one input of the suite.
 
     Attributes:
         input: the topic.
-        publishers: who publishes it.
-        rate_hz: messages a second, as :func:`heard_rate_hz` tells; 0 with fewer than two.
+        publishers: its publishers.
+        rate_hz: messages per second, by :func:`observed_rate_hz`; 0 with fewer than two.
         message_bytes: mean length of a message; 0 without any.
-        count: messages.
-        age_s: median of receipt minus stamp, negative for stamps of the future; None where none bore a stamp.
+        count: number of messages.
+        age_s: median of receipt minus stamp, negative for stamps in the future; None if no message has a stamp.
     """
 
     input: InputTopic
@@ -85,15 +90,15 @@ class HeardTopic:
 
 @dataclass(frozen=True)
 class NetworkState:
-    """What was seen.
+    """What was observed.
 
     Attributes:
         rmw: the middleware.
-        nodes: full names of all nodes, those of the look itself aside; a name that two bear stands twice.
+        nodes: full names of all nodes except our own; a name used by two nodes is listed twice.
         heard: the inputs of the suite.
-        given: topics that only the suite gives → nodes that publish them already.
-        has_clock: whether somebody sets the time.
-        failure: why nothing was seen; empty where it was.
+        given: topics that only the suite publishes → nodes that publish them already.
+        has_clock: True if /clock is published.
+        failure: why nothing was observed; empty if it was.
     """
 
     rmw: str = ""
@@ -111,14 +116,14 @@ def look_at_network(
     listen_s: float,
     ship_names: Mapping[str, str] = MappingProxyType({}),
 ) -> NetworkState:
-    """Listen to the inputs of a suite.
+    """Receive the inputs of a suite for some time.
 
     Args:
         inputs: from outside.
-        outputs: relative names of topics that the suite itself gives.
+        outputs: relative names of topics that the suite itself publishes.
         namespace: of the suite, without its outer slashes.
-        listen_s: how long a topic is listened to from its first message on, s.
-        ship_names: of inputs that the ship names otherwise.
+        listen_s: time for which a topic is received from its first message on, s.
+        ship_names: names of inputs on the ship, if they differ.
     """
     if is_demanded(os.environ):
         os.environ.setdefault(ENCLAVE, full_name(NAME, namespace))
@@ -130,7 +135,7 @@ def look_at_network(
             ears = [_Ear(node, topic, listen_s) for topic in inputs]
             spin(_DISCOVERY_S + listen_s, lambda: False)
             spin(_FIRST_MESSAGE_S, lambda: not any(ear.is_awaited for ear in ears))
-            # One that nobody waited for may begin meanwhile, each once.
+            # Optional inputs may have started meanwhile; each is received for its full time.
             spin(len(ears) * listen_s, lambda: all(ear.is_done or not ear.has_begun for ear in ears))
             _await_names(node, [*outputs, *(topic.topic for topic in inputs)])
             return NetworkState(
@@ -145,10 +150,10 @@ def look_at_network(
 
 
 def heard_rate_hz(count: int, span_s: float, listened_s: float) -> float:
-    """Messages a second, by the mean interval between them; never more than came in the whole time.
+    """Return messages per second from their mean interval; at most the number divided by the whole time.
 
     Args:
-        count: how many came.
+        count: number of messages.
         span_s: from the first to the last, s.
         listened_s: from the first on, s.
     """
@@ -159,7 +164,7 @@ def heard_rate_hz(count: int, span_s: float, listened_s: float) -> float:
 
 
 class _Ear:
-    """One subscription, and what came by it in the time from its first message on."""
+    """One subscription, and its messages in the time from the first one on."""
 
     def __init__(self, node: Node, topic: InputTopic, listen_s: float) -> None:
         self._node, self._topic, self._listen_s = node, topic, listen_s
@@ -176,21 +181,21 @@ class _Ear:
 
     @property
     def has_begun(self) -> bool:
-        """Whether a message has come."""
+        """True if a message was received."""
         return self._count > 0
 
     @property
     def is_awaited(self) -> bool:
-        """Whether no message has come of a topic that the suite needs."""
+        """True if no message of a required topic was received yet."""
         return not self.has_begun and (self._topic.required or self._topic.named)
 
     @property
     def is_done(self) -> bool:
-        """Whether the time from its first message on is over."""
+        """True if the time from its first message on is over."""
         return time.monotonic() >= self._first_s + self._listen_s
 
     def heard(self) -> HeardTopic:
-        """What came."""
+        """Return what was received."""
         return HeardTopic(
             input=self._topic,
             publishers=_publishers(self._node, self._topic.topic),
@@ -219,7 +224,7 @@ class _Ear:
 
 @contextlib.contextmanager
 def _spinning(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None]]:
-    """A function that serves the callbacks of a node for so many seconds, or until something is so."""
+    """Yield a function that handles the callbacks of a node for some seconds, or until a condition holds."""
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
 
@@ -235,9 +240,9 @@ def _spinning(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None
 
 
 def _await_names(node: Node, topics: Sequence[str]) -> None:
-    """Wait until the nodes that publish some topics are known by name, or for as long as that may take.
+    """Wait until the names of the nodes that publish some topics are known, or until a timeout.
 
-    Discovery goes on by itself. Callbacks are not served meanwhile: what comes is not counted any more.
+    Discovery continues without spinning. Callbacks are not handled meanwhile, so that no further message is counted.
     """
     end_s = time.monotonic() + _NAMES_S
     while any(_UNNAMED in name for topic in topics for name in _nodes_of(node, topic)) and time.monotonic() < end_s:

@@ -1,7 +1,7 @@
-"""Ports, own addresses and serial devices that nmea_in and nmea_out will hold: whether they can be had now.
+"""Check that ports, own addresses and serial devices of nmea_in and nmea_out are available now.
 
-A port is bound for a moment, without listening, and given back. A device is not opened, which could move its lines:
-the system tells who has it open.
+A port is bound briefly, without listening, and released. A device is not opened, which could change its control lines;
+the system reports which process has it open.
 """
 
 import contextlib
@@ -24,20 +24,20 @@ _CHECK = "ports"
 _SOCKETS = {PlaceKind.UDP: socket.SOCK_DGRAM, PlaceKind.TCP: socket.SOCK_STREAM}
 _TABLES = {PlaceKind.UDP: ("udp", "udp6"), PlaceKind.TCP: ("tcp", "tcp6")}
 _LISTENS = {"udp": "07", "udp6": "07", "tcp": "0A", "tcp6": "0A"}
-"""State of a socket in the system's table that others cannot bind beside."""
+"""Socket states in the system's table that prevent binding the same port."""
 _ANY_PORT = 0
 
 
 @dataclass(frozen=True)
 class PlaceState:
-    """A place that a node will hold.
+    """A port or device that a node will use.
 
     Attributes:
         node: its full name.
         named_by: file, line and parameter.
-        place: what is held; port 0 where only the address matters.
-        error: why it cannot be had, as errno; 0 where it can.
-        holder: program that has it, where that can be told.
+        place: the port or device; port 0 if only the address matters.
+        error: why it is not available, as errno; 0 if it is.
+        holder: program that uses it, if known.
     """
 
     node: str
@@ -48,7 +48,7 @@ class PlaceState:
 
 
 def look_at_places(path: Path, namespace: str, companions: Mapping[str, Any]) -> Iterator[PlaceState]:
-    """Try all places of a suite's NMEA nodes, but for files, which several may open.
+    """Yield the states of all ports and devices of a suite's NMEA nodes; files are left out, as several may open them.
 
     Args:
         path: the suite file.
@@ -70,19 +70,19 @@ def look_at_places(path: Path, namespace: str, companions: Mapping[str, Any]) ->
 
 
 def judge_places(states: Sequence[PlaceState], running: Collection[str]) -> Iterator[CheckLine]:
-    """Rows of all places.
+    """Check all ports and devices.
 
     Args:
         states: what was found.
-        running: full names of nodes that run already, as an ``nmea_in`` that was started by hand.
+        running: full names of running nodes, for example an ``nmea_in`` started by hand.
     """
     for state in states:
         if state.error == errno.EADDRINUSE and state.node in running:
             found = f"{state.named_by}: {state.place} is in use while {state.node} runs"
-            yield CheckLine(_CHECK, Result.NOT_CHECKED, found, "end it before the suite, or the suite cannot have it")
+            yield CheckLine(_CHECK, Result.NOT_CHECKED, found, "end it before the suite, or the suite cannot use it")
             continue
         problem, advice = _problem(state)
-        good = "can be had" if state.place.name else "is an address of this machine"
+        good = "is available" if state.place.name else "is an address of this machine"
         found = f"{state.named_by}: {_words(state.place)} {problem or good}"
         yield CheckLine(_CHECK, Result.FAIL if problem else Result.OK, found, advice)
 
@@ -95,10 +95,10 @@ def _problem(state: PlaceState) -> tuple[str, str]:
         other = "device" if state.place.kind is PlaceKind.PATH else "port"
         return f"is in use by {holder}", f"end that one, or give another {other}"
     if state.error == errno.EADDRNOTAVAIL:
-        return "cannot be had: this machine has no such address", "give one of those that 'ip -4 address' shows"
+        return "is not available: this machine has no such address", "use one of those that 'ip -4 address' shows"
     if state.error in (errno.EACCES, errno.EPERM):
-        return f"may not be had by user {getpass.getuser()}", "give a port from 1024 on"
-    return f"cannot be had: {os.strerror(state.error)}", "set it right in the suite file"
+        return f"is not permitted for user {getpass.getuser()}", "use a port from 1024 on"
+    return f"is not available: {os.strerror(state.error)}", "correct it in the suite file"
 
 
 def _words(place: HeldPlace) -> str:
@@ -106,7 +106,7 @@ def _words(place: HeldPlace) -> str:
 
 
 def _binding_error(place: HeldPlace) -> int:
-    """Bind a port as the nodes do; errno of what failed, 0 where nothing did."""
+    """Bind a port as the nodes do; return the errno of the failure, 0 if there is none."""
     try:
         with socket.socket(socket.AF_INET, _SOCKETS[place.kind]) as tried:
             if place.kind is PlaceKind.TCP or place.is_group:
@@ -127,7 +127,7 @@ def _is_device(path: str) -> bool:
 
 
 def _sockets(place: HeldPlace) -> set[str]:
-    """What processes that have a port open call it, whatever the address."""
+    """Return the names of sockets of a port in /proc/PID/fd, for any address."""
     found = set()
     for table in _TABLES[place.kind]:
         try:
@@ -141,9 +141,9 @@ def _sockets(place: HeldPlace) -> set[str]:
 
 
 def _holder(names: Collection[str]) -> str:
-    """The program that has one of some files open; empty where none is seen, as those of other users are not."""
+    """Return the program that has one of some files open; empty if unknown, as for those of other users."""
     for process in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError):  # gone, or another user's
+        with contextlib.suppress(OSError):  # ended, or of another user
             if any(_link(f"/proc/{process}/fd/{number}") in names for number in os.listdir(f"/proc/{process}/fd")):
                 return f"{_program(Path('/proc', process))} (process {process})"
     return ""
@@ -157,7 +157,7 @@ def _link(path: str) -> str:
 
 
 def _program(process: Path) -> str:
-    """Name of a process's program; where that is Python, of its script."""
+    """Return the name of a process's program; for Python, of its script."""
     name = process.joinpath("comm").read_text(encoding="utf-8", errors="replace").strip()
     words = process.joinpath("cmdline").read_text(encoding="utf-8", errors="replace").split("\0")
     is_script = name.startswith("python") and len(words) > 1 and not words[1].startswith("-")

@@ -1,4 +1,4 @@
-"""DDS security, the ship's keystore and its policies, as rows of the table."""
+"""Check of DDS security, the ship's keystore and its policies."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,33 +14,33 @@ _SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
 def judge_security(
     environment: Mapping[str, str], has_security: bool | None, is_required: bool
 ) -> Iterator[CheckLine]:
-    """Whether DDS security is there, and enforced: FAIL where the ship's profile, or the environment, demands it.
+    """Check that DDS security is available and enforced: FAIL if the ship's profile, or the environment, demands it.
 
     Args:
         environment: of the process.
-        has_security: whether DDS was built with it; None where that cannot be told.
-        is_required: whether the profile demands it.
+        has_security: True if DDS was built with it; None if unknown.
+        is_required: True if the profile demands it.
     """
     found = shortcomings(environment, has_security)
     if not found:
-        yield CheckLine(_SECURITY, Result.OK, "DDS has it, and the environment enforces it")
+        yield CheckLine(_SECURITY, Result.OK, "available in DDS, and enforced by the environment")
     elif is_required or is_demanded(environment):
         demand = "machine.require_security" if is_required else ENABLE
         for text, advice in found:
             yield CheckLine(_SECURITY, Result.FAIL, f"{demand} demands it, and {text}", advice)
     else:
-        text = "off: whoever is on the network can read and publish all topics"
-        advice = "nothing here demands it; where the ship wants it: docs/how-to/security.md"
+        text = "off: any computer on the network can read and publish all topics"
+        advice = "not demanded here; to use it: docs/how-to/security.md"
         yield CheckLine(_SECURITY, Result.WARN, text, advice)
 
 
 def judge_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterator[CheckLine]:
-    """Rows about the keystore and about the policies in it.
+    """Check the keystore and the policies in it.
 
     Args:
-        keystore: its folder; empty where the environment names none.
-        use: what it is to be good for.
-        is_required: whether the profile demands security: then what cannot be checked has failed.
+        keystore: its folder; empty if the environment names none.
+        use: what it will be used for.
+        is_required: True if the profile demands security; then a check that is not possible is a failure.
     """
     unchecked = Result.FAIL if is_required else Result.NOT_CHECKED
     if not keystore:
@@ -49,7 +49,7 @@ def judge_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterat
     try:
         faults = keystore_faults(Path(keystore), use)
     except LookupError:
-        yield CheckLine(_KEYSTORE, unchecked, "no program openssl to check signatures with", "sudo apt install openssl")
+        yield CheckLine(_KEYSTORE, unchecked, "no program openssl, which checks signatures", "sudo apt install openssl")
         return
     for fault in faults:
         result = Result.FAIL if fault.is_error else Result.WARN

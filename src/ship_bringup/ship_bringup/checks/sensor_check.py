@@ -1,4 +1,4 @@
-"""Whether every sensor of the suite file is heard: with its type, at its rate, stamped by a clock like ours."""
+"""Check that every sensor of the suite file is received: type, rate, and stamps that agree with this clock."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -14,23 +14,23 @@ from ship_watch.topics import source_of_topic
 
 _CHECK = "sensors"
 _NOT_IN_THE_LOG = "gnss", "weather"
-"""Their values are taken as they come: nothing is applied at their time."""
+"""Inputs whose values are used on arrival, not in order of time."""
 _OLD = "old"
 _UNITS = ("years", 365.25 * 86400.0), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)
-"""Ages of two or more of a unit are told in it."""
+"""Ages of at least two of a unit are given in it."""
 _OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
 
 
 def asked_qualities(
     path: Path, topics: Iterable[str], namespace: str, reliable_inputs: bool = False
 ) -> dict[str, dict[str, str]]:
-    """Relative topic → quality of service that a node is told to ask for beyond its own → the setting that tells it.
+    """Return relative topic → quality of service that a node requires beyond its default → the setting for it.
 
     Args:
         path: the suite file.
         topics: relative names of inputs.
         namespace: of the suite.
-        reliable_inputs: whether ``suite`` will be started with that option.
+        reliable_inputs: True if ``suite`` will be started with that option.
     """
     on_ship = ship_names(path)
     names = {topic: resolved_topic(on_ship.get(topic, topic), namespace) for topic in topics}
@@ -57,32 +57,32 @@ def judge_sensors(
     own: Collection[str] = (),
     own_command: str = "",
 ) -> Iterator[CheckLine]:
-    """Rows of all inputs.
+    """Check all inputs.
 
     Args:
-        state: what was heard.
-        limits: of the ship; ``inputs.<id>.rate_hz`` says what rate is expected.
+        state: what was received.
+        limits: of the ship; ``inputs.<id>.rate_hz`` is the expected rate.
         lags_s: relative topic → age beyond which a node no longer applies a message, s.
-        asked: see :func:`asked_qualities`.
-        own: inputs that the suite's own ``nmea_in`` may give once it is started.
-        own_command: that starts it now.
+        asked: see :func:`find_requested_qos`.
+        own: inputs that the suite's own ``nmea_in`` may publish once it is started.
+        own_command: command that starts it now.
     """
     if state.failure:
-        # A suite whose sensors nobody has heard is not ready, whatever the reason.
-        found = f"nothing could be heard: {state.failure}"
-        yield CheckLine(_CHECK, Result.FAIL, found, "set right what the other rows tell, then again")
+        # A suite whose sensors were not received is not ready, for any reason.
+        found = f"nothing could be received: {state.failure}"
+        yield CheckLine(_CHECK, Result.FAIL, found, "correct the failures in the other rows, then run preflight again")
         return
     for heard in state.heard:
         if not heard.publishers and heard.input.topic in own:
-            found = f"{heard.input.topic}: not heard: nobody publishes it before nmea_in runs, which the suite starts"
-            # That a section names an instrument does not say that it is on.
+            found = f"{heard.input.topic}: not received: no publisher before nmea_in runs, which the suite starts"
+            # A configured instrument may be switched off.
             is_needed = heard.input.required or heard.input.named
             advice = f"start {own_command}, then preflight again, and end it before the suite"
             yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
         result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, {}))
         if result is Result.FAIL and state.has_clock and found.endswith(_OLD):
-            advice = "a bag is being played, as its clock tells: end its player"
+            advice = "a bag is being played, as /clock shows: end its player"
         yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)
 
 
@@ -93,7 +93,7 @@ def _judged(
     asked_for = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
     needed = Result.NOT_CHECKED if heard.input.at_times else asked_for
     if not heard.publishers:
-        return needed, "nobody publishes it", "start its driver, or name its topic in the suite file (topics)"
+        return needed, "no publisher", "start its driver, or name its topic in the suite file (topics)"
     of_type = [each for each in heard.publishers if each.type_name == heard.input.type_name]
     who = ", ".join(sorted({each.node for each in heard.publishers}))
     if not of_type:
@@ -102,21 +102,21 @@ def _judged(
         return Result.FAIL, found, "change the driver, or name another topic in the suite file (topics)"
     if lacking := [quality for quality in sorted(asked) if any(quality not in each.offers for each in of_type)]:
         settings = " and ".join(dict.fromkeys(asked[quality] for quality in lacking))
-        found = f"{who} does not offer {' and '.join(lacking)}, asked for by {settings}: nothing will come"
+        found = f"{who} does not offer {' and '.join(lacking)}, required by {settings}: no message will arrive"
         return Result.FAIL, found, f"let the driver offer it, or leave out {settings}"
     if not heard.count:
-        return needed, f"{who} publishes it, and no message came", "is the device on? for slow ones: a longer --listen"
+        return needed, f"{who} publishes it, but no message arrived", "switch the device on; if slow: a longer --listen"
     found = f"{heard.rate_hz:.3g} Hz from {who}" if heard.count > 1 else f"one message from {who}"
     least_hz = limits.of_input(source_of_topic(topic)).rate_hz
     if not heard.rate_hz >= least_hz:
-        advice = "look at the device and the network; for slow ones: a longer --listen"
+        advice = "check the device and the network; for slow ones: a longer --listen"
         return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", advice
     if heard.age_s is not None:
         found += f", stamps {_age_words(heard.age_s)}"
         if not -limits.machine.clock_offset_s <= heard.age_s <= MAX_AGE_S:
-            return Result.FAIL, found, "set the clock of the device, or of this computer: nodes will refuse them"
+            return Result.FAIL, found, "set the clock of the device, or of this computer: nodes reject such stamps"
         if source_of_topic(topic) not in _NOT_IN_THE_LOG and not heard.age_s <= lags_s.get(topic, MAX_AGE_S):
-            return Result.FAIL, f"{found}: later than lag_s", "look at delays on the way, or raise lag_s"
+            return Result.FAIL, f"{found}: later than lag_s", "check transmission delays, or increase lag_s"
     if len(heard.publishers) > 1:
         return Result.WARN, f"{found}: {len(heard.publishers)} publishers", "one device, one publisher: end the others"
     return Result.OK, found, ""

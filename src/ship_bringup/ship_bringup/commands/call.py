@@ -1,4 +1,4 @@
-"""``call``: a service of a running node, where ``ros2 service call`` is not installed."""
+"""``call``: call a service of a running node, without ``ros2 service call``."""
 
 import argparse
 from collections.abc import Sequence
@@ -12,20 +12,20 @@ from ship_bringup.asked_node import asked_node, asking_parser, unknown
 from ship_msgs.srv import AcknowledgeAlert
 
 _DESCRIPTION = """\
-Calls a service of a running node and shows the answer: save_alignment, reset, pause and the like (std_srvs/Trigger),
-and acknowledge of the alerts, which takes the alert's id and instance. Without SERVICE it lists those of the node.
+Calls a service of a running node and prints the response: save_alignment, reset, pause and similar (std_srvs/Trigger),
+and acknowledge of the alerts, which needs the alert's id and instance. Without SERVICE it lists those of the node.
 """
-_EPILOG = "exit code: 0 done; 1 the node says that it was not done; 2 bad input or usage, or no such node"
+_EPILOG = "exit code: 0 done; 1 the node reports that it was not done; 2 bad input or usage, or no such node"
 _KINDS: dict[str, Any] = {"std_srvs/srv/Trigger": Trigger, "ship_msgs/srv/AcknowledgeAlert": AcknowledgeAlert}
-"""The types of services that nodes of the suite have."""
+"""Types of services that nodes of the suite have."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``call``; returns the exit code."""
+    """Run ``call``; return the exit code."""
     parser = asking_parser("call", "/ship_attitude save_alignment", _DESCRIPTION, _EPILOG)
     parser.add_argument("service", metavar="SERVICE", nargs="?", help="name of the service, without that of the node")
     parser.add_argument(
-        "fields", metavar="FIELD=VALUE", nargs="*", default=[], help="what the request holds: id=ins.out instance=1"
+        "fields", metavar="FIELD=VALUE", nargs="*", default=[], help="fields of the request: id=ins.out instance=1"
     )
     return run_command(parser, _call, arguments)
 
@@ -52,7 +52,7 @@ def _fields(kind: str) -> dict[str, str]:
 
 
 def _request(service: str, kind: str, given: Sequence[str]) -> dict[str, Any]:
-    """The fields of a request.
+    """Return the fields of a request.
 
     Raises:
         BadInput: one is missing, unknown or not of its type.

@@ -1,4 +1,4 @@
-"""``param``: the parameters of a running node, where ``ros2 param`` is not installed."""
+"""``param``: read and set parameters of a running node, without ``ros2 param``."""
 
 import argparse
 import sys
@@ -12,14 +12,14 @@ from ship_bringup.asked_node import asked_node, asking_parser, text_of, unknown,
 from ship_estimation.parameter_rows import in_columns
 
 _DESCRIPTION = """\
-Lists the parameters of a running node with their values, units and meanings (* may be changed while it runs); with
-NAME shows one, and with VALUE sets it. The node itself judges the value and says what it refuses.
+Lists the parameters of a running node with values, units and descriptions (* may be changed while it runs); with NAME
+it shows one parameter, and with VALUE it sets it. The node itself checks the value and reports why it refuses one.
 """
 _EPILOG = "exit code: 0 done; 1 the node refuses the value; 2 bad input or usage, or no such node or parameter"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``param``; returns the exit code."""
+    """Run ``param``; return the exit code."""
     parser = asking_parser("param", "/ship_attitude gate.probability 0.999", _DESCRIPTION, _EPILOG)
     parser.add_argument("name", metavar="NAME", nargs="?", help="dotted name of a parameter")
     parser.add_argument("value", metavar="VALUE", nargs="?", help="its new value; a list has commas in it")
@@ -50,7 +50,7 @@ def _param(parsed: argparse.Namespace) -> int:
 
 
 def _row(name: str, descriptor: ParameterDescriptor, value: ParameterValue) -> tuple[str, ...]:
-    """Name, value, range and meaning with the unit, as the node describes it."""
+    """Return name, value, range, and description with unit, as declared by the node."""
     bounds = [*descriptor.floating_point_range, *descriptor.integer_range]
     allowed = f"[{_bound(bounds[0].from_value)}, {_bound(bounds[0].to_value)}]" if bounds else ""
     live = "" if descriptor.read_only else "*"
@@ -59,7 +59,7 @@ def _row(name: str, descriptor: ParameterDescriptor, value: ParameterValue) -> t
 
 
 def _bound(value: float) -> str:
-    """A bound of a range; the greatest numbers there are mean none."""
+    """Return a bound of a range; the largest numbers mean that there is none."""
     return ("-inf" if value < 0 else "inf") if abs(value) >= sys.maxsize else f"{value:g}"
 
 

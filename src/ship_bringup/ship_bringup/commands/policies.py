@@ -1,4 +1,4 @@
-"""``policies``: SROS2 policy, governance and permissions of a suite, from what its code declares."""
+"""``policies``: SROS2 policy, governance and permissions of a suite, from the declarations in its code."""
 
 import argparse
 import datetime
@@ -16,18 +16,18 @@ from ship_bringup.security.rights import companions_of, suite_rights
 from ship_bringup.suite.plan import checked_nodes
 
 _DESCRIPTION = """\
-Writes what DDS security lets each program of a suite do, and nothing more, from the topics and services that the code
-declares for this suite file: DIR/policy.xml for 'ros2 security generate_artifacts', and the same as governance.xml and
-permissions/ENCLAVE/permissions.xml of OMG DDS Security, to be signed by hand where ros2 is not. An enclave is named
-like its node; those of the sensors' drivers are NS/sensors/DEVICE. The files bear a fingerprint of the declarations, by
-which 'preflight' finds policies that are older than the code.
+Writes the permissions of DDS security for each program of a suite, with least privilege, from the topics and services
+that the code declares for this suite file: DIR/policy.xml for 'ros2 security generate_artifacts', and the same as
+governance.xml and permissions/ENCLAVE/permissions.xml of OMG DDS Security, to be signed by hand without ros2. An
+enclave has the name of its node; those of the sensors' drivers are NS/sensors/DEVICE. The files contain a fingerprint
+of the declarations, by which 'preflight' detects policies that are older than the code.
 """
 _EPILOG = "exit code: 0 written; 2 bad input or usage"
 _DAYS = 365
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``policies``; returns the exit code."""
+    """Run ``policies``; return the exit code."""
     return run_command(_parser(), _policies, arguments)
 
 
@@ -44,18 +44,18 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--namespace", type=namespace_name, default="", metavar="NS", help="namespace of all nodes and topics (none)"
     )
-    parser.add_argument("--locked", action="store_true", help="nobody may set a parameter of a running node")
+    parser.add_argument("--locked", action="store_true", help="no parameter of a running node may be set")
     parser.add_argument(
         "--play", action="store_true", help="a bag may be played into the suite: for trials, not for a voyage"
     )
     parser.add_argument(
-        "--domain", type=_domain, metavar="N", help=f"domain that they hold in ({DOMAIN}, else 0)"
+        "--domain", type=_domain, metavar="N", help=f"domain of the permissions ({DOMAIN}, else 0)"
     )
     parser.add_argument(
         "--valid-from", type=_date, metavar="DATE", help="permissions: first day, UTC, as 2026-05-01 (today)"
     )
     parser.add_argument(
-        "--valid-days", type=_days, default=_DAYS, metavar="D", help=f"permissions: valid for so many days ({_DAYS})"
+        "--valid-days", type=_days, default=_DAYS, metavar="D", help=f"permissions: days of validity ({_DAYS})"
     )
     add_force(parser)
     return parser
@@ -86,7 +86,7 @@ def _policies(options: argparse.Namespace) -> int:
 
 def _domain(text: str) -> int:
     if not text.isascii() or not text.isdigit() or int(text) > LAST_DOMAIN:
-        raise argparse.ArgumentTypeError(f"{text} is no domain of ROS: expected 0 to {LAST_DOMAIN}")
+        raise argparse.ArgumentTypeError(f"{text} is not a domain of ROS: expected 0 to {LAST_DOMAIN}")
     return int(text)
 
 
@@ -94,13 +94,13 @@ def _date(text: str) -> datetime.datetime:
     try:
         return datetime.datetime.strptime(text, "%Y-%m-%d").replace(tzinfo=datetime.timezone.utc)
     except ValueError as problem:
-        raise argparse.ArgumentTypeError(f"{text} is no date: expected one as 2026-05-01") from problem
+        raise argparse.ArgumentTypeError(f"{text} is not a date: expected one as 2026-05-01") from problem
 
 
 def _days(text: str) -> int:
     days = int(text)
     if not 0 < days <= 36500:
-        raise argparse.ArgumentTypeError(f"{text} is no number of days from 1 to 36500")
+        raise argparse.ArgumentTypeError(f"{text} is not a number of days from 1 to 36500")
     return days
 
 

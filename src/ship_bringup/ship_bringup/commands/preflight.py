@@ -1,4 +1,4 @@
-"""``preflight``: all that can be known before the voyage, in one table, and an exit code."""
+"""``preflight``: all checks that are possible before the voyage, in one table, and an exit code."""
 
 import argparse
 import datetime
@@ -37,10 +37,10 @@ from ship_watch.limits import Limits, read_limits
 
 _DESCRIPTION = """\
 Checks before the voyage that a suite can run here: its file, DDS security with the ship's keystore and policies, the
-clock (chrony or PTP; its offset in ms, and in arcseconds at a turn of 5 deg/s), the domain and who is in it, the disk
-for the night's record and black boxes, files and rights, the ports and devices of nmea_in and nmea_out, whether
-every sensor of the file is heard, and whether this computer is fast enough for their rates. All checks are made,
-whatever the first ones find; nothing is changed on the machine. Start the drivers first, and the suite after it.
+clock (chrony or PTP; its offset in ms, and in arcseconds during a turn of 5 deg/s), the domain and the nodes in it, the
+disk space for the voyage's record and black boxes, files and permissions, the ports and devices of nmea_in and
+nmea_out, data of every sensor in the file, and the load of this computer at the sensors' rates. All checks are made,
+also after a failure; nothing is changed on the machine. Start the drivers first, then preflight, then the suite.
 """
 _EPILOG = "exit code: 0 no check failed, perhaps warnings; 1 a check failed; 2 bad input or usage"
 _HOURS, _DAYS, _LISTEN_S = 12.0, 30.0, 5.0
@@ -49,7 +49,7 @@ _LOAD = "load"
 
 @dataclass(frozen=True)
 class _Suite:
-    """What all checks ask about: the command line, the ship's limits, and the nodes that can be made by the file."""
+    """Data of all checks: the command line, the ship's limits, and the nodes that the file defines."""
 
     options: argparse.Namespace
     limits: Limits
@@ -62,7 +62,7 @@ class _Suite:
         try:
             return companions_of(self.options.file, self.options.namespace)
         except BadInput:
-            return {}  # told with the parameters
+            return {}  # reported with the parameters
 
     @property
     def companion_names(self) -> list[str]:
@@ -74,7 +74,7 @@ class _Suite:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``preflight``; returns the exit code."""
+    """Run ``preflight``; return the exit code."""
     return run_command(_parser(), _preflight, arguments)
 
 
@@ -91,23 +91,23 @@ def _parser() -> CommandParser:
         "--namespace", type=namespace_name, default="", metavar="NS", help="namespace of all nodes and topics (none)"
     )
     parser.add_argument(
-        "--limits", type=Path, metavar="FILE", help="the ship's limits; they also say whether DDS security is required"
+        "--limits", type=Path, metavar="FILE", help="the ship's limits; they also define if DDS security is required"
     )
     parser.add_argument(
-        "--locked", action="store_true", help="nobody may set a parameter of a running node: policies must deny it"
+        "--locked", action="store_true", help="no parameter of a running node may be set: policies must deny it"
     )
     parser.add_argument(
         "--reliable-inputs", action="store_true", help="suite will be started with it: every driver must offer reliable"
     )
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="black boxes will go into this folder")
     parser.add_argument(
-        "--hours", type=positive, default=_HOURS, metavar="H", help=f"the disk must last so many hours ({_HOURS:g})"
+        "--hours", type=positive, default=_HOURS, metavar="H", help=f"hours that the disk space must last ({_HOURS:g})"
     )
     parser.add_argument(
-        "--days", type=positive, default=_DAYS, metavar="D", help=f"certificates must last so many days ({_DAYS:g})"
+        "--days", type=positive, default=_DAYS, metavar="D", help=f"days that certificates must be valid ({_DAYS:g})"
     )
     parser.add_argument(
-        "--listen", type=positive, default=_LISTEN_S, metavar="S", help=f"listen to each sensor for S s ({_LISTEN_S:g})"
+        "--listen", type=positive, default=_LISTEN_S, metavar="S", help=f"receive each sensor for S s ({_LISTEN_S:g})"
     )
     return parser
 
@@ -117,7 +117,7 @@ def _preflight(options: argparse.Namespace) -> int:
     findings = Findings()
     nodes = check_file(options.file, ADAPTERS, findings, options.namespace)
     suite = _Suite(options, limits, nodes, findings, AdapterChain([node.adapter for node in nodes]))
-    # Before anything that makes a node: that would fail first where security is demanded and not there.
+    # Before a node is created, which would fail if security is demanded but not available.
     security = list(_security(suite))
     settings = list(judge_settings(os.environ))
     network = _network(suite, settings)
@@ -132,7 +132,7 @@ def _preflight(options: argparse.Namespace) -> int:
 
 def _parameters(suite: _Suite) -> Iterable[CheckLine]:
     for text in suite.findings.errors:
-        yield CheckLine("parameters", Result.FAIL, text, "./ros2run ship_replay check_config tells more")
+        yield CheckLine("parameters", Result.FAIL, text, "for details: ./ros2run ship_replay check_config")
     for text in suite.findings.warnings:
         yield CheckLine("parameters", Result.WARN, text)
     if not suite.findings.errors:
@@ -167,13 +167,13 @@ def _clock(suite: _Suite) -> Iterable[CheckLine]:
 
 
 def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
-    """What is seen on the network; with a wrong setting DDS would end this process instead of looking."""
+    """Return the state of the network; with a wrong setting DDS would end this process instead."""
     for line in settings:
         if line.result is Result.FAIL:
             return NetworkState(failure=line.found)
     if sys.stderr.isatty():
-        print(f"preflight: listens to each sensor for {suite.options.listen:g} s", file=sys.stderr)
-    # Topics as /diagnostics are everybody's.
+        print(f"preflight: receives each sensor for {suite.options.listen:g} s", file=sys.stderr)
+    # Global topics, for example /diagnostics, are published by any node.
     given = [topic.topic for topic in suite.chain.outputs if not topic.topic.startswith("/")]
     options = suite.options
     return look_at_network(suite.chain.inputs, given, options.namespace, options.listen, ship_names(options.file))
@@ -187,7 +187,7 @@ def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
     if box is not None:
         states.append((look_at_disk(box), night.boxes, ""))
     for state, _, named_by in states:
-        # What lies on one disk is asked of it together.
+        # The needs of all folders on one disk are added.
         needs = sum(bytes_per_s for other, bytes_per_s, _ in states if other.device == state.device)
         yield from judge_disk(state, needs, suite.options.hours, suite.limits, named_by)
 
@@ -213,18 +213,18 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
 
 
 def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    """The load by the rates that were heard; nothing where nothing was."""
+    """Check the load at the received rates; nothing if none was received."""
     rates_hz = {heard.input.topic: heard.rate_hz for heard in network.heard if heard.rate_hz > 0.0}
     if not rates_hz:
         return
     found = loads(suite.chain.adapters, rates_hz, measured_slowness())
     for text in load_warnings(found, len(os.sched_getaffinity(0))):
-        yield CheckLine(_LOAD, Result.WARN, text, "lower the rates, or take a faster computer")
+        yield CheckLine(_LOAD, Result.WARN, text, "lower the rates, or use a faster computer")
     yield CheckLine(_LOAD, Result.OK, load_text(found).removeprefix(f"{_LOAD}: "))
 
 
 def _nmea_in(suite: _Suite) -> str:
-    """The command that starts the suite's ``nmea_in`` alone, as people would type it."""
+    """Return the command that starts the suite's ``nmea_in`` alone."""
     names = suite.options.namespace and f" -r __ns:=/{suite.options.namespace}"
     return f"./ros2run ship_nmea nmea_in --ros-args{names} --params-file {shlex.quote(str(suite.options.file))}"
 

@@ -1,4 +1,4 @@
-"""``suite``: the nodes of a suite file, as processes of their own, with one command."""
+"""``suite``: start the nodes of a suite file, each as a process of its own, with one command."""
 
 import argparse
 import sys
@@ -22,18 +22,18 @@ from ship_watch.limits import Limits, read_limits
 
 _DESCRIPTION = """\
 Starts a node for each section of a suite file (ROS 2 parameter file with sections as '/**/ship_attitude:'), each as a
-process of its own, and shows their lines with the node's name in front. A node that ends is started again, at once the
-first time, then after 1 s, 2 s, 4 s and so on, up to 30 s, for ever; it begins from the alignment that it saved
-(parameters alignment_file and alignment_autosave_s). A node that sends no sign of life is frozen: it is reported, and
-later killed and started again. Only where no node has run yet and each has ended with exit code 2, bad input, the suite
-ends. Ctrl-C, SIGTERM or SIGHUP ends all in order, a second one at once; when this process is killed, they end too. With
---bag the bag is played into the nodes and sets their time; the suite ends with it. Topics that the nodes give
-themselves are not played.
+process of its own, and prints their lines with the node's name as prefix. A node that ends is started again, at once
+the first time, then after 1 s, 2 s, 4 s and so on, up to 30 s, without limit; it starts from the alignment that it
+saved (parameters alignment_file and alignment_autosave_s). A node that sends no heartbeat is frozen: it is reported,
+and later killed and started again. The suite ends by itself only if no node has run yet and each has ended with exit
+code 2, bad input. Ctrl-C, SIGTERM or SIGHUP ends all in order, a second one at once; if this process is killed, they
+end too. With --bag the bag is played into the nodes and sets their time; the suite ends with it. Topics that the nodes
+publish themselves are not played.
 
-While stdout takes no lines (no reader, disk full), they go to suite.log, or suite_NAMESPACE.log, in the folder of ROS's
-logs (ROS_LOG_DIR, else ~/.ros/log): 5 MB and the 5 MB before.
+While stdout accepts no lines (no reader, disk full), they are written to suite.log, or suite_NAMESPACE.log, in the
+folder of ROS's logs (ROS_LOG_DIR, else ~/.ros/log): 5 MB and the 5 MB before.
 
-Sections for nmea_in and nmea_out, as '/**/nmea_out:', start these nodes of ship_nmea, too: attitude and alerts go out
+Sections for nmea_in and nmea_out, as '/**/nmea_out:', start these nodes of ship_nmea, too: attitude and alerts are sent
 as NMEA sentences, and instruments' sentences become topics, but not with --bag. The others do not need them.
 """
 _NO_FILE = Path()
@@ -41,12 +41,12 @@ _NO_FILE = Path()
 
 _EPILOG = (
     "exit code: 0 ended by Ctrl-C, SIGTERM, SIGHUP or the end of the bag while all programs ran; otherwise that of\n"
-    "the player, or of the first program that was down then (128 + n after signal n); 2 bad input or usage"
+    "the player, or of the first program that was down at the end (128 + n after signal n); 2 bad input or usage"
 )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``suite``; returns the exit code."""
+    """Run ``suite``; return the exit code."""
     return run_command(_parser(), _suite, arguments)
 
 
@@ -72,37 +72,37 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--loop", type=_count, default=1, metavar="N", help="with --bag: play it N times, 0 without end (1)"
     )
-    parser.add_argument("--use-sim-time", action="store_true", help="the nodes go by /clock, which somebody else sets")
+    parser.add_argument("--use-sim-time", action="store_true", help="the nodes follow /clock of another program")
     parser.add_argument(
         "--reliable-inputs",
         action="store_true",
-        help="for a link that loses packets: what is lost on the way to the nodes' inputs is sent again",
+        help="for a link that loses packets: lost messages to the nodes' inputs are sent again",
     )
-    parser.add_argument("--monitor", action="store_true", help="start live page and alerts of ship_monitor, too")
+    parser.add_argument("--monitor", action="store_true", help="also start live page and alerts of ship_monitor")
     parser.add_argument(
         "--limits",
         type=Path,
         nargs="?",
         const=_NO_FILE,
         metavar="FILE",
-        help="the ship's limits, for page and alerts; where they require DDS security, nothing starts without it; "
+        help="the ship's limits, for page and alerts; if they require DDS security, nothing starts without it; "
         "without FILE: --dry-run with the default limits",
     )
     parser.add_argument(
         "--dry-run",
         action="store_true",
-        help="start nothing: replay --bag, print for which share of the time the limits are held, and propose limits",
+        help="start nothing: replay --bag, print the share of time within the limits, and propose limits",
     )
     parser.add_argument(
         "--port", type=_port, metavar="PORT", help="with --monitor: port of the page (that of 'monitor')"
     )
-    parser.add_argument("--box", type=Path, metavar="FOLDER", help="a black box of each node goes into this folder")
+    parser.add_argument("--box", type=Path, metavar="FOLDER", help="folder for a black box of each node")
     parser.add_argument(
         "--frozen-report",
         type=positive,
         default=FROZEN_REPORT_S,
         metavar="S",
-        help=f"report a program that has sent no sign of life for S seconds ({FROZEN_REPORT_S:.0f})",
+        help=f"report a program that has sent no heartbeat for S seconds ({FROZEN_REPORT_S:.0f})",
     )
     parser.add_argument(
         "--frozen-restart",
@@ -154,8 +154,8 @@ def _show_limits(parsed: argparse.Namespace) -> int:
     """Print expected availability and proposed limits; start nothing."""
     if parsed.bag is None:
         raise BadInput(
-            "limits need --bag BAG: the accuracy to expect is that of a recording replayed through the suite; before "
-            "there is one, simulate a voyage (./ros2run ship_simulation simulate)"
+            "limits need --bag BAG: the expected accuracy is that of a recording replayed through the suite; without "
+            "a recording, simulate a voyage (./ros2run ship_simulation simulate)"
         )
     limits = Limits() if parsed.limits in (None, _NO_FILE) else read_limits(parsed.limits)
     print("\n".join(expected_limits(parsed.file, parsed.bag, parsed.namespace, limits)))
@@ -163,10 +163,10 @@ def _show_limits(parsed: argparse.Namespace) -> int:
 
 
 def _make_folder(box: Path) -> None:
-    """Make the folder of the black boxes where there is none yet.
+    """Create the folder of the black boxes if it does not exist.
 
     Raises:
-        BadInput: nothing can be written there.
+        BadInput: it is not writable.
     """
     try:
         box.mkdir(parents=True, exist_ok=True)
@@ -177,14 +177,14 @@ def _make_folder(box: Path) -> None:
 
 
 def _written(bag: Path, folder: Path) -> Path:
-    """The suite file attached to a bag as a file, for the nodes to read."""
+    """Write the suite file attached to a bag, for the nodes to read; return its path."""
     path = folder / SUITE_ATTACHMENT
     path.write_text(attached_suite(bag), encoding="utf-8")
     return path
 
 
 def _named(text: str, path: Path, parsed: argparse.Namespace) -> str:
-    """A message about the suite file, which people know by another name where it came with the bag."""
+    """Return a message with the bag instead of the temporary path of its attached suite file."""
     return text if parsed.file is not None else text.replace(str(path), f"{parsed.bag}, attached {SUITE_ATTACHMENT}")
 
 

@@ -1,4 +1,4 @@
-"""DDS security of a suite: what each of its programs may do, the policies that say so, and the ship's keystore.
+"""DDS security of a suite: permissions of each of its programs, the policies that state them, and the ship's keystore.
 
-The room may import the adapters and ``ship_bags``; it imports no other room of this package and makes no ROS node.
+The room may import the adapters and ``ship_bags``; it imports no other room of this package and creates no ROS node.
 """

@@ -1,4 +1,4 @@
-"""X.509 certificates of a keystore: reading them, and what makes one too weak to be trusted."""
+"""X.509 certificates of a keystore: reading them, and weaknesses that make one unacceptable."""
 
 import datetime
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ def read_certificate(path: Path) -> x509.Certificate:
 
 
 def weaknesses(certificate: x509.Certificate) -> Iterator[str]:
-    """Yield what makes the key or the signature of a certificate too weak, in words, with the least that is needed."""
+    """Yield each weakness of the key or the signature of a certificate, with the required minimum."""
     try:
         key = certificate.public_key()
     except (ValueError, UnsupportedAlgorithm) as problem:
@@ -67,13 +67,13 @@ def is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> 
 
 
 def common_name(name: x509.Name) -> str:
-    """Common name (CN); empty where there is none."""
+    """Return the common name (CN); empty if there is none."""
     found = name.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
     return str(found[0].value) if found else ""
 
 
 def validity(certificate: x509.Certificate) -> tuple[datetime.datetime, datetime.datetime]:
-    """Begin and end, UTC; cryptography before version 42, as in Ubuntu 24.04, gives them without a time zone."""
+    """Return begin and end, UTC; cryptography before version 42, as in Ubuntu 24.04, omits the time zone."""
     if hasattr(certificate, "not_valid_after_utc"):
         return certificate.not_valid_before_utc, certificate.not_valid_after_utc
     utc = datetime.timezone.utc
@@ -81,7 +81,7 @@ def validity(certificate: x509.Certificate) -> tuple[datetime.datetime, datetime
 
 
 def certified_key(certificate: x509.Certificate) -> bytes | None:
-    """Public key of a certificate (PEM); None where its kind is not supported."""
+    """Return the public key of a certificate (PEM); None if its kind is not supported."""
     try:
         return public_bytes(certificate.public_key())
     except (ValueError, UnsupportedAlgorithm):
@@ -89,7 +89,7 @@ def certified_key(certificate: x509.Certificate) -> bytes | None:
 
 
 def public_bytes(key: Any) -> bytes:
-    """A public key (PEM)."""
+    """Return a public key as PEM."""
     return bytes(key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
 
 

@@ -1,7 +1,7 @@
-"""Whether a ship's profile demands DDS security, and what of the process's environment falls short of it.
+"""The demand for DDS security in a ship's profile, and what the process's environment lacks for it.
 
 The profile is the file of the ship's limits, key ``machine.require_security``. The demand fails closed: what cannot be
-told counts as absent.
+determined counts as absent.
 """
 
 import os
@@ -14,7 +14,7 @@ from ship_watch.limits import Limits
 
 KEYSTORE = "ROS_SECURITY_KEYSTORE"
 ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"
-"""Names the enclave of a process, whatever its nodes are called; without it ROS takes the enclave ``/``."""
+"""Variable with the enclave of a process, for any node names; without it ROS uses the enclave ``/``."""
 
 DOMAIN, LAST_DOMAIN = "ROS_DOMAIN_ID", 232
 
@@ -22,15 +22,15 @@ _ENFORCE = "Enforce"
 
 
 def shortcomings(environment: Mapping[str, str], has_security: bool | None) -> list[tuple[str, str]]:
-    """What keeps DDS security from being there and enforced, each with what to do.
+    """Return the reasons why DDS security is not available and enforced, each with advice.
 
     Args:
         environment: of the process.
-        has_security: whether DDS was built with it (:func:`ship_bags.live.ros_process.dds_has_security`).
+        has_security: True if DDS was built with it (:func:`ship_bags.live.ros_process.dds_has_security`).
     """
     found = []
     if has_security is not True:
-        why = "the DDS of this installation was built without it" if has_security is False else "this DDS does not tell"
+        why = "the DDS of this installation was built without it" if has_security is False else "unknown for this DDS"
         found.append((f"no DDS security: {why}", "use ROS 2 Jazzy of Ubuntu's packages: they have it"))
     if not is_demanded(environment):
         given = environment.get(ENABLE)
@@ -48,15 +48,15 @@ def shortcomings(environment: Mapping[str, str], has_security: bool | None) -> l
 
 
 def require_profile(limits: Limits, limits_path: Path | None, has_security: bool | None) -> None:
-    """Refuse to start where the ship's profile demands DDS security and it is not there.
+    """Refuse to start if the ship's profile demands DDS security and it is not available.
 
     Args:
         limits: of the ship.
-        limits_path: their file; None where they are the defaults.
-        has_security: see :func:`shortcomings`.
+        limits_path: their file; None for the defaults.
+        has_security: see :func:`security_problems`.
 
     Raises:
-        BadInput: names the file, the key and the first thing that is missing.
+        BadInput: contains the file, the key and the first missing item.
     """
     if not limits.machine.require_security:
         return
@@ -69,14 +69,15 @@ def require_profile(limits: Limits, limits_path: Path | None, has_security: bool
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """The domain that an environment names; 0 where it names none that ROS takes."""
+    """Return the domain in an environment; 0 if there is none that ROS accepts."""
     text = environment.get(DOMAIN, "")
     return int(text) if text.isascii() and text.isdigit() and int(text) <= LAST_DOMAIN else 0
 
 
 def enclave_command(enclave: str) -> tuple[str, ...]:
-    """What stands before a command so that its process has an enclave.
+    """Return the prefix of a command that gives its process an enclave.
 
-    A variable, for a program may make its nodes in contexts that no argument reaches; its process id stays the same.
+    It sets a variable, because a program may create its nodes in contexts that no argument reaches; the process id
+    stays the same.
     """
     return ("/usr/bin/env", f"{ENCLAVE}={enclave}")

@@ -1,7 +1,7 @@
-"""The keystore of a ship, as ``ros2 security`` lays it out, against the suite that is to run with it.
+"""Checks of a ship's keystore, as ``ros2 security`` lays it out, for the suite that is to run with it.
 
-Whatever is wrong is told as one line with file, line and what was expected; nothing is changed. A keystore of another
-ship has other enclaves, or another authority, or other subjects: each is told as such.
+Each fault is one line with file, line and what was expected; nothing is changed. A keystore of another ship has other
+enclaves, or another authority, or other subjects: each is reported as such.
 """
 
 import datetime
@@ -52,14 +52,14 @@ _STRONG_DIGESTS = "sha256", "sha384", "sha512"
 
 @dataclass(frozen=True)
 class KeystoreUse:
-    """What a keystore is to be good for.
+    """What a keystore will be used for.
 
     Attributes:
         rights: of all programs of the suite; enclaves that are not needed here may be on other computers.
         domain_id: ROS_DOMAIN_ID.
         now: UTC.
-        voyage: until so long after `now` everything must be valid.
-        authority_sha256: of the ship's identity authority, in hexadecimal; empty where the ship does not tell it.
+        voyage: time after `now` for which everything must be valid.
+        authority_sha256: of the ship's identity authority, in hexadecimal; empty if not configured.
     """
 
     rights: Sequence[Rights]
@@ -70,10 +70,10 @@ class KeystoreUse:
 
 
 def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
-    """All that is wrong with a keystore; empty where it is good.
+    """Return all faults of a keystore; empty if there is none.
 
     Raises:
-        LookupError: no signature can be checked here: there is no program ``openssl``.
+        LookupError: signatures cannot be checked here, as there is no program ``openssl``.
     """
     enclaves = keystore / ENCLAVES
     if not enclaves.is_dir():
@@ -99,12 +99,12 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
 
 
 def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
-    """Refuse a keystore with which the suite could not run as this ship's; returns what else is wrong, one line each.
+    """Refuse a keystore with which the suite could not run as this ship's; return its other faults, one line each.
 
-    What is about policies, or only a weakness, does not keep a suite down that is started again at sea.
+    A fault of policies, or only a weakness, does not prevent a restart of the suite at sea.
 
     Raises:
-        BadInput: names the file, the line and what was expected.
+        BadInput: contains the file, the line and what was expected.
     """
     try:
         faults = keystore_faults(keystore, use)
@@ -117,7 +117,7 @@ def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
 
 
 def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
-    """Return the certificates of authorities in some folders, each once, by the first file that holds it."""
+    """Return the authorities' certificates in some folders, each once, by the first file that holds it."""
     found: dict[x509.Certificate, Path] = {}
     for path in (folder / name for folder in folders for name in (_IDENTITY_CA, _PERMISSIONS_CA)):
         with suppress(BadInput):  # reported with its enclave
@@ -127,7 +127,7 @@ def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
 
 def _weakness_faults(path: Path, certificate: x509.Certificate) -> Iterator[KeystoreFault]:
     for text in weaknesses(certificate):
-        advice = "make it again with 'ros2 security', and all that it signed"
+        advice = "create it again with 'ros2 security', and all that it signed"
         yield KeystoreFault(f"{path}: too weak: {text}", advice, is_weakness=True)
 
 
@@ -138,22 +138,22 @@ def _date_faults(
     if not first <= now:
         yield KeystoreFault(f"{path}: not_before {first:%Y-%m-%d %H:%M} UTC is still to come", "set the clock")
     if not last > now:
-        yield KeystoreFault(f"{path}: not_after {last:%Y-%m-%d %H:%M} UTC is over", "make it anew")
+        yield KeystoreFault(f"{path}: not_after {last:%Y-%m-%d %H:%M} UTC is over", "create it again")
     elif not last > end:
         days = (last - now).total_seconds() / 86400.0
         text = f"{path}: not_after {last:%Y-%m-%d} is in {days:.1f} days, before the voyage ends"
-        yield KeystoreFault(text, "make it anew before the voyage", is_error=False)
+        yield KeystoreFault(text, "create it again before the voyage", is_error=False)
 
 
 def _foreign_authority_faults(folders: Sequence[Path], told: str) -> Iterator[KeystoreFault]:
-    """Identities of another ship: all folders must hold one authority, the one that the ship tells, else the first."""
+    """Yield identities of another ship: all folders must hold the configured authority, else that of the first."""
     paths = [path for folder in folders if (path := folder / _IDENTITY_CA).is_file()]
     expected, by = told.replace(":", "").lower(), "machine.authority_sha256"
     for path in paths:
         try:
             digest = read_certificate(path).fingerprint(SHA256()).hex()
         except BadInput:
-            continue  # told with its enclave
+            continue  # reported with its enclave
         if not expected:
             expected, by = digest, str(path)
         if digest != expected:
@@ -162,7 +162,7 @@ def _foreign_authority_faults(folders: Sequence[Path], told: str) -> Iterator[Ke
 
 
 class _Enclave:
-    """One enclave's files against its rights."""
+    """The files of one enclave, checked against its rights."""
 
     def __init__(self, folder: Path, rights: Rights, use: KeystoreUse) -> None:
         self._folder, self._rights, self._use = folder, rights, use
@@ -183,7 +183,7 @@ class _Enclave:
                 try:
                     yield from look()
                 except BadInput as problem:
-                    yield KeystoreFault(str(problem), "make the enclave anew, with the ship's own keystore")
+                    yield KeystoreFault(str(problem), "create the enclave again, with the ship's own keystore")
 
     @cached_property
     def _certificate(self) -> x509.Certificate:
@@ -195,7 +195,7 @@ class _Enclave:
         subject, expected = common_name(self._certificate.subject), self._rights.enclave
         if subject != expected:
             text = f"{path}: subject is 'CN={subject}': expected 'CN={expected}'"
-            yield KeystoreFault(text, f"make it anew: ros2 security create_enclave KEYSTORE {expected}")
+            yield KeystoreFault(text, f"create it again: ros2 security create_enclave KEYSTORE {expected}")
         if not is_issued_by(self._certificate, authority):
             issuer = common_name(self._certificate.issuer)
             text = (
@@ -205,7 +205,7 @@ class _Enclave:
             yield KeystoreFault(text, "take the enclave from this ship's own keystore")
         if is_authority(self._certificate):
             text = f"{path}: CA:TRUE: the program could make certificates itself; expected CA:FALSE"
-            advice = f"make it again: ros2 security create_enclave KEYSTORE {expected}"
+            advice = f"create it again: ros2 security create_enclave KEYSTORE {expected}"
             yield KeystoreFault(text, advice, is_weakness=True)
         yield from _weakness_faults(path, self._certificate)
         yield from _date_faults(self._use, path, *validity(self._certificate))
@@ -221,7 +221,7 @@ class _Enclave:
             raise BadInput("is no private key without a password (PEM)", file=path) from problem
         if public_bytes(key.public_key()) != certified_key(self._certificate):
             text = f"{path}: is not the key of {self._folder / _CERTIFICATE}"
-            yield KeystoreFault(text, f"make both anew: ros2 security create_enclave KEYSTORE {self._rights.enclave}")
+            yield KeystoreFault(text, f"make both again: ros2 security create_enclave KEYSTORE {self._rights.enclave}")
 
     def _governance_faults(self) -> Iterator[KeystoreFault]:
         path = self._folder / _GOVERNANCE
@@ -230,7 +230,7 @@ class _Enclave:
             yield KeystoreFault(f"{path}: {fault}", "take governance.p7s from this ship's own keystore")
         yield from _digest_faults(path)
         for problem in governance_faults(file, self._use.domain_id):
-            yield KeystoreFault(str(problem), "sign governance.xml of 'policies' anew", of_policy=True)
+            yield KeystoreFault(str(problem), "sign governance.xml of 'policies' again", of_policy=True)
 
     def _permission_faults(self) -> Iterator[KeystoreFault]:
         path = self._folder / _PERMISSIONS
@@ -243,9 +243,9 @@ class _Enclave:
         if permissions.subject != expected:
             place = f"{path}:{file.line_of('<subject_name>') or 1}"
             text = f"{place}: subject_name is '{permissions.subject}': expected '{expected}'"
-            yield KeystoreFault(text, "these are permissions of another enclave or ship: make them anew")
+            yield KeystoreFault(text, "these are permissions of another enclave or ship: create them again")
         yield from _date_faults(self._use, path, permissions.not_before, permissions.not_after)
-        advice = "make the policies anew: ./ros2run ship_bringup policies"
+        advice = "create the policies again: ./ros2run ship_bringup policies"
         for text in policy_faults(permissions, self._rights, self._use.domain_id):
             yield KeystoreFault(f"{path}: {text}", advice, of_policy=True)
 
@@ -258,7 +258,7 @@ def _digest_faults(path: Path) -> Iterator[KeystoreFault]:
 
 
 def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> Iterator[str]:
-    """Where permissions allow less or more than the code declares, or were made of other declarations."""
+    """Yield where permissions allow less or more than the code declares, or come from other declarations."""
     if not permissions.is_for(domain_id):
         yield f"domains: no rule for domain {domain_id}, in which the suite runs"
         return
@@ -270,14 +270,14 @@ def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> I
         if extra := sorted(permissions.named(action) - topics):
             yield f"allow more than the code declares: {action} of {_few(extra)}"
     if permissions.is_open:
-        yield "default is ALLOW: expected DENY, or everybody may do everything"
+        yield "default is ALLOW: expected DENY, otherwise nothing is forbidden"
     if permissions.fingerprint not in ("", rights.fingerprint):
         made, now = permissions.fingerprint[:12], rights.fingerprint[:12]
         yield f"are older than the code, or of another suite file: {FINGERPRINT} {made}, expected {now}"
 
 
 def _few(names: Iterable[str]) -> str:
-    """A few names, and how many more there are."""
+    """Return a few names, and the number of the others."""
     every = list(names)
     more = f" and {len(every) - _MOST_NAMED} more" if len(every) > _MOST_NAMED else ""
     return ", ".join(every[:_MOST_NAMED]) + more

@@ -1,18 +1,18 @@
-"""One fault of a keystore."""
+"""A fault of a keystore."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class KeystoreFault:
-    """One thing that is wrong.
+    """One fault.
 
     Attributes:
-        text: one line: file, line, what it is and what was expected.
+        text: one line: file, line, the fault and what was expected.
         advice: what to do.
-        is_error: whether the suite is not to start with it; otherwise people should know.
-        is_weakness: whether the suite can run with it all the same, less protected: mended ashore, not at sea.
-        of_policy: whether it is about what an enclave may do, and not about who it is.
+        is_error: True if the suite must not start with it; otherwise it is a warning.
+        is_weakness: True if the suite can run with it, less protected: to be corrected ashore, not at sea.
+        of_policy: True if it concerns the permissions of an enclave, not its identity.
     """
 
     text: str

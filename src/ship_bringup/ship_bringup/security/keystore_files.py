@@ -1,4 +1,4 @@
-"""Files of a keystore: who may read and change them, and private keys that do not belong aboard."""
+"""Files of a keystore: their permissions, and private keys that must not be aboard."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -
 
     Args:
         keystore: its folder.
-        folders: those whose files are used.
+        folders: whose files are used.
         names: of the files that are used.
     """
     holders = {keystore, *folders}
@@ -31,7 +31,7 @@ def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -
         holders.update(parent for parent in folder.parents if parent.is_relative_to(keystore))
     for holder in sorted(filter(Path.is_dir, holders)):
         yield from _write_faults(holder, "replace the files in it")
-    # A link has the mode of the file that it leads to: each file once.
+    # A link has the mode of its target; each file is checked once.
     files = {path.resolve(): path for folder in folders for name in names if (path := folder / name).is_file()}
     for path in sorted(files.values()):
         if path.name != _KEY:
@@ -42,7 +42,7 @@ def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -
 
 
 def authority_key_faults(keystore: Path, authorities: Sequence[x509.Certificate]) -> Iterator[KeystoreFault]:
-    """Yield private keys with which certificates can be made: an authority's, or any outside the enclaves' key.pem."""
+    """Yield private keys that can sign certificates: an authority's, or any outside the enclaves' key.pem."""
     names = {certified_key(each): common_name(each.subject) for each in authorities}
     for path in _private_keys(keystore):
         name = names.get(_public_half(path))
@@ -54,7 +54,7 @@ def authority_key_faults(keystore: Path, authorities: Sequence[x509.Certificate]
 
 
 def _write_faults(path: Path, harm: str) -> Iterator[KeystoreFault]:
-    """Write access of all users is an error; that of a group may be meant, and is a warning."""
+    """Yield write access: an error for all users, a warning for a group, which may be intended."""
     mode = path.stat().st_mode
     if mode & (_GROUP_WRITE | _OTHERS_WRITE):
         is_open = bool(mode & _OTHERS_WRITE)
@@ -64,13 +64,13 @@ def _write_faults(path: Path, harm: str) -> Iterator[KeystoreFault]:
 
 
 def _private_keys(keystore: Path) -> list[Path]:
-    """Return the files of a keystore that hold a private key (PEM), each once, links followed."""
+    """Return the files of a keystore that contain a private key (PEM), each once, links followed."""
     paths = (Path(folder) / name for folder, _, names in os.walk(keystore) for name in names)
     return sorted({path.resolve() for path in paths if _holds_key(path)})
 
 
 def _holds_key(path: Path) -> bool:
-    """True if a file holds a private key (PEM) that this user can read."""
+    """True if a file contains a private key (PEM) that this user can read."""
     try:
         return path.is_file() and path.stat().st_size <= _LARGEST_KEY_BYTES and _KEY_MARK in path.read_bytes()
     except OSError:
@@ -78,7 +78,7 @@ def _holds_key(path: Path) -> bool:
 
 
 def _public_half(path: Path) -> bytes | None:
-    """Return the public key of a private one (PEM); None where a password protects it, or its kind is not supported."""
+    """Return the public key of a private one (PEM); None with a password or an unsupported kind."""
     try:
         return public_bytes(load_pem_private_key(path.read_bytes(), password=None).public_key())
     except (ValueError, TypeError, UnsupportedAlgorithm):

@@ -1,7 +1,8 @@
 """Policies as files: the policy of SROS2, and governance and permissions of OMG DDS Security 1.1.
 
 The names of topics are those of ROS 2 in DDS: ``rt/`` before a topic, ``rq/`` and ``Request``, ``rr/`` and ``Reply``
-around a service. The files are what ``ros2 security`` makes of the same policy; without ROS they are signed by hand.
+around a service. The files equal those that ``ros2 security`` makes from the policy; without ROS they are signed by
+hand.
 """
 
 import datetime
@@ -12,17 +13,17 @@ from ship_bringup.security.rights import Rights
 
 POLICY_VERSION = "0.2.0"
 FINGERPRINT = "fingerprint"
-"""Attribute of the metadata of a policy, and word in a comment of permissions, before :attr:`Rights.fingerprint`."""
+"""Attribute in a policy's metadata, and word in a comment of permissions, for :attr:`Rights.fingerprint`."""
 
 DISCOVERY_TOPIC = "ros_discovery_info"
-"""By it the participants of rmw_fastrtps tell one another their nodes; every enclave needs it."""
+"""Topic by which participants of rmw_fastrtps exchange their nodes; every enclave needs it."""
 
 _SCHEMAS = "http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_"
 _ALLOW = "ALLOW"
 
 
 def policy_text(all_rights: Sequence[Rights]) -> str:
-    """The SROS2 policy of a suite (policy.xsd 0.2.0), for ``ros2 security generate_artifacts --policy-files``."""
+    """Return the SROS2 policy (policy.xsd 0.2.0), for ``ros2 security generate_artifacts --policy-files``."""
     root = ET.Element("policy", version=POLICY_VERSION)
     enclaves = ET.SubElement(root, "enclaves")
     for rights in all_rights:
@@ -42,7 +43,7 @@ def policy_text(all_rights: Sequence[Rights]) -> str:
 
 
 def governance_text(domain_id: int) -> str:
-    """Governance of a domain: only who has a certificate of the ship takes part, everything is encrypted and judged."""
+    """Return the governance of a domain: certificates of the ship, encryption and access control are required."""
     root = _dds("governance.xsd")
     rule = ET.SubElement(ET.SubElement(root, "domain_access_rules"), "domain_rule")
     _add_domain(rule, domain_id)
@@ -71,11 +72,11 @@ def governance_text(domain_id: int) -> str:
 def permissions_text(
     rights: Rights, domain_id: int, not_before: datetime.datetime, not_after: datetime.datetime
 ) -> str:
-    """Permissions of one enclave: what is not allowed is denied.
+    """Return the permissions of one enclave: what is not allowed is denied.
 
     Args:
         rights: of the enclave.
-        domain_id: ROS_DOMAIN_ID in which they hold.
+        domain_id: ROS_DOMAIN_ID in which they apply.
         not_before: begin of their validity, UTC.
         not_after: end of it, UTC.
     """
@@ -96,13 +97,13 @@ def permissions_text(
 
 
 def published(rights: Rights) -> frozenset[str]:
-    """Topics of DDS that an enclave writes."""
+    """Return the DDS topics that an enclave writes."""
     own = {f"rt{name}" for name in rights.publishes} | {f"rq{name}Request" for name in rights.requests}
     return frozenset(own | {f"rr{name}Reply" for name in rights.serves} | {DISCOVERY_TOPIC})
 
 
 def subscribed(rights: Rights) -> frozenset[str]:
-    """Topics of DDS that an enclave reads."""
+    """Return the DDS topics that an enclave reads."""
     own = {f"rt{name}" for name in rights.subscribes} | {f"rr{name}Reply" for name in rights.requests}
     return frozenset(own | {f"rq{name}Request" for name in rights.serves} | {DISCOVERY_TOPIC})
 

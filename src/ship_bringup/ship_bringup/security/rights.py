@@ -1,7 +1,7 @@
-"""What each program of a suite may publish, hear, serve and ask for: least privilege, from what the code declares.
+"""Rights of each program of a suite (publish, subscribe, serve, request): least privilege, as declared in the code.
 
 An enclave is the identity of one process in SROS2: its name is the full name of its node. Sensors have an enclave for
-each device, named by the first words of its topics, as ``sensors/star_fore``.
+each device, named by the first words of its topics, for example ``sensors/star_fore``.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ from ship_watch.topics import MESSAGES, TOPICS, watched_topic
 
 ALERTS_TOPIC = "ship/alerts"
 SENSORS = "sensors"
-"""Enclaves of sensors begin with this name, inside the namespace of the suite."""
+"""First part of the names of sensors' enclaves, inside the namespace of the suite."""
 
 _CLOCK = "/clock"
 _OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
@@ -34,25 +34,25 @@ _GET = "list_parameters", "describe_parameters", "get_parameters", "get_paramete
 _SET = "set_parameters", "set_parameters_atomically"
 _TYPE_DESCRIPTION = "get_type_description"
 _TWO_WORDS = "star", "reference", "beacon"
-"""Topics of these have the id of a device as their second word."""
+"""First words of topics whose second word is the id of a device."""
 
 _FRAMES = TF_TOPIC, TF_STATIC_TOPIC
-"""A suite in a namespace tells its frames there, and not on the topics of all."""
+"""A suite in a namespace publishes its frames there, and not on the global topics."""
 
 
 @dataclass(frozen=True)
 class Rights:
-    """What one enclave may do. All names are full, and may hold ``*`` for any text.
+    """Rights of one enclave. All names are full, and may contain ``*`` for any text.
 
     Attributes:
-        enclave: its path, as ``/demo/ship_attitude``.
+        enclave: its path, for example ``/demo/ship_attitude``.
         publishes: topics.
         subscribes: topics.
-        serves: services that it answers.
+        serves: services that it provides.
         requests: services that it calls.
-        declared: what else the code declares of the node, types and parameters: it grants nothing, and a policy made
-            before it changed is out of date all the same.
-        is_needed: whether the enclave must be on this computer, as those of the nodes.
+        declared: further declarations of the node in the code, types and parameters: they grant nothing, but a policy
+            made before they changed is out of date.
+        is_needed: True if the enclave must be on this computer, as those of the nodes.
     """
 
     enclave: str
@@ -65,7 +65,7 @@ class Rights:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of all that is declared, in hexadecimal."""
+        """Return the SHA-256 of all declarations, in hexadecimal."""
         parts = (self.publishes, self.subscribes, self.serves, self.requests, self.declared)
         text = json.dumps([self.enclave, *map(sorted, parts)])
         return hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -79,24 +79,24 @@ def suite_rights(
     companions: Mapping[str, Any] = MappingProxyType({}),
     ship_names: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Rights, ...]:
-    """The rights of all programs of a suite, its estimators first.
+    """Return the rights of all programs of a suite, its estimators first.
 
     Args:
         adapters: of its nodes.
         namespace: of the suite, without its outer slashes; empty for none.
-        locked: whether nobody may set a parameter of a running node.
-        played: whether a bag may be played into it: somebody sets /clock and gives what sensors give. Not for a voyage.
-        companions: what :func:`companions_of` tells of its file.
+        locked: True if no parameter of a running node may be set.
+        played: True if a bag may be played into it, with /clock and the topics of sensors. Not for a voyage.
+        companions: result of :func:`load_companions` for its file.
         ship_names: of inputs, see :func:`ship_bags.renamed_topics.ship_names`.
     """
     return tuple(_SuiteRights(adapters, namespace, locked, played, companions, ship_names).all())
 
 
 def companions_of(suite_path: Path, namespace: str) -> dict[str, Any]:
-    """Name → configuration of each companion of the estimators that a suite file names.
+    """Return name → configuration of each companion of the estimators in a suite file.
 
     Raises:
-        BadInput: a parameter of one is wrong; or its package is not installed.
+        BadInput: a parameter of one is wrong, or its package is not installed.
     """
     found = {}
     for companion in named_companions(suite_path, namespace):
@@ -110,7 +110,7 @@ def companions_of(suite_path: Path, namespace: str) -> dict[str, Any]:
 
 
 def heard_by_nmea(companions: Mapping[str, Any]) -> dict[str, str]:
-    """Relative topic → type of what the ``nmea_in`` of a suite gives; empty where it has none."""
+    """Return relative topic → type of the topics of a suite's ``nmea_in``; empty if it has none."""
     config = companions.get("nmea_in")
     given: dict[str, str] = {}
     if config is not None:
@@ -120,18 +120,18 @@ def heard_by_nmea(companions: Mapping[str, Any]) -> dict[str, str]:
 
 
 def device_of(topic: str) -> str:
-    """The device that a topic comes from: ``star_fore`` of ``star/fore/observations``, ``ins`` of ``ins/imu``."""
+    """Return the device of a topic: ``star_fore`` of ``star/fore/observations``, ``ins`` of ``ins/imu``."""
     first, *others = topic.split("/")
     return f"{first}_{others[0]}" if first in _TWO_WORDS and len(others) > 1 else first
 
 
 def parameter_services(node: str, names: Iterable[str] = (*_GET, *_SET)) -> frozenset[str]:
-    """Services of a node's parameters, by the node's full name."""
+    """Return the services of a node's parameters, by the node's full name."""
     return frozenset(f"{node}/{name}" for name in names)
 
 
 class _SuiteRights:
-    """The rights of one suite; see :func:`suite_rights`."""
+    """Rights of one suite; see :func:`suite_rights`."""
 
     def __init__(
         self,
@@ -166,10 +166,10 @@ class _SuiteRights:
         everything = self._topics(self._types) | self._inputs(self._from_outside)
         watched = self._topics([*self._watched, ALERTS_TOPIC, STATE_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
         acknowledge = {f"{self._alerts}/acknowledge"}
-        # The page also passes topics on to Foxglove.
+        # The page also forwards topics to Foxglove.
         yield self._tool("monitor", everything | self._clock, acknowledge, answers=("monitor", "acknowledge"))
         yield self._tool("monitor_terminal", watched, acknowledge, answers=("monitor_terminal", "acknowledge"))
-        # The recorder notes the parameters of whatever node it meets, and sets none.
+        # The recorder reads the parameters of all nodes, and sets none.
         asked = {"/*/list_parameters", "/*/get_parameters"}
         yield self._tool("record", everything | self._clock | _OF_EVERY_NODE, asked)
         yield self._tool("preflight", self._inputs(self._from_outside))
@@ -216,14 +216,14 @@ class _SuiteRights:
             yield replace(self._tool("nmea_in", self._clock, (), self._topics(given)), is_needed=True)
 
     def _of_sensors(self) -> Iterator[Rights]:
-        """One enclave for each device; its driver is not ours, and is expected under the device's name."""
-        # Who reads an instrument with nmea_in has no driver for it: another certificate could only be misused.
+        """Yield an enclave for each device; the node of its driver is expected to have the device's name."""
+        # An instrument read by nmea_in has no driver: a certificate for one could only be misused.
         driven = set(self._from_outside) - set(heard_by_nmea(self._companions))
         for device in sorted({device_of(topic) for topic in driven}):
             topics = self._inputs(topic for topic in driven if device_of(topic) == device)
             node = self._full(device)
             enclave = self._full(f"{SENSORS}/{device}")
-            # A node of rclcpp hears /parameter_events, too, and does not start without that.
+            # A node of rclcpp also subscribes to /parameter_events, and does not start without it.
             heard = self._clock | {"/parameter_events"}
             yield Rights(enclave, topics | _OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, heard, _own_services(node))
 
@@ -236,7 +236,7 @@ class _SuiteRights:
         serves: Iterable[str] = (),
         answers: Iterable[str] = (),
     ) -> Rights:
-        """A program that is no estimator; of what every node has, it has what its own nodes, `answers`, need."""
+        """Return the rights of a program that is no estimator, with those that its own nodes, `answers`, need."""
         own = frozenset[str]().union(*(_own_services(self._full(node)) for node in (answers or (name,))))
         return Rights(
             enclave=self._full(name),
@@ -247,7 +247,7 @@ class _SuiteRights:
         )
 
     def _called(self) -> frozenset[str]:
-        """Services of the nodes that people call."""
+        """Return the services of the nodes that users call."""
         own = [self._full(f"{adapter.node_name}/{name}") for adapter in self._adapters for name in adapter.services]
         return frozenset([*own, f"{self._alerts}/acknowledge", f"{self._alerts}/silence"])
 
@@ -256,7 +256,7 @@ class _SuiteRights:
         return frozenset[str]().union(*(parameter_services(node, names) for node in nodes))
 
     def _inputs(self, names: Iterable[str]) -> frozenset[str]:
-        """Topics as nodes take them, of which the ship may have other names."""
+        """Return topics as the nodes receive them, under the ship's own names if it has any."""
         return self._topics(self._ship_names.get(name, name) for name in names)
 
     def _topics(self, names: Iterable[str]) -> frozenset[str]:
@@ -269,5 +269,5 @@ class _SuiteRights:
 
 
 def _own_services(node: str) -> frozenset[str]:
-    """What rclpy gives every node: the services of its parameters and of its types."""
+    """Return the services that rclpy gives every node: those of its parameters and of its types."""
     return parameter_services(node) | {f"{node}/{_TYPE_DESCRIPTION}"}

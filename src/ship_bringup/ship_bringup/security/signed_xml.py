@@ -1,7 +1,7 @@
-"""Signed governance and permissions as Fast DDS reads them: the signature checked, the rules judged.
+"""Signed governance and permissions as Fast DDS reads them: checks of their signature and of their rules.
 
-The signature is S/MIME (PKCS#7, detached). ``cryptography`` makes such signatures and cannot check them, so that the
-program ``openssl`` does.
+The signature is S/MIME (PKCS#7, detached). ``cryptography`` makes such signatures but cannot verify them, so the
+program ``openssl`` is used.
 """
 
 import datetime
@@ -30,22 +30,22 @@ class SignedFile:
 
     Attributes:
         path: the file.
-        text: what was signed.
+        text: the signed text.
     """
 
     path: Path
     text: str
 
     def line_of(self, words: str) -> int | None:
-        """Line of the file, from 1, in which some words stand; None where they do not."""
+        """Return the line of the file, from 1, that contains a text; None if there is none."""
         whole = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
         return next((number for number, line in enumerate(whole, 1) if words in line), None)
 
     def root(self) -> ET.Element:
-        """Its XML.
+        """Return its XML.
 
         Raises:
-            BadInput: it is none.
+            BadInput: it is no XML.
         """
         try:
             return ET.fromstring(self.text.strip())
@@ -55,7 +55,7 @@ class SignedFile:
 
 @dataclass(frozen=True)
 class _Rule:
-    """One rule of permissions, in the order in which they are asked."""
+    """One rule of permissions, in the order of evaluation."""
 
     allows: bool
     domains: ET.Element | None
@@ -68,15 +68,15 @@ class _Rule:
 
 @dataclass(frozen=True)
 class Permissions:
-    """What an enclave may do, as its signed file says.
+    """Permissions of an enclave in its signed file.
 
     Attributes:
-        subject: name that its certificate must have, as ``CN=/demo/ship_attitude``.
+        subject: name that its certificate must have, for example ``CN=/demo/ship_attitude``.
         not_before: begin of their validity, UTC.
         not_after: end of it, UTC.
-        fingerprint: of the rights that they were made of; empty where they were made by another program.
-        rules: in order; the first that fits decides.
-        is_open: whether what no rule is about is allowed.
+        fingerprint: of the rights from which they were made; empty if made by another program.
+        rules: in order; the first that applies decides.
+        is_open: True if a topic without a rule is allowed.
     """
 
     subject: str
@@ -87,20 +87,20 @@ class Permissions:
     is_open: bool
 
     def allow(self, action: str, topic: str, domain_id: int) -> bool:
-        """Whether a topic of DDS may be written (``publish``) or read (``subscribe``) in a domain."""
+        """True if a DDS topic may be written (``publish``) or read (``subscribe``) in a domain."""
         return next((rule.allows for rule in self.rules if rule.fits(action, topic, domain_id)), self.is_open)
 
     def named(self, action: str) -> frozenset[str]:
-        """All topics, as written, that some rule allows."""
+        """Return all topics, as written, that some rule allows."""
         return frozenset(topic for rule in self.rules if rule.allows for topic in rule.topics[action])
 
     def is_for(self, domain_id: int) -> bool:
-        """Whether any rule holds in a domain."""
+        """True if any rule applies in a domain."""
         return any(in_domains(rule.domains, domain_id) for rule in self.rules)
 
 
 def read_signed(path: Path) -> SignedFile:
-    """The text of a signed file; whether the signature is good is asked of :func:`signature_fault`.
+    """Return the text of a signed file; its signature is checked by :func:`signature_fault`.
 
     Raises:
         BadInput: it cannot be read, or is no S/MIME.
@@ -119,7 +119,7 @@ def read_signed(path: Path) -> SignedFile:
 
 
 def signature_fault(path: Path, authority: Path) -> str | None:
-    """What is wrong with the signature of a file, in words; None where it is good.
+    """Return the fault of the signature of a file; None if it is valid.
 
     Args:
         path: of the file.
@@ -131,7 +131,7 @@ def signature_fault(path: Path, authority: Path) -> str | None:
     program = shutil.which("openssl")
     if program is None:
         raise LookupError("openssl")
-    # Dates are judged apart, with days to go.
+    # Dates are checked separately, with the days left.
     command = [program, "smime", "-verify", "-in", str(path), "-CAfile", str(authority), "-no_check_time", "-text"]
     run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_S, check=False)
     if run.returncode == 0:
@@ -142,7 +142,7 @@ def signature_fault(path: Path, authority: Path) -> str | None:
 
 
 def signature_digest(path: Path) -> str:
-    """Digest with which a file was signed, as openssl names it; empty where none can be read.
+    """Return the digest with which a file was signed, as openssl names it; empty if it cannot be read.
 
     Raises:
         LookupError: there is no program ``openssl`` here.
@@ -158,10 +158,10 @@ def signature_digest(path: Path) -> str:
 
 
 def read_permissions(file: SignedFile) -> Permissions:
-    """The permissions in a signed file; of several grants, the first.
+    """Return the permissions in a signed file; of several grants, the first.
 
     Raises:
-        BadInput: they are none; names file, line and key.
+        BadInput: they are invalid; contains file, line and key.
     """
     grant = file.root().find("permissions/grant")
     if grant is None:
@@ -178,7 +178,7 @@ def read_permissions(file: SignedFile) -> Permissions:
 
 
 def governance_faults(file: SignedFile, domain_id: int) -> Iterator[BadInput]:
-    """What of a governance leaves the policies of the domain without effect."""
+    """Yield entries of a governance that make the policies of the domain ineffective."""
     rules = [rule for rule in file.root().iter("domain_rule") if in_domains(rule.find("domains"), domain_id)]
     if not rules:
         line = file.line_of("<domains>")
@@ -196,7 +196,7 @@ def governance_faults(file: SignedFile, domain_id: int) -> Iterator[BadInput]:
 
 
 def in_domains(domains: ET.Element | None, domain_id: int) -> bool:
-    """Whether a domain is one of those listed: by its id, or in a range."""
+    """True if a domain is listed: by its id, or in a range."""
     if domains is None:
         return False
     if any((element.text or "").strip() == str(domain_id) for element in domains.findall("id")):

@@ -1,12 +1,12 @@
-"""Keeps the successor of a killed program from its ports, so that DDS connects it at once.
+"""Reserve the ports of a killed program, so that DDS connects its successor at once.
 
-A killed program cannot say farewell: for 20 s, the default lease of DDS, its peers go on talking to it, and a successor
-on the same ports gets what is meant for the dead one. Shared memory has the same fault, and no ports that could be
-kept.
+A killed program does not announce its end: for 20 s, the default lease of DDS, its peers continue to send to it, and a
+successor on the same ports receives these messages. Shared memory has the same defect, and no ports that could be
+reserved.
 
-On other ports the successor is met as soon as each peer tells by itself that it is there: every 0.5 s with the suite's
-profile (:data:`ship_bags.live.ros_process.DDS_PROFILE`), every 3 s by default. Seen on the wire with Fast DDS 2.14: the
-peers answer its first words within 0.1 ms, before it listens, and do not answer those words when they are repeated.
+On other ports the successor is discovered as soon as each peer announces itself: every 0.5 s with the suite's profile
+(:data:`ship_bags.live.ros_process.DDS_PROFILE`), every 3 s by default. Observed with Fast DDS 2.14: the peers answer
+its first announcement within 0.1 ms, before it listens, and do not answer repetitions.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 UDP_ALONE = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-"""Environment of a program that is to be connected quickly after a kill, where people do not set it otherwise."""
+"""Environment of a program that must be connected quickly after a kill, unless the user sets it otherwise."""
 
 _LEASE_S = 20.0
 _MARGIN_S = 5.0
@@ -24,15 +24,15 @@ _FIRST_EPHEMERAL = 32768
 
 
 class HeldPorts:
-    """UDP ports that nobody else can take, each for the time of a lease."""
+    """UDP ports that no other process can take, each for the time of a lease."""
 
     def __init__(self) -> None:
         self._held: list[tuple[float, list[socket.socket]]] = []
 
     def hold(self, ports: frozenset[int]) -> None:
-        """Take those of some ports that are free; give back those whose time is over.
+        """Reserve those of some ports that are free, and release those whose time is over.
 
-        Without them the successor is met later, which is no reason to fail: the process may have no file descriptors.
+        A failure is ignored: the successor is then discovered later. The process may have no file descriptors left.
         """
         now_s = time.monotonic()
         for until_s, sockets in self._held:
@@ -48,14 +48,14 @@ class HeldPorts:
         self._held.append((now_s + _LEASE_S + _MARGIN_S, taken))
 
     def close(self) -> None:
-        """Give all back."""
+        """Release all ports."""
         for _, sockets in self._held:
             _close(sockets)
         self._held = []
 
 
 def ports_of(pid: int) -> frozenset[int]:
-    """UDP ports that a process listens at, those that the system gave it aside; none where it is gone."""
+    """Return the UDP ports that a process has bound, without ephemeral ones; none if it has ended."""
     inodes = set()
     with contextlib.suppress(OSError):
         for link in Path(f"/proc/{pid}/fd").iterdir():

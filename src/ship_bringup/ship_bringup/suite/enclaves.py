@@ -1,4 +1,4 @@
-"""The programs of a suite with the identities that DDS security gives them, where it is demanded."""
+"""The programs of a suite with their identities in DDS security, if it is demanded."""
 
 import datetime
 import os
@@ -18,13 +18,13 @@ from ship_watch.limits import Limits
 def in_enclaves(
     programs: Sequence[Program], all_rights: Sequence[Rights], namespace: str, limits: Limits
 ) -> tuple[list[Program], list[str]]:
-    """The programs, each in the enclave of its name, and what people should know of the ship's keystore.
+    """Return the programs, each in the enclave of its name, and warnings about the ship's keystore.
 
     Args:
         programs: of the suite.
         all_rights: of all that may belong to the suite.
         namespace: of the suite.
-        limits: of the ship, which may tell its authority.
+        limits: of the ship, which may contain its authority.
 
     Raises:
         BadInput: there is no keystore, a program has no enclave in it, or it is that of another ship.

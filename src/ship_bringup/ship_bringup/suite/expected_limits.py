@@ -16,7 +16,7 @@ from ship_watch.topics import watched_topic
 
 
 def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: Limits) -> list[str]:
-    """Return lines for people: expected availability beside each limit, proposed limits, and how to adopt them.
+    """Return lines of text: expected availability for each limit, proposed limits, and how to adopt them.
 
     Args:
         suite_file: of the suite; None for the one attached to the bag.
@@ -25,7 +25,7 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
         limits: of the ship.
 
     Raises:
-        BadInput: bag or suite file do not serve, or nothing is published of which a limit decides.
+        BadInput: bag or suite file cannot be used, or no output with a limit is published.
     """
     record = AvailabilityRecord(limits)
     with tempfile.TemporaryDirectory(prefix="ship_limits_") as folder:
@@ -65,7 +65,7 @@ def _table(found: Sequence[Availability]) -> Iterator[str]:
 
 
 def _explanation(found: Sequence[Availability]) -> Iterator[str]:
-    yield "held: share of the time in which the limit decides for which page and alerts would be SAFE."
+    yield "held: share of time with page and alerts SAFE, of the time in which the limit decides."
     yield f"proposed: the lowest round limit that is held for {_percent(WANTED_SHARE)} of it."
     for one in found:
         if one.other:
@@ -74,9 +74,9 @@ def _explanation(found: Sequence[Availability]) -> Iterator[str]:
                 f"{one.quantity}: not SAFE for {_percent(1.0 - one.decided_share)} of the time with any limit, "
                 f"{_percent(share)} by: {first}."
             )
-    yield "The accuracies are those that the filters publish. In another sea, sky or suite they are others."
+    yield "The accuracies are those that the filters publish. In another sea, sky or suite they differ."
 
 
 def _percent(share: float) -> str:
-    """Return a share in percent, rounded down, so that 100 % is all."""
+    """Return a share in percent, rounded down, so that 100 % means always."""
     return f"{math.floor(share * 100.0 + 1e-9)} %"

@@ -1,4 +1,4 @@
-"""Programs of a suite that exist and do not work: reported, and after a longer time killed."""
+"""Check for programs of a suite that run without sending heartbeats: they are reported, and later killed."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -10,28 +10,28 @@ from ship_bringup.suite.restarts import LONGEST_DELAY_S
 from ship_bringup.suite.signs_of_life import HeartbeatSocket
 
 FROZEN_REPORT_S = 5.0
-"""Time without a sign of life after which a program is reported, s."""
+"""Time without a heartbeat after which a program is reported, s."""
 
 FROZEN_RESTART_S = 15.0
-"""Time without a sign of life after which a program is killed and started again, s."""
+"""Time without a heartbeat after which a program is killed and started again, s."""
 
 LOOK_PERIOD_S = 0.5
-"""Period at which the times without a sign of life are checked, s."""
+"""Period at which the times without a heartbeat are checked, s."""
 
 _LONGEST_START_S = 60.0
-"""A program has at least this long for its first sign of life: a slow computer reads libraries for a while, s."""
+"""Minimum time limit for the first heartbeat, s: a slow computer reads libraries for a while."""
 
 
 class FrozenCheck:
-    """Checks the signs of life of programs.
+    """Checks the heartbeats of programs.
 
     Attributes:
-        heartbeats: socket at which they arrive.
+        heartbeats: socket that receives them.
 
     Args:
-        report_s: time without a sign of life after which a program is reported, s.
-        restart_s: time without a sign of life after which it is killed, s.
-        say: takes a line for people.
+        report_s: time without a heartbeat after which a program is reported, s.
+        restart_s: time without a heartbeat after which it is killed, s.
+        say: logs a line.
     """
 
     def __init__(self, report_s: float, restart_s: float, say: Callable[[str], None]) -> None:
@@ -41,11 +41,11 @@ class FrozenCheck:
 
     @property
     def due_s(self) -> float:
-        """Steady time of the next check, s."""
+        """Return the steady time of the next check, s."""
         return self._looked_s + LOOK_PERIOD_S
 
     def receive(self, programs: Sequence[KeptProgram]) -> None:
-        """Take note of the signs of life that have arrived."""
+        """Record the heartbeats that have arrived."""
         pids = self.heartbeats.receive()
         for kept in programs:
             for process in kept.processes:
@@ -54,13 +54,13 @@ class FrozenCheck:
                 silence = process.silence
                 if silence.is_reported and not silence.is_ended:
                     name = _name(kept, process)
-                    self._say(f"{name} works again after {silence.time_s:.0f} s without a sign of life")
+                    self._say(f"{name} works again after {silence.time_s:.0f} s without a heartbeat")
                 silence.restart(has_beaten=True)
                 if process is kept.process:
                     kept.has_run = True
 
     def look(self, programs: Sequence[KeptProgram]) -> None:
-        """Report programs without a sign of life, and kill those without one for long."""
+        """Report programs without a heartbeat, and kill those without one for long."""
         now_s = time.monotonic()
         if now_s < self.due_s:
             return
@@ -75,13 +75,13 @@ class FrozenCheck:
         limit_s = self._restart_s if silence.has_beaten else max(_LONGEST_START_S, self._restart_s)
         if silence.time_s >= limit_s and not silence.is_ended:
             silence.is_ended = True
-            self._say(f"{name} sent no sign of life for {silence.time_s:.0f} s: killed")
+            self._say(f"{name} sent no heartbeat for {silence.time_s:.0f} s: killed")
             process.kill()
             if process is kept.reserve:
                 kept.reserve, kept.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
         elif silence.has_beaten and silence.time_s >= self._report_s and not silence.is_reported:
             silence.is_reported = True
-            how = f"no sign of life for {silence.time_s:.0f} s, stopped or in a callback that does not return"
+            how = f"no heartbeat for {silence.time_s:.0f} s, stopped or in a callback that does not return"
             left_s = max(0.0, self._restart_s - silence.time_s)
             self._say(f"{name} is frozen: {how}; it is killed and started again in {left_s:.0f} s")
 

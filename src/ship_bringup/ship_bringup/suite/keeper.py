@@ -1,8 +1,8 @@
-"""The programs of a suite as processes of their own: started, their lines shown, started again, ended in order.
+"""Supervise the programs of a suite as processes of their own: start, show their lines, restart, end in order.
 
-One thread waits for all of them: for lines, for their ends (by process descriptors), for their signs of life, for
-signals and for the time of the next start. The programs are told by the kernel to end when this process ends, however
-that happens. Nothing but a signal or the end of a bag ends this process.
+One thread waits for all of them: for lines, for their ends (by process descriptors), for their heartbeats, for signals
+and for the time of the next start. The kernel ends the programs when this process ends, for any reason. Only a signal
+or the end of a bag ends this process.
 """
 
 import contextlib
@@ -25,23 +25,23 @@ from ship_estimation.refusals import failure
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _END_S = 10.0
-"""A program that was asked to end has this long; then it is killed."""
+"""Timeout after a request to end; then the program is killed, s."""
 _RESERVE_AFTER_S = 5.0
-"""A process in reserve is started so long after the program began, when the start of the others is over."""
+"""Delay of the reserve process after the start of its program, when the others have started, s."""
 _SUITE = "suite"
 
 _END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
 
 
 class Keeper:
-    """Runs programs until a signal asks for the end, or a bag is at its end.
+    """Runs programs until a signal, or until the end of a bag.
 
     Args:
-        programs: in the order of their start. They are ended in the opposite one, but first who watches, for whom the
-            end of the others would be a fault, then who plays a bag or reads instruments, then the nodes.
+        programs: in the order of their start. They are ended in the opposite order, but first those that monitor, for
+            which the end of the others would be a fault, then those that play a bag or read instruments, then nodes.
         write: takes each line, without its end, and does not raise.
-        frozen_report_s: time without a sign of life after which a program is reported, s.
-        frozen_restart_s: time without a sign of life after which it is killed and started again, s.
+        frozen_report_s: time without a heartbeat after which a program is reported, s.
+        frozen_restart_s: time without a heartbeat after which it is killed and started again, s.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Keeper:
     def run(self) -> int:
         """Run the programs; return the exit code of the player or of the first program that was down at the end, or 0.
 
-        At the start, where no node has ever run, bad input of all of them ends the suite.
+        If no node has run yet and all of them end with bad input, the suite ends.
         """
         heartbeats = self._frozen_check.heartbeats
         self._selector.register(
@@ -80,11 +80,11 @@ class Keeper:
         return self._failure
 
     def _guarded_work(self) -> None:
-        """Work; whatever it raises, the end of this process would be the end of all nodes."""
+        """Work and catch all exceptions: the end of this process would end all nodes."""
         try:
             self._work()
         except Exception as error:
-            self._say(_SUITE, f"exception in the suite's keeper, which goes on: {failure(error).text}")
+            self._say(_SUITE, f"exception in the supervisor of the suite, which continues: {failure(error).text}")
             time.sleep(1.0)
 
     def _work(self) -> None:
@@ -99,7 +99,7 @@ class Keeper:
         self._wait()
 
     def _start(self, kept: KeptProgram) -> None:
-        """Start a program, or let the process that waits in reserve begin."""
+        """Start a program, or its reserve process if there is one."""
         if kept.reserve is not None and kept.reserve.is_stopped:
             kept.reserve.kill()
             kept.reserve = None
@@ -120,10 +120,10 @@ class Keeper:
             kept.reserve_due_s = kept.process.began_s + _RESERVE_AFTER_S
 
     def _started(self, kept: KeptProgram, waits: bool) -> Process:
-        """Return a new process, which is waited for.
+        """Return a new process, whose events are waited for.
 
         Raises:
-            OSError: it cannot be started, for want of memory or file descriptors as a rule.
+            OSError: it cannot be started, usually for lack of memory or file descriptors.
         """
         process = Process(kept.program.command, self._frozen_check.heartbeats.sender_descriptor, waits)
         try:
@@ -143,24 +143,24 @@ class Keeper:
         due += [] if self._ending else [self._frozen_check.due_s]
         timeout_s = max(0.0, min(due) - time.monotonic()) if due else None
         for key, _ in self._selector.select(timeout_s):
-            # One event of this round may have taken away the ground of the next.
+            # Handling one event may unregister the next one.
             if key.fd in self._selector.get_map():
                 key.data()
 
     def _read(self, kept: KeptProgram, process: Process) -> bool:
-        """Show the whole lines of what a program has written; returns whether there may be more to read."""
+        """Show the complete lines that a program has written; return True if there may be more to read."""
         lines, may_be_more = process.lines()
         for line in lines:
             self._say(kept.program.name, line)
         if lines and not kept.ports and process is kept.process:
-            # Who has something to say has a node, which will have these ports until it ends.
+            # A program that prints has created its node, which keeps these ports until it ends.
             kept.ports = ports_of(process.pid)
         if process.has_said_all:
             self._selector.unregister(process.output)
         return may_be_more
 
     def _ended(self, kept: KeptProgram, process: Process) -> None:
-        """Take note of the end of a process: its program is started again unless the suite ends."""
+        """Handle the end of a process: its program is started again unless the suite ends."""
         while not process.has_said_all and self._read(kept, process):
             pass
         self._forget(process)
@@ -176,7 +176,7 @@ class Keeper:
                 self._judge_end(kept, code, ran_s)
 
     def _judge_end(self, kept: KeptProgram, code: int, ran_s: float) -> None:
-        """Decide what follows from an end that the suite did not ask for."""
+        """Handle an end that the suite did not request."""
         how = f"{kept.program.name} ended after {ran_s:.1f} s: {end_words(code)}"
         if kept.program.role is Role.PLAYER:
             self._failure = failure_of(code)
@@ -210,13 +210,13 @@ class Keeper:
                     self._say(_SUITE, f"{kept.program.name} in reserve cannot be started: {_reason(problem)}")
 
     def _forget(self, process: Process) -> None:
-        """Wait for a process no more; something that it has started may hold its output still."""
+        """Stop waiting for a process; a program that it started may keep its output open."""
         for descriptor in (process.pidfd, process.output.fileno()):
             if descriptor in self._selector.get_map():
                 self._selector.unregister(descriptor)
 
     def _drop_reserve(self, kept: KeptProgram) -> None:
-        """End the process in reserve, which holds nothing; none is started any more."""
+        """End the reserve process; no further one is started."""
         kept.reserve_due_s = None
         if kept.reserve is not None:
             self._forget(kept.reserve)
@@ -225,7 +225,7 @@ class Keeper:
             kept.reserve = None
 
     def _end(self) -> None:
-        """Begin to end everything; what waited to be started is not."""
+        """Start to end all programs; pending starts are cancelled."""
         self._ending, self._kill_due_s = True, None
         for kept in self._kept:
             if kept.process is None or not kept.has_run:
@@ -234,7 +234,7 @@ class Keeper:
             self._drop_reserve(kept)
 
     def _end_step_by_step(self) -> None:
-        """While the suite ends: ask the next program that runs to end; kill it where it does not."""
+        """While the suite ends: request the next running program to end; kill it after a timeout."""
         running = [kept for kept in self._kept if kept.process is not None]
         if not running:
             return
@@ -259,7 +259,7 @@ class Keeper:
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
-        """While it lasts, the first signal that asks for the end ends all in order, and the second at once."""
+        """Handle signals within the context: the first ends all programs in order, the second at once."""
         waker, woken = socket.socketpair()
         for end in (waker, woken):
             end.setblocking(False)
@@ -288,5 +288,5 @@ class Keeper:
 
 
 def _reason(problem: Exception) -> str:
-    """Why something failed, for people."""
+    """Return why something failed, as text."""
     return (isinstance(problem, OSError) and problem.strerror) or failure(problem).text

@@ -1,4 +1,4 @@
-"""A program of a suite with its processes, and what the keeper remembers of it."""
+"""A program of a suite with its processes and the state of its supervision."""
 
 from dataclasses import dataclass, field
 
@@ -10,18 +10,18 @@ from ship_bringup.suite.restarts import Restarts
 
 @dataclass
 class KeptProgram:
-    """A program with its process, if it runs, the one in reserve, and the times at which they are to be started.
+    """A program with its process, if it runs, its reserve process, and the times of their next starts.
 
     Attributes:
         program: the program.
-        due_s: steady time of its next start, s; None where it runs, or is not started any more.
-        restarts: pauses between its starts.
-        process: the process that works.
-        reserve: the process that waits to be its successor.
-        reserve_due_s: steady time of the start of one in reserve, s.
-        ports: UDP ports of the process that works.
-        failure: what its last end means for the suite's exit code.
-        has_run: whether it has ever sent a sign of life.
+        due_s: steady time of its next start, s; None if it runs, or is not started any more.
+        restarts: delays between its starts.
+        process: the working process.
+        reserve: the process that waits to replace it.
+        reserve_due_s: steady time of the start of the reserve process, s.
+        ports: UDP ports of the working process.
+        failure: contribution of its last end to the suite's exit code.
+        has_run: True if it has ever sent a heartbeat.
     """
 
     program: Program
@@ -36,10 +36,10 @@ class KeptProgram:
 
     @property
     def is_alive(self) -> bool:
-        """True if it runs or is to run again."""
+        """True if it runs or will run again."""
         return self.process is not None or self.due_s is not None
 
     @property
     def processes(self) -> list[Process]:
-        """Those that there are."""
+        """Return its existing processes."""
         return [process for process in (self.process, self.reserve) if process is not None]

@@ -1,4 +1,4 @@
-"""Which programs a suite consists of: a node for each section of its file, who watches them, and a bag's player."""
+"""Programs of a suite: a node for each section of its file, monitoring programs, and the player of a bag."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -25,22 +25,22 @@ from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
 from ship_watch.limits import Limits, read_limits
 
 SAVED_FILES = "alignment_file", "calibration_file"
-"""Parameters with a file that a node reads at its start and writes now and then."""
+"""Parameters with a file that a node reads at its start and writes periodically."""
 
 
 @dataclass(frozen=True)
 class SuiteOptions:
-    """How a suite is brought up; see ``suite --help``.
+    """Options of bringing up a suite; see ``suite --help``.
 
     Attributes:
         namespace: of all its nodes and topics, without slashes at its ends; empty for none.
-        bag: is played into it; None for real sensors.
+        bag: played into the suite; None for real sensors.
         rate: seconds of the bag per second.
-        loop: how often the bag is played; 0 without end.
-        monitor: whether page and alerts are started too.
-        box: folder that takes a black box of each node; None for none.
-        reliable_inputs: whether what is lost on the way to the nodes' inputs is sent again.
-        use_sim_time: whether the nodes go by /clock although no bag is played here.
+        loop: number of times that the bag is played; 0 without end.
+        monitor: True if page and alerts are started too.
+        box: folder for a black box of each node; None for none.
+        reliable_inputs: True if lost messages to the nodes' inputs are sent again.
+        use_sim_time: True if the nodes follow /clock although no bag is played here.
         limits: file of the ship's limits for page and alerts; None for the defaults.
         monitor_arguments: further arguments of the page.
     """
@@ -57,23 +57,23 @@ class SuiteOptions:
     monitor_arguments: tuple[str, ...] = ()
 
     def topic(self, name: str) -> str:
-        """Full name of a topic of the suite, or of the ship."""
+        """Return the full name of a topic of the suite, or of the ship."""
         return resolved_topic(name, self.namespace)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is started, in this order, and what people should know before."""
+    """Programs in the order of their start, and warnings for the user."""
 
     programs: tuple[Program, ...]
     warnings: tuple[str, ...]
 
 
 def attached_suite(bag_path: Path) -> str:
-    """Text of the suite file that is attached to a bag.
+    """Return the text of the suite file attached to a bag.
 
     Raises:
-        BadInput: the bag cannot be read, or none is attached.
+        BadInput: the bag cannot be read, or has none attached.
     """
     with read_bag(bag_path) as bag:
         text: str = suite_text(bag, None)
@@ -81,15 +81,15 @@ def attached_suite(bag_path: Path) -> str:
 
 
 def plan_of(path: Path, options: SuiteOptions) -> Plan:
-    """The programs of a suite file.
+    """Return the programs of a suite file.
 
     Raises:
-        BadInput: names the file, the line, the parameter or section, and what was expected; or the bag and what it
+        BadInput: contains the file, the line, the parameter or section, and what was expected; or the bag and what it
             lacks; or a program that is not installed.
     """
     nodes, warnings = checked_nodes(path, options.namespace)
     if options.bag is not None and not nodes:
-        reason = f"{options.bag} cannot be played: the file has no section for an estimator, which would hear it"
+        reason = f"{options.bag} cannot be played: the file has no section for an estimator, which would receive it"
         raise BadInput(reason, file=path)
     chain = AdapterChain([node.adapter for node in nodes])
     packages = {kind.node_name: kind.__module__.partition(".")[0] for kind in ADAPTERS}
@@ -118,10 +118,10 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
 
 
 def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
-    """The nodes of a suite file, and what should be said of it.
+    """Return the nodes of a suite file, and warnings about it.
 
     Raises:
-        BadInput: see :func:`plan_of`.
+        BadInput: see :func:`make_plan`.
     """
     findings = Findings()
     nodes = check_file(path, ADAPTERS, findings, namespace)
@@ -139,40 +139,40 @@ def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[s
 
 
 def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
-    """Nodes that save nothing, one line each."""
+    """Yield a line for each node without a saved file."""
     for node in nodes:
         for name in SAVED_FILES:
             if getattr(node.config, name, None) == "":
-                yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
+                yield f"{path}: {node.adapter.node_name} has no {name}: its estimates are lost at a restart"
 
 
 def _companion(companion: Companion, path: Path, ros: tuple[str, ...], is_alone: bool) -> Program:
-    """The program of a node beside the estimators; without any, the suite is there for these."""
+    """Return the program of a node that is no estimator; without estimators it is a node of the suite itself."""
     command = executable(companion.package, companion.node_name)
     role = Role.NODE if is_alone else Role.FEEDER if companion.feeds else Role.WATCHER
     return Program(companion.node_name, (*command, "--ros-args", "--params-file", str(path.resolve()), *ros), role)
 
 
 def _played_out(companions: Sequence[Companion], options: SuiteOptions) -> Iterator[str]:
-    """What people must know who play a bag while its attitude goes to the bridge."""
+    """Yield a warning if a bag is played and its attitude would be sent to the bridge."""
     if options.bag is not None and any(companion.node_name == "nmea_out" for companion in companions):
         yield (
-            f"nmea_out tells of {options.bag} by THS alone, which says S (simulator): the other sentences are void and"
-            " no alert goes out, unless tell_simulated is true"
+            f"nmea_out sends {options.bag} only as THS, with mode S (simulator): the other sentences are void and"
+            " no alert is sent, unless tell_simulated is true"
         )
 
 
 def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
-    """Names and clock of a node of the suite."""
+    """Return the names and clock of a node of the suite, as arguments."""
     has_clock = options.bag is not None or options.use_sim_time
     return (*_names(options), *(("-p", "use_sim_time:=true") if has_clock else ()))
 
 
 def _names(options: SuiteOptions) -> tuple[str, ...]:
-    """What puts a process into the suite's namespace.
+    """Return arguments that put a process into the suite's namespace.
 
-    A bag's time is that of its own suite, not of the next one. Frames have the same names on each ship: in a namespace
-    they are told there, and not on the /tf of all.
+    A bag's time is that of its own suite, not of another one. Frames have the same names on each ship: in a namespace
+    they are published there, and not on the global /tf.
     """
     if not options.namespace:
         return ()
@@ -182,17 +182,17 @@ def _names(options: SuiteOptions) -> tuple[str, ...]:
 
 
 def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
-    """Page and alerts."""
+    """Return the programs of page and alerts."""
     limits = () if options.limits is None else ("--limits", str(options.limits))
     where = ("--namespace", options.namespace) if options.namespace else ()
     page = (*executable("ship_monitor", "monitor"), *where, *limits, *options.monitor_arguments)
     alerts = (*executable("ship_monitor", "alerts"), *limits, "--ros-args", *ros)
-    # In this order, so that the alerts end first: for them the end of all others would be a fault.
+    # The alerts come last, so that they end first: for them the end of the others would be a fault.
     return [Program("monitor", page, Role.WATCHER), Program("alerts", alerts, Role.WATCHER)]
 
 
 def _player(suite_file: Path, path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:
-    """Plays what the suite takes from outside, and the truth, under the names by which the nodes take them."""
+    """Return the player of the suite's inputs from outside, and of the truth, under the names that the nodes use."""
     names = replace(current_names(), is_by_suite=True, suite_file=suite_file)
     with topic_names(names), read_bag(path) as bag:
         required = [topic.topic for topic in chain.inputs if topic.required]

@@ -1,7 +1,7 @@
-"""One process of a suite: started in a session of its own, read line by line, told to begin, ended.
+"""One process of a suite: start it in a session of its own, read its lines, let it begin, end it.
 
 A process can be started before it is needed: it reads its libraries, which takes most of a second and on a busy machine
-several, and then waits to be told to begin (:mod:`ship_node.live.start`).
+several, and then waits for a line on stdin (:mod:`ship_node.live.start`).
 """
 
 import contextlib
@@ -29,18 +29,18 @@ class Process:
 
     Attributes:
         pid: its id.
-        pidfd: file descriptor that can be read once it has ended.
-        began_s: steady time at which it was told to begin, or was started where it need not be told.
-        has_said_all: whether its output is at its end.
-        silence: time for which it has sent no sign of life.
+        pidfd: file descriptor that becomes readable when it has ended.
+        began_s: steady time of its start, or of :meth:`begin` if it waits for that.
+        has_said_all: True if its output is at its end.
+        silence: time since its last heartbeat.
 
     Args:
         command: program and arguments.
-        heartbeats: file descriptor of the socket for its signs of life.
-        waits: whether it reads its libraries and then waits for :meth:`begin`.
+        heartbeats: file descriptor of the socket for its heartbeats.
+        waits: True if it reads its libraries and then waits for :meth:`begin`.
 
     Raises:
-        OSError: it cannot be started; nothing is left of the attempt.
+        OSError: it cannot be started; nothing remains of the attempt.
     """
 
     def __init__(self, command: Sequence[str], heartbeats: int, waits: bool = False) -> None:
@@ -52,7 +52,7 @@ class Process:
                 os._exit(1)
 
         own = {"PYTHONUNBUFFERED": "1", HEARTBEAT_SOCKET: str(heartbeats)} | ({WAITS: "1"} if waits else {})
-        # In a session of its own: Ctrl-C on the terminal comes to this process alone, which ends the others in order.
+        # A session of its own: Ctrl-C on the terminal reaches only this process, which ends the others in order.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE if waits else subprocess.DEVNULL,
@@ -61,7 +61,7 @@ class Process:
             env=UDP_ALONE | os.environ | own,
             start_new_session=True,
             pass_fds=(heartbeats,),
-            preexec_fn=end_with_parent,  # noqa: PLW1509 - there are no threads here
+            preexec_fn=end_with_parent,  # noqa: PLW1509 - this process has no threads
         )
         self.pid = self._process.pid
         try:
@@ -79,7 +79,7 @@ class Process:
 
     @property
     def output(self) -> IO[bytes]:
-        """What it writes, stdout and stderr."""
+        """Return its output, stdout and stderr."""
         assert self._process.stdout is not None
         return self._process.stdout
 
@@ -87,13 +87,13 @@ class Process:
     def is_stopped(self) -> bool:
         """True if a signal has stopped it."""
         with contextlib.suppress(OSError, IndexError):
-            # The name, which stands in brackets before the state, may hold anything.
+            # The name, in brackets before the state, may contain any character.
             state = Path(f"/proc/{self.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
             return state in ("T", "t")
         return False
 
     def begin(self) -> None:
-        """Tell a process that waits to begin; one that has died meanwhile is not told."""
+        """Let a waiting process begin; one that has died meanwhile is ignored."""
         self.began_s = time.monotonic()
         self.silence.restart(has_beaten=False)
         if self._process.stdin is not None:
@@ -102,7 +102,7 @@ class Process:
                 self._process.stdin.flush()
 
     def lines(self) -> tuple[list[str], bool]:
-        """The whole lines that it has written since the last call, and whether there may be more to read."""
+        """Return the complete lines written since the last call, and True if there may be more to read."""
         try:
             data = os.read(self.output.fileno(), _LONGEST_LINE)
         except BlockingIOError:
@@ -114,16 +114,16 @@ class Process:
         return [line.decode("utf-8", errors="replace").rstrip("\r") for line in whole], bool(data)
 
     def ask_to_end(self) -> None:
-        """Ask it to end in order."""
+        """Request it to end in order (SIGINT)."""
         self._process.send_signal(signal.SIGINT)
 
     def kill(self) -> None:
-        """Kill it and all that it has started."""
+        """Kill it and all processes that it has started."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
 
     def close(self) -> int:
-        """Exit code of a process that has ended or was killed; nothing of it is left."""
+        """Return the exit code of an ended or killed process, and release its resources."""
         code = self._process.wait()
         os.close(self.pidfd)
         self._close_pipes()

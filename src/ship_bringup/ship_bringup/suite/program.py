@@ -1,22 +1,22 @@
-"""A program of a suite, and what its end means for the others."""
+"""A program of a suite, and the consequence of its end for the others."""
 
 from dataclasses import dataclass
 from enum import Enum
 
 
 class Role(Enum):
-    """Role of a program: what its end means for the others."""
+    """Role of a program: the consequence of its end for the others."""
 
     NODE = "node"
-    """The suite is there for these."""
+    """A node for which the suite is run."""
     WATCHER = "watcher"
-    """It looks at the nodes; they do not need it."""
+    """It monitors the nodes; they do not need it."""
     FEEDER = "feeder"
-    """It gives the nodes what instruments say; they live without it, if not for long."""
+    """It publishes the instruments' data; the nodes run without it, but not for long."""
     PLAYER = "player"
-    """It feeds the nodes, once: the suite ends with it, and it is not started again.
+    """It plays a bag into the nodes, once: the suite ends with it, and it is not started again.
 
-    It alone sends no signs of life (:mod:`ship_bags.live.heartbeat`).
+    It is the only role that sends no heartbeats (:mod:`ship_bags.live.heartbeat`).
     """
 
 
@@ -25,10 +25,10 @@ class Program:
     """One program of the suite.
 
     Attributes:
-        name: stands before its lines.
+        name: prefix of its lines.
         command: its command line.
-        role: what its end means.
-        has_reserve: whether a second process of it waits, with its libraries read, to be its successor.
+        role: consequence of its end.
+        has_reserve: True if a second process of it waits, with its libraries read, to replace it.
     """
 
     name: str

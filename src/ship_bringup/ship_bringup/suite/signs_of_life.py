@@ -1,7 +1,7 @@
-"""Signs of life of the suite's processes: received by the keeper, and the time for which each has sent none.
+"""Heartbeats of the suite's processes: their receipt, and the time since the last one of each process.
 
-Only time in which a process could have worked counts. Time does not count while the keeper itself stood still, as on a
-computer that sleeps, nor while the process waited for a processor on an overloaded computer.
+Only time in which a process could have worked counts. Time does not count while the supervisor itself stood still, as
+on a suspended computer, nor while the process waited for a processor on an overloaded computer.
 """
 
 import contextlib
@@ -9,13 +9,13 @@ import socket
 from pathlib import Path
 
 LONGEST_STEP_S = 1.0
-"""Longest time between two looks of the keeper that counts; a longer one is a standstill of the keeper itself, s."""
+"""Maximum time between two checks that counts, s; a longer one is a standstill of the supervisor itself."""
 
 _LONGEST_MESSAGE = 32
 
 
 class HeartbeatSocket:
-    """The socket at which signs of life arrive."""
+    """Socket that receives heartbeats."""
 
     def __init__(self) -> None:
         self.receiver, self._sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -23,11 +23,11 @@ class HeartbeatSocket:
 
     @property
     def sender_descriptor(self) -> int:
-        """File descriptor that the programs inherit."""
+        """Return the file descriptor that the programs inherit."""
         return self._sender.fileno()
 
     def receive(self) -> set[int]:
-        """Return the ids of the processes that have sent a sign of life since the last call."""
+        """Return the ids of the processes that have sent a heartbeat since the last call."""
         pids = set()
         with contextlib.suppress(OSError):
             while True:
@@ -42,13 +42,13 @@ class HeartbeatSocket:
 
 
 class Silence:
-    """The time for which a process has sent no sign of life.
+    """Time since the last heartbeat of a process.
 
     Attributes:
         time_s: that time, s.
-        has_beaten: whether it has sent a sign of life since it began.
-        is_reported: whether the time was reported as too long.
-        is_ended: whether the process was killed for it.
+        has_beaten: True if it has sent a heartbeat since it began.
+        is_reported: True if the time was reported as too long.
+        is_ended: True if the process was killed for it.
 
     Args:
         pid: id of the process.
@@ -61,11 +61,11 @@ class Silence:
         self.time_s = 0.0
 
     def restart(self, has_beaten: bool) -> None:
-        """Start again at 0: with a sign of life, or because the process begins its work only now."""
+        """Reset the time to 0, at a heartbeat or when the process begins its work."""
         self.time_s, self.has_beaten, self.is_reported = 0.0, has_beaten, False
 
     def add(self, step_s: float) -> None:
-        """Add the time since the last look, without the time for which the process waited for a processor."""
+        """Add the time since the last check, without the time for which the process waited for a processor."""
         before_s, waited_s, waiting_s = self._waited_s, self._processor_wait_s(), 0.0
         if waited_s is not None:
             self._waited_s = waited_s
@@ -73,7 +73,7 @@ class Silence:
         self.time_s += max(0.0, min(step_s, LONGEST_STEP_S) - waiting_s)
 
     def _processor_wait_s(self) -> float | None:
-        """Time for which the main thread was ready to run and had no processor, s; None where it cannot be read."""
+        """Return the time for which the main thread was ready but had no processor, s; None if it cannot be read."""
         with contextlib.suppress(OSError, IndexError, ValueError):
             return int(self._schedstat.read_text(encoding="ascii").split()[1]) * 1e-9
         return None

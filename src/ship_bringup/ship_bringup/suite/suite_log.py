@@ -1,6 +1,6 @@
-"""The lines of a suite: on stdout, and in a file of bounded size while stdout does not take them.
+"""Lines of a suite: on stdout, and in a file of bounded size while stdout does not accept them.
 
-Where the reader of stdout is gone or does not read, or the disk under it is full, the suite must go on.
+The suite must continue if the reader of stdout has ended or does not read, or if its disk is full.
 """
 
 import contextlib
@@ -10,16 +10,16 @@ import select
 from pathlib import Path
 
 LARGEST_FILE_BYTES = 5_000_000
-"""A longer file becomes the older one of two, ``NAME.log.1``."""
+"""Maximum size of the file; then it is renamed to ``NAME.log.1``."""
 
 _PATIENCE_MS = 200
 
 
 class SuiteLog:
-    """Writes lines; it neither raises nor waits for a reader for longer than a moment.
+    """Writes lines; it neither raises nor blocks for longer than a fraction of a second.
 
     Args:
-        path: of the file that takes what stdout does not take.
+        path: of the file for lines that stdout does not accept.
         descriptor: file descriptor of stdout.
     """
 
@@ -29,16 +29,16 @@ class SuiteLog:
         self._missed = 0
 
     def write(self, line: str) -> None:
-        """Write a line, without its end, to stdout or else into the file."""
+        """Write a line, without its end, to stdout or else to the file."""
         try:
             if self._missed:
-                self._put(f"[suite] {self._missed} lines that were not taken here are in {self._path}")
+                self._put(f"[suite] {self._missed} lines that were not accepted here are in {self._path}")
                 self._missed = 0
             self._put(line)
         except OSError as problem:
             if not self._missed:
                 reason = os.strerror(problem.errno or errno.EIO)
-                self._keep(f"[suite] lines go on here, because stdout does not take them: {reason}")
+                self._keep(f"[suite] lines continue here, because stdout does not accept them: {reason}")
             self._missed += 1
             self._keep(line)
 
@@ -46,19 +46,19 @@ class SuiteLog:
         """Write a line to stdout.
 
         Raises:
-            OSError: stdout does not take it.
+            OSError: stdout does not accept it.
         """
         data = _bytes(line)
         is_taking = select.poll()
         is_taking.register(self._descriptor, select.POLLOUT)
         while data:
-            # A pipe that has room takes so many bytes at once; with more the write could wait for the reader.
+            # A pipe with room accepts PIPE_BUF bytes at once; with more, the write could wait for the reader.
             if not is_taking.poll(0 if self._missed else _PATIENCE_MS):
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
             data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]
 
     def _keep(self, line: str) -> None:
-        """Append a line to the file; where that fails, too, the line is lost."""
+        """Append a line to the file; on failure the line is lost."""
         with contextlib.suppress(OSError):
             if self._file is None:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,7 +72,7 @@ class SuiteLog:
 
 
 def log_path(namespace: str) -> Path:
-    """Return the path of a suite's own log: in the folder in which ROS keeps the logs of nodes."""
+    """Return the path of a suite's own log, in the folder of ROS's logs."""
     home = os.environ.get("ROS_HOME") or "~/.ros"
     folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser()
     return folder / f"{'_'.join(['suite', *namespace.split('/')] if namespace else ['suite'])}.log"

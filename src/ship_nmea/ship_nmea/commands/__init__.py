@@ -1,1 +1,1 @@
-"""What is started by name: each module parses the arguments of one executable and joins the rooms for it."""
+"""The executables: each module parses the arguments of one and imports the rooms that it needs."""

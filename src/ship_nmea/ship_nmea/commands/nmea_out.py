@@ -1,4 +1,4 @@
-"""``nmea_out``: the ship's attitude and alerts as NMEA sentences over UDP, TCP, serial lines and into files."""
+"""``nmea_out``: the ship's attitude and alerts as NMEA sentences over UDP, TCP, serial lines and to files."""
 
 from collections.abc import Sequence
 
@@ -10,17 +10,17 @@ NAME = "nmea_out"
 
 _DESCRIPTION = """\
 Sends ship/attitude as HDT, THS, ROT, PASHR and PSXN, and ship/alerts as ALF, ALC and HBT, to any number of sinks: UDP
-(one host, broadcast, a group), TCP server, serial line, file. What is INVALID, silent or older than longest_age_s goes
-out void, with status V, never as an old value. The bridge's alert management acknowledges with ACN over the same sink
-(udp: listen_port); what is refused is answered by ARC.
+(one host, broadcast, a group), TCP server, serial line, file. An attitude that is INVALID, missing or older than
+longest_age_s is sent void, with status V, never as an old value. The bridge's alert management acknowledges with ACN
+over the same sink (udp: listen_port); a refused command is answered with ARC.
 
-A sink that does not read, a line that is gone, a full disk hold up nothing: what is dropped is counted in /diagnostics,
-and the sink is tried again every 2 s.
+A receiver that does not read, a lost line or a full disk delays nothing: dropped sentences are counted in /diagnostics,
+and the sink is opened again every 2 s.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``nmea_out``; returns the exit code."""
+    """Run ``nmea_out``; return the exit code."""
     return run_nmea_node(NAME, _DESCRIPTION, NmeaOutConfig, NmeaOut, arguments)
 
 

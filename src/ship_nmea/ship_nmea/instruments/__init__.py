@@ -1,5 +1,5 @@
-"""Sentences of instruments become topics.
+"""Convert instruments' sentences to topics.
 
-The room knows links (sockets, serial lines), lines of text and what they become; the parser is that of
-:mod:`ship_bags.nmea`. Only `nmea_in` knows rclpy. It imports no other room of the package but the nodes' shell.
+The room contains links (sockets, serial lines), lines of text and the messages made from them; the parser is that of
+:mod:`ship_bags.nmea`. Only `nmea_in` imports rclpy. Of the package, the room imports only the node runtime.
 """

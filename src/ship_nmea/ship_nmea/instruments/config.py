@@ -1,4 +1,4 @@
-"""The parameters of ``nmea_in``: the sources, where each is heard and what its sentences become."""
+"""Parameters of ``nmea_in``: its sources, where each is received and what its sentences become."""
 
 import os.path
 from dataclasses import dataclass
@@ -21,15 +21,15 @@ UDP, TCP, SERIAL = "udp", "tcp", "serial"
 ARRIVAL_TIME = "arrival"
 
 _MEANT = {UDP: ("address", "port", "interface", "from"), TCP: ("address", "port"), SERIAL: ("device", "baud")}
-"""Of the parameters that say where a source is heard those that mean something to its kind."""
+"""Kind → parameters of the source's place that apply to it."""
 
 _ALONE = (INS, GNSS, WEATHER)
-"""Roles whose topics have no name of the source in theirs, so that two sources would be mixed on them."""
+"""Roles whose topics do not contain the name of the source: only one source may have each."""
 
 
 @dataclass(frozen=True)
 class NmeaSourceConfig:
-    """One instrument: where its sentences are heard, and what becomes of them."""
+    """One instrument: where its sentences are received, and what they become."""
 
     kind: str = parameter(
         doc="udp listens for datagrams, tcp connects to a server, serial reads a device", choices=(UDP, TCP, SERIAL)
@@ -52,7 +52,7 @@ class NmeaSourceConfig:
     )
     from_: tuple[str, ...] = parameter(
         (),
-        doc="udp: IPv4 addresses of which datagrams are used; empty: those of the first sender, until it is silent for "
+        doc="udp: IPv4 addresses whose datagrams are used; empty: that of the first sender, until it sends none for "
         "10 s",
     )
     device: str = parameter("", doc="serial: the device, as /dev/ttyUSB0")
@@ -72,29 +72,29 @@ class NmeaSourceConfig:
     )
     time: str = parameter(
         INSTRUMENT_TIME,
-        doc="what stamps attitudes and fixes: the time in the sentences (ZDA, PASHR, GGA) or the arrival; heading and "
-        "weather carry none and are stamped by the arrival",
+        doc="stamp of attitudes and fixes: the time in the sentences (ZDA, PASHR, GGA) or the arrival; heading and "
+        "weather contain no time and are stamped by the arrival",
         choices=(INSTRUMENT_TIME, ARRIVAL_TIME),
     )
     transducers: tuple[str, ...] = parameter(
-        (), doc="weather: names of the transducers of XDR that are the air's; needed where there are several of a kind"
+        (), doc="weather: names of the XDR transducers that measure the air; needed if there are several of a kind"
     )
     silent_after_s: float = parameter(
-        3.0, doc="without a message of it for this long the source is an error", unit="s", minimum=0.1, maximum=3600.0
+        3.0, doc="time without a message after which the source is in error", unit="s", minimum=0.1, maximum=3600.0
     )
 
     @property
     def place(self) -> str:
-        """Where the source is heard, for people; sources of one place share it."""
+        """Return where the source is received, as text; sources with the same place share it."""
         if self.kind == SERIAL:
             return f"{os.path.normpath(self.device)} at {self.baud} Bd"
         return f"{self.kind} {self.address or ANY_ADDRESS}:{self.port}"
 
     def held(self, name: str) -> HeldPlace | None:
-        """What it holds of this machine, if anything.
+        """Return the port or device of this machine that it occupies; None if there is none.
 
         Args:
-            name: of the source's group of parameters, as ``sources.gyro``.
+            name: of the source's group of parameters, for example ``sources.gyro``.
         """
         if self.kind == SERIAL:
             return held_path(f"{name}.device", self.device)
@@ -110,10 +110,10 @@ class NmeaInConfig:
     sources: dict[str, NmeaSourceConfig] = mapping_of("instruments by id")
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check the parameters against each other.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: contains the name of the parameter.
         """
         if not self.sources:
             raise ParameterError("parameter 'sources' names no source: expected one as 'sources.gyro.kind'", "sources")
@@ -125,13 +125,13 @@ class NmeaInConfig:
         for role in _ALONE:
             ids = [id_ for id_, source in self.sources.items() if source.becomes == role]
             if len(ids) > 1:
-                raise _error(f"sources.{ids[1]}.becomes", role, f"'{ids[0]}' becomes that already")
+                raise _error(f"sources.{ids[1]}.becomes", role, f"'{ids[0]}' already has this role")
         self._check_shared()
         refuse_clashes(self.places)
 
     @property
     def places(self) -> tuple[HeldPlace, ...]:
-        """What the node holds of this machine; what sources share it holds once, by the first of them."""
+        """Return the ports and devices that the node occupies; one shared by sources is listed once, by the first."""
         held: dict[str, HeldPlace | None] = {}
         for id_, source in self.sources.items():
             held.setdefault(source.place, source.held(f"sources.{id_}"))
@@ -139,12 +139,12 @@ class NmeaInConfig:
 
     @property
     def interfaces(self) -> dict[str, str]:
-        """Dotted name of a parameter → the own address that it names beside a port's."""
+        """Dotted name of a parameter → own address of this machine in it, in addition to that of a port."""
         own = {f"sources.{id_}.interface": source.interface for id_, source in self.sources.items()}
         return {name: address for name, address in own.items() if address}
 
     def _check_shared(self) -> None:
-        """Refuse sources that share a device or a group and would have it opened differently."""
+        """Refuse sources that share a device or a group but need it opened differently."""
         firsts: dict[str, tuple[str, NmeaSourceConfig]] = {}
         for id_, source in self.sources.items():
             where = os.path.normpath(source.device) if source.kind == SERIAL else source.place
@@ -153,11 +153,11 @@ class NmeaInConfig:
                 reason = f"'{first_id}' reads the same device at {first.baud} Bd"
                 raise _error(f"sources.{id_}.baud", source.baud, reason)
             if source.interface != first.interface:
-                reason = f"'{first_id}' hears the same by {first.interface or 'the default one'}, and one is opened"
+                reason = f"'{first_id}' receives the same by {first.interface or 'the default one'}; only one is opened"
                 raise _error(f"sources.{id_}.interface", source.interface, reason)
 
     def role(self, id_: str) -> InstrumentRole:
-        """What the lines of a source become."""
+        """Return the role of a source: what its lines become."""
         source = self.sources[id_]
         has_receiver = any(other.becomes == GNSS for other in self.sources.values())
         by_instrument = source.time == INSTRUMENT_TIME
@@ -178,7 +178,7 @@ def _check_place(name: str, source: NmeaSourceConfig) -> None:
     for key, value in given.items():
         means = _MEANT[source.kind]
         if value and key not in means:
-            raise _error(f"{name}.{key}", value, f"means nothing to kind {source.kind}, which takes {', '.join(means)}")
+            raise _error(f"{name}.{key}", value, f"does not apply to kind {source.kind}, only {', '.join(means)}")
     if source.interface and not is_ipv4(source.interface):
         raise _error(f"{name}.interface", source.interface, "expected an IPv4 address of this machine")
     for address in source.from_:

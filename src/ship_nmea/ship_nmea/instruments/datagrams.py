@@ -1,31 +1,31 @@
-"""Lines in datagrams: a sentence that is cut by the end of one is put together with the next of the same sender."""
+"""Lines in datagrams: a sentence cut at the end of a datagram is joined with the next datagram of the same sender."""
 
 import re
 
 from ship_nmea.line_splitter import LineSplitter
 
 JOINED_WITHIN_NS = 200_000_000
-"""The rest of a cut sentence is waited for this long, ns."""
+"""Maximum wait for the rest of a cut sentence, ns."""
 
 _MOST_WAITING = 100
-"""Senders whose cut sentences are kept at once: who forges addresses makes as many as there are."""
+"""Maximum number of senders with a cut sentence in memory; it bounds memory if addresses are forged."""
 _CUT_SENTENCE = re.compile(rb".*[$!](?!.*\*[0-9A-Fa-f]{2}\s*$)[^$!]*", re.DOTALL)
-"""A text that ends within a sentence, before the end of its checksum."""
+"""Pattern of a text that ends within a sentence, before the end of its checksum."""
 
 
 class DatagramLines:
-    """Puts the lines of datagrams together, for each sender by itself."""
+    """Joins the lines of datagrams, separately for each sender."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, tuple[int, int, bytes]] = {}
 
     def take(self, data: bytes, sender: str, arrival_ns: int, now_ns: int) -> list[tuple[int, bytes, str]]:
-        """Return the lines that end with a datagram, or whose rest did not come: arrival, line and sender of each.
+        """Return the complete lines and those whose rest has not arrived in time: arrival, line and sender of each.
 
         Args:
-            data: of the datagram; empty where none came.
+            data: of the datagram; empty if none arrived.
             sender: of the datagram.
-            arrival_ns: of the datagram, by the node's time.
+            arrival_ns: of the datagram, by the node's clock.
             now_ns: steady time.
         """
         lines = self._overdue(now_ns)
@@ -42,6 +42,6 @@ class DatagramLines:
         return lines
 
     def _overdue(self, now_ns: int) -> list[tuple[int, bytes, str]]:
-        """Return the cut sentences that have waited for too long."""
+        """Return the cut sentences whose rest has not arrived in time."""
         late = [sender for sender, (since_ns, _, _) in self._waiting.items() if now_ns - since_ns > JOINED_WITHIN_NS]
         return [(*self._waiting.pop(sender)[1:], sender) for sender in late]

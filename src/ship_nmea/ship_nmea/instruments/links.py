@@ -1,6 +1,6 @@
-"""Where sentences are heard: a UDP port, a TCP server, a serial device, each read by a thread of its own.
+"""Links to instruments: a UDP port, a TCP server or a serial device, each read by a thread of its own.
 
-What is gone is tried again for as long as the node runs. A line carries the node's time at which its end was read.
+A lost link is reopened for as long as the node runs. Each line carries the node's time at which its end was read.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from ship_node.parameters.places import ANY_ADDRESS
 
 RETRY_S = 1.0
 WAITING_LINES = 1000
-"""Lines of a link that may wait for the node: of a flood the oldest make room."""
+"""Maximum number of queued lines of a link; of a flood the oldest are dropped."""
 
 _WAIT_S = 0.2
 _CONNECT_S = 2.0
@@ -29,19 +29,19 @@ _JOIN_S = 0.5
 _CHUNK = 65536
 _RECEIVE_BUFFER = 1 << 20
 _SO_RXQ_OVFL = 40
-"""Linux then tells with each datagram how many were dropped before it; Python has no name for it."""
+"""Linux socket option: each datagram then states how many were dropped before it. Python has no name for it."""
 _NOTES = socket.CMSG_SPACE(64)
 _KEEPALIVE = {"TCP_KEEPIDLE": 3, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
-"""A server that lost its power says no goodbye: an idle connection is asked for after 3 s, and given up 3 s later."""
+"""TCP keep-alive: an idle connection is probed after 3 s and closed 3 s later, also if the server lost power."""
 
 
 class Link(Protocol):
-    """A way by which bytes come; each call may raise OSError.
+    """Source of bytes; each method may raise OSError.
 
     Attributes:
-        is_stream: whether lines go on from one read to the next.
-        opens_at_once: whether opening never waits.
-        lost: datagrams that the system dropped because they were not read in time.
+        is_stream: True if lines continue from one read to the next.
+        opens_at_once: True if opening never blocks.
+        lost: number of datagrams that the system dropped because they were not read in time.
     """
 
     is_stream: bool
@@ -49,20 +49,20 @@ class Link(Protocol):
     lost: int
 
     def open(self) -> None:
-        """Begin to listen."""
+        """Open the link."""
         ...
 
     def read(self) -> tuple[bytes, str]:
-        """Return the next bytes, empty where none came for a moment, and of a datagram all, with its sender."""
+        """Return the next bytes, empty after a timeout, and the sender of a datagram; a datagram is returned whole."""
         ...
 
     def close(self) -> None:
-        """End."""
+        """Close the link."""
         ...
 
 
 class UdpLink:
-    """Listens for datagrams at a port of this machine, or of a multicast group."""
+    """Receives datagrams at a port of this machine, or of a multicast group."""
 
     is_stream = False
     opens_at_once = True
@@ -81,7 +81,7 @@ class UdpLink:
             self._socket.settimeout(_WAIT_S)
             is_group = _is_group(self._address)
             if is_group:
-                # Every listener of a group gets each datagram: others may listen there, too.
+                # Every receiver of a group gets each datagram: other programs may bind the port, too.
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((self._address, self._port))
             if is_group:
@@ -166,7 +166,7 @@ class SerialLink:
 
 
 def link_of(source: NmeaSourceConfig) -> Link:
-    """The link of a source."""
+    """Return a link for a source."""
     if source.kind == SERIAL:
         return SerialLink(source.device, source.baud)
     if source.kind == UDP:
@@ -175,16 +175,16 @@ def link_of(source: NmeaSourceConfig) -> Link:
 
 
 class LinkReader:
-    """Reads a link in a thread of its own; its lines wait for the node, so many and no more.
+    """Reads a link in a thread of its own and queues its lines, at most :data:`WAITING_LINES`.
 
     Args:
-        link: as yet unopened.
+        link: not opened yet.
         now_ns: the node's time.
-        came: called when lines have come.
+        came: called when lines have arrived.
 
     Attributes:
-        problem: why the link is not open, in one line; empty where it is.
-        failure: what its first opening raised, if anything.
+        problem: why the link is not open, in one line; empty if it is.
+        failure: exception of its first opening, if any.
     """
 
     def __init__(self, link: Link, now_ns: Callable[[], int], came: Callable[[], None]) -> None:
@@ -204,25 +204,25 @@ class LinkReader:
                 self.failure, self.problem = problem, words(problem)
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start reading."""
         self._thread.start()
 
     @property
     def dropped(self) -> int:
-        """Lines that were displaced by newer ones, and datagrams that were dropped before they were read."""
+        """Number of queued lines dropped for newer ones, and of datagrams dropped before they were read."""
         return self._displaced + self._link.lost
 
     def take(self, most: int) -> list[tuple[int, bytes, str]]:
-        """Return the oldest lines that wait: of each the time at which it came, the line, and its sender."""
+        """Remove and return the oldest queued lines: arrival time, line and sender of each."""
         with self._lock:
             return [self._lines.popleft() for _ in range(min(most, len(self._lines)))]
 
     def stop(self) -> None:
-        """Tell the thread to end, and to give the link back."""
+        """Request the thread to end and to close the link."""
         self._stop.set()
 
     def join(self) -> None:
-        """Wait until it has; one that asks for a name or a connection ends with the process."""
+        """Wait for the end of the thread; one that waits for a name or a connection ends with the process."""
         self._thread.join(_JOIN_S)
 
     def _run(self) -> None:
@@ -232,7 +232,7 @@ class LinkReader:
                     self._open()
                 self._read()
             except Exception as problem:
-                # Whatever a driver raises, it is tried again.
+                # A driver may raise anything; opening is retried.
                 self.problem = words(problem)
             if self._is_open:
                 self._is_open = False

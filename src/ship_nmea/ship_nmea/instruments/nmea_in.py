@@ -1,4 +1,4 @@
-"""``nmea_in``: hears instruments and publishes what they say."""
+"""``nmea_in``: receive instruments' sentences and publish their values."""
 
 import threading
 import time
@@ -17,29 +17,29 @@ from ship_node.edge.topics import OutputTopic
 NAME = "nmea_in"
 
 _DESCRIPTION = """\
-Hears instruments' sentences (NMEA 0183) on UDP ports, TCP servers and serial devices, and publishes ins/imu,
+Receives instruments' sentences (NMEA 0183) on UDP ports, TCP servers and serial devices, and publishes ins/imu,
 reference/<id>/imu, gnss/fix, met/pressure, met/temperature and met/humidity, with the parser of import_nmea.
 
-Read are PSXN 20 and 23, PRDID and PTNTHPR with ZDA, PASHR, PSAT,HPR, GGA, HDT, THS, ROT, XDR, MDA and MET. What cannot
-be used is counted by its reason in /diagnostics, for each source with an example; so are datagrams of another sender
-than the first, or than those in from. A source that is gone is told there and tried again.
+It reads PSXN 20 and 23, PRDID and PTNTHPR with ZDA, PASHR, PSAT,HPR, GGA, HDT, THS, ROT, XDR, MDA and MET. Sentences
+that cannot be used are counted by reason in /diagnostics, with an example for each source; so are datagrams of a sender
+other than the first, or not listed in from. A lost source is reported there and opened again.
 """
 
 _AT_ONCE = 50
-"""Lines of a link taken before the next link's turn: a flood of one holds up no other."""
+"""Lines of a link processed before the next link's turn: a flood on one link delays no other."""
 _IDLE_S = 0.5
 _NAMED_BY = {UDP: ("port", "address"), SERIAL: ("device", "baud")}
-"""See :func:`ship_nmea.opening.refusal`; of tcp a failure is that of the other side."""
+"""See :func:`ship_nmea.link_opening.permanent_error`; a TCP failure is that of the other side and has no entry."""
 _JOIN_S = 2.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``nmea_in``; returns the exit code."""
+    """Run ``nmea_in``; return the exit code."""
     return run_nmea_node(NAME, _DESCRIPTION, NmeaInConfig, NmeaIn, arguments)
 
 
 class NmeaIn:
-    """The node's work: a thread for each link that reads, and one that publishes.
+    """Work of the node: a thread for each link that reads, and one that publishes.
 
     Raises:
         InputError: no source can be opened: a port is in use, or a device cannot be read.
@@ -67,7 +67,7 @@ class NmeaIn:
         self._publishing.start()
 
     def statuses(self) -> Iterator[DiagnosticStatus]:
-        """How each source does."""
+        """Yield the status of each source."""
         now_ns = time.monotonic_ns()
         for place, reader in self._readers.items():
             for source in self._sources[place]:
@@ -84,7 +84,7 @@ class NmeaIn:
             reader.join()
 
     def _refusals(self) -> Iterator[BadInput]:
-        """Why places cannot be opened that somebody has to put right."""
+        """Yield the errors of places that only the user can clear."""
         for place, reader in self._readers.items():
             source = self._sources[place][0]
             refused = reader.failure and refusal(reader.failure, f"sources.{source.id}", source.config, _NAMED_BY)
@@ -100,7 +100,7 @@ class NmeaIn:
                 taken = sum(self._publish_some(place) for place in self._readers)
 
     def _publish_some(self, place: str) -> int:
-        """Publish what some lines of a link say; returns how many."""
+        """Publish the values of some lines of a link; return the number of lines."""
         lines = self._readers[place].take(_AT_ONCE)
         for arrival_ns, line, sender in lines:
             self._guard.call(place, self._publish_line, place, arrival_ns, line, sender)

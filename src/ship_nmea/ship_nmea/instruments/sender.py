@@ -1,26 +1,26 @@
 """The one sender whose datagrams a source uses.
 
-Two instruments, or an instrument and a datagram from elsewhere, would be mixed on one topic; attitudes stamped ahead by
-the one make those of the other late. So the first sender that gives something is held until it is silent.
+Datagrams of two instruments, or of an instrument and of a foreign host, would be mixed on one topic. If one stamps
+ahead, the other's attitudes would be late. So the first sender with usable data is selected until it times out.
 """
 
 from ship_bags.stamps import NS_PER_S
 
 HELD_NS = 10 * NS_PER_S
-"""Silence after which another sender may take the place of the one that is held, ns."""
+"""Time without data after which another sender may replace the selected one, ns."""
 
 NOT_LISTED = "sender that is not in 'from'"
 NOT_HELD = "sender other than the first (name the instrument's address in 'from')"
 
 
 class SenderRule:
-    """Decides whose datagrams are used.
+    """Selects the sender whose datagrams are used.
 
     Args:
-        addresses: those allowed, whose ports do not matter then; empty for any address, and one port of it.
+        addresses: allowed addresses, from any port; empty for one port of any address.
 
     Attributes:
-        held: the sender in use; empty where there is none.
+        held: the selected sender; empty if there is none.
     """
 
     def __init__(self, addresses: tuple[str, ...]) -> None:
@@ -29,10 +29,10 @@ class SenderRule:
         self._last_ns = 0
 
     def refusal(self, sender: str, now_ns: int) -> str:
-        """Return why a text of a sender is not used; empty where it is.
+        """Return why a text of a sender is rejected; empty if it is used.
 
         Args:
-            sender: address and port, as ``10.0.0.7:4001``; empty for a stream, which has one sender alone.
+            sender: address and port, for example ``10.0.0.7:4001``; empty for a stream, which has one sender.
             now_ns: steady time.
         """
         identity = self._identity(sender)
@@ -47,7 +47,7 @@ class SenderRule:
         return ""
 
     def hold(self, sender: str, now_ns: int) -> None:
-        """Hold a sender that gave what the source is for."""
+        """Select a sender of usable data."""
         self.held, self._last_ns = self._identity(sender), now_ns
 
     def _identity(self, sender: str) -> str:

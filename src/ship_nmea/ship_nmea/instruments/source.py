@@ -1,4 +1,4 @@
-"""One source of sentences: its lines become messages, and what becomes of each line is counted and told."""
+"""One source of sentences: lines are converted to messages; the outcome of each line is counted and reported."""
 
 import threading
 from collections import Counter
@@ -21,13 +21,13 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 NO_TIME = "no time: no /clock yet"
 
 SHOWN_NS = 10 * NS_PER_S
-"""What was wrong is a warning for this long, ns."""
+"""Time for which a past problem remains a warning, ns."""
 
 _BACK_NS = NS_PER_S
-"""Where the node's time goes back by more, the instrument is heard anew."""
+"""Backward jump of the node's time beyond which the instrument is reset, ns."""
 
 _PUT_RIGHT_NS = 3 * NS_PER_S
-"""Where none has been later for so long than a last one that is still to come, the instrument is heard anew, ns."""
+"""Time without a later stamp, after a last stamp still in the future, after which the instrument is reset, ns."""
 
 _SHOWN_CHARACTERS = 60
 _MOST_NAMES, _MOST_TOLD, _LONGEST_NAME, _OTHERS = 50, 10, 12, "others"
@@ -35,14 +35,14 @@ _MOST_NAMES, _MOST_TOLD, _LONGEST_NAME, _OTHERS = 50, 10, 12, "others"
 
 @dataclass
 class LiveReport(LineReport):
-    """What became of a live source's lines; bounded, whatever comes.
+    """Outcome of a live source's lines; its size is bounded.
 
     Attributes:
-        talkers: talker that is not of the source → count of its sentences.
-        senders: sender that is not used → count of its texts.
-        last: reason → the line that was rejected last for it, cut short.
-        rejected_ns: reason → when, by a steady clock.
-        now_ns: steady time of the line at work.
+        talkers: talker that is not of the source → number of its sentences.
+        senders: sender that is not used → number of its texts.
+        last: reason → the line that was last rejected for it, shortened.
+        rejected_ns: reason → steady time of the last rejection.
+        now_ns: steady time of the line being processed.
     """
 
     talkers: Counter[str] = field(default_factory=Counter)
@@ -58,7 +58,7 @@ class LiveReport(LineReport):
         self.last[reason] = shown(text)
 
     def set_aside(self, name: str) -> None:
-        """Count a sentence of which nothing becomes."""
+        """Count a sentence that is not of interest."""
         _count(self.unused, name[:_LONGEST_NAME])
 
     def reject_sender(self, reason: str, sender: str, text: str) -> None:
@@ -72,7 +72,7 @@ class LiveReport(LineReport):
 
 
 class Source:
-    """Turns what was heard into messages, in one thread, and tells how it does in another.
+    """Converts received sentences to messages in one thread, and reports its status in another.
 
     Args:
         id_: of the source.
@@ -97,21 +97,21 @@ class Source:
         self._given: Counter[str] = Counter()
         self._heave_m: float | None = None
         self._given_before = 0
-        # Long enough ago for neither to be shown.
+        # In the past, so that neither is a warning now.
         self._dropped, self._dropped_ns = 0, now_ns - 2 * SHOWN_NS
         self._clock_problem, self._clock_problem_ns = "", now_ns - 2 * SHOWN_NS
         self._talkers = TalkerComparison()
-        # Of an INS the attitude matters, of a weather station whatever it tells.
+        # An INS must give attitudes; a weather station any of its quantities.
         self._wanted = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
     def take(self, heard: HeardText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:
-        """The messages of the next text, each with its topic; they count as given.
+        """Return the messages of the next text, each with its topic; they are counted as published.
 
         Args:
-            heard: the text and what it says.
-            arrival_ns: the node's time at which it came; 0 where the node has no time yet.
+            heard: the text and its parsed content.
+            arrival_ns: arrival by the node's time; 0 if the node has no time yet.
             now_ns: steady time.
-            sender: address and port of a datagram; empty where the text came in a stream.
+            sender: address and port of a datagram; empty for a stream.
         """
         with self._lock:
             self._report.lines += 1
@@ -134,7 +134,7 @@ class Source:
         messages = [] if line is None else [(topic, message) for _, topic, message in self._instrument.take(line)]
         was_ahead = self._stamp_ns > arrival_ns and now_ns - self._given_ns > _PUT_RIGHT_NS
         if was_ahead and report.rejected[NOT_LATER] > not_later:
-            # Its clock has been put right: what is refused is good, and what it said before was not.
+            # The instrument's clock was corrected: its new stamps are right, and the earlier ones were not.
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         for topic, message in messages:
             self._given[topic] += 1
@@ -165,11 +165,11 @@ class Source:
         return None
 
     def status(self, problem: str, dropped: int, now_ns: int) -> DiagnosticStatus:
-        """How the source does, judged by what it gave.
+        """Return the status of the source, from the messages that it published.
 
         Args:
-            problem: of its link; empty where that is open.
-            dropped: lines of its link that were not kept.
+            problem: of its link; empty if it is open.
+            dropped: number of lines of its link that were dropped.
             now_ns: steady time.
         """
         with self._lock:
@@ -206,15 +206,15 @@ class Source:
         recent = [reason for reason, at_ns in report.rejected_ns.items() if now_ns - at_ns <= SHOWN_NS]
         wrong = "; ".join(f"{reason} {report.rejected[reason]}, as {report.last[reason]}" for reason in sorted(recent))
         if problem:
-            return Level.ERROR, f"{self.config.place}: {problem}; it is tried again"
+            return Level.ERROR, f"{self.config.place}: {problem}; retried"
         if not now_ns - self._heard_ns <= limit_ns:
             return Level.ERROR, f"{self.config.place}: no line for {(now_ns - self._heard_ns) / NS_PER_S:.0f} s"
         if not now_ns - self._given_ns <= limit_ns:
             others = f", of other talkers {_names(report.talkers)}" if report.talkers else ""
-            why = wrong or f"heard are {_names(report.unused, report.used) or 'no sentences of use'}{others}"
-            return Level.ERROR, f"lines come, and no {topics} for {(now_ns - self._given_ns) / NS_PER_S:.0f} s: {why}"
+            why = wrong or f"received: {_names(report.unused, report.used) or 'no usable sentences'}{others}"
+            return Level.ERROR, f"lines come, but no {topics} for {(now_ns - self._given_ns) / NS_PER_S:.0f} s: {why}"
         if now_ns - self._dropped_ns <= SHOWN_NS:
-            return Level.ERROR, f"overflow: more came than can be taken; {self._dropped} lines were dropped"
+            return Level.ERROR, f"overflow: input faster than processing; {self._dropped} lines were dropped"
         if now_ns - self._clock_problem_ns <= SHOWN_NS:
             advice = f"set the clocks by NTP or PTP, or stamp by time: {ARRIVAL_TIME}"
             return Level.WARN, f"{self._clock_problem}: {advice}"
@@ -224,16 +224,16 @@ class Source:
             return Level.WARN, f"{'; '.join(several)}: choose one with talkers"
         if not any(self._given[topic] for topic in self._wanted):
             return Level.OK, f"{self.config.place}: waiting for the first {topics}"
-        return Level.OK, f"gives {topics}"
+        return Level.OK, f"publishes {topics}"
 
 
 def shown(text: str) -> str:
-    """A text in quotes, cut short."""
+    """Return a text in quotes, shortened."""
     return repr(text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…")
 
 
 def _count(counts: Counter[str], name: str) -> None:
-    """Count a name, of which there may be many."""
+    """Count a name; names beyond a maximum are counted together."""
     counts[name if name in counts or len(counts) < _MOST_NAMES else _OTHERS] += 1
 
 

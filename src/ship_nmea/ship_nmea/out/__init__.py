@@ -1,4 +1,4 @@
-"""The node ``nmea_out``: its parameters, the sinks that sentences go to, and who tells what to which sink, when.
+"""The node ``nmea_out``: its parameters, its sinks, and the schedule of what is sent to which sink.
 
-The room imports ``sentences`` and the shell. A sink works in a thread of its own, so that none can hold up another.
+The room imports ``sentences`` and the node runtime. Each sink has a thread of its own, so that none delays another.
 """

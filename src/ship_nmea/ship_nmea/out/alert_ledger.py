@@ -1,4 +1,4 @@
-"""What the bridge has been told of each alert: its number, its revision, and which alert a command means."""
+"""Alerts as sent to the bridge: their numbers and revisions, and the alert that a command refers to."""
 
 import dataclasses
 import string
@@ -29,7 +29,7 @@ _TITLE_LENGTH = 16
 
 @dataclass(frozen=True)
 class _Entry:
-    """An alert as it came and as it is told."""
+    """An alert as received and as sent."""
 
     key: tuple[Any, ...]
     id: str
@@ -38,13 +38,13 @@ class _Entry:
 
 
 class AlertLedger:
-    """All alerts of the suite as the bridge knows them.
+    """All alerts of the suite as sent to the bridge.
 
     The number of an alert follows from its id, so that it is the same after a restart and on the sister ship. Revisions
-    begin at 1 again.
+    start at 1 again.
 
     Attributes:
-        left_out: how many alerts of the last message are not told, because there are more than MOST_ALERTS.
+        left_out: number of alerts of the last message that are not sent, because there are more than MAX_ALERTS.
     """
 
     def __init__(self) -> None:
@@ -53,18 +53,18 @@ class AlertLedger:
 
     @property
     def told(self) -> list[AlertToTell]:
-        """All alerts, the most urgent first."""
+        """Return all alerts, the most urgent first."""
         return [entry.told for entry in self._entries.values()]
 
     def take(self, alerts: Sequence[Any], now_ns: int) -> list[AlertToTell]:
-        """What changed: alerts that are new or another way than before, and as normal those that are no more.
+        """Return the changes: new and changed alerts, and alerts that no longer exist as normal.
 
-        An instance in whose place another one comes is told as normal before it: the bridge knows an alert by number
-        and instance, and would keep both.
+        An instance that is replaced by another one is first returned as normal: the bridge identifies an alert by its
+        number and instance, and would keep both.
 
         Args:
             alerts: the ship_msgs/Alert of an AlertArray.
-            now_ns: when those that are no more became normal.
+            now_ns: time at which those that no longer exist became normal.
         """
         self.left_out = max(0, len(alerts) - MOST_ALERTS)
         before, now = self._entries, dict[int, _Entry]()
@@ -77,14 +77,14 @@ class AlertLedger:
                 changed.append(_normal(former.told, now_ns))
             if former is None or entry.key != former.key:
                 changed.append(entry.told)
-        # Only now, so that a list that cannot be read changes nothing.
+        # At the end, so that a list that cannot be read changes nothing.
         self._entries = now
         return changed + [_normal(entry.told, now_ns) for number, entry in before.items() if number not in now]
 
     def meant(self, command: AlertCommand) -> tuple[str, int] | None:
-        """Id and instance of the alert that a command is about; None where there is no such alert.
+        """Return id and instance of the alert of a command; None if there is no such alert.
 
-        A command that names no instance means the present one; whether a named one is, decides who keeps the alerts.
+        A command without an instance refers to the present one. An instance that it names is checked by the alert node.
         """
         entry = self._entries.get(command.identifier)
         if entry is None:
@@ -92,13 +92,13 @@ class AlertLedger:
         return entry.id, entry.instance if command.instance is None else command.instance
 
     def told_of(self, command: AlertCommand) -> AlertToTell | None:
-        """The alert that a command is about, as it is told."""
+        """Return the alert of a command as it was sent."""
         entry = self._entries.get(command.identifier)
         return None if entry is None else entry.told
 
 
 def _number(id_: str, taken: Container[int]) -> int:
-    """The number of an alert by its id: the next free one where another alert of the list has the same."""
+    """Return the number of an alert from its id: the next free one if another alert of the list has it."""
     count = LAST_IDENTIFIER - FIRST_IDENTIFIER + 1
     number = zlib.crc32(id_.encode()) % count
     while (FIRST_IDENTIFIER + number) in taken:
@@ -120,7 +120,7 @@ def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     if before is not None:
         revision = before.told.revision % _LAST_REVISION + 1
         rose = _PRIORITIES.index(priority) > _PRIORITIES.index(before.told.priority)
-        # What becomes graver is another instance (docs/explanation/alerts.md); one that only comes again begins anew.
+        # A more urgent alert is another instance (docs/explanation/alerts.md); one that only recurs starts at 0.
         if rose or before.instance == alert.instance:
             escalation = min(before.told.escalation + rose, _LAST_ESCALATION)
     instance = (alert.instance - 1) % GREATEST_INSTANCE + 1
@@ -132,10 +132,10 @@ def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
 
 
 def _title(id_: str) -> str:
-    """An id in words, none left out: where they are too long, the longest loses its last letter until they fit.
+    """Return an id in words, none left out; if too long, the longest word loses its last letter until the title fits.
 
     So "attitude.degraded" is ATTITUD DEGRADED, and "star.starboard2.out" is STAR STARBO2 OUT: a number at the end of a
-    word tells two devices apart and stays.
+    word distinguishes two devices and stays.
     """
     words = id_.upper().replace("_", " ").replace(".", " ").split()
     while len(" ".join(words)) > _TITLE_LENGTH and (longest := max(map(_letters, words), default=0)) > 1:
@@ -145,5 +145,5 @@ def _title(id_: str) -> str:
 
 
 def _letters(word: str) -> int:
-    """How long a word is without the number at its end."""
+    """Return the length of a word without the number at its end."""
     return len(word.rstrip(string.digits))

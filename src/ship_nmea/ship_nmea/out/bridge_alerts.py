@@ -1,6 +1,6 @@
-"""Alerts to the bridge and its commands back: each change at once, the list and a heartbeat now and then.
+"""Alerts to the bridge and its commands back: each change at once, the list and a heartbeat periodically.
 
-What the bridge acknowledges is passed on to the node that keeps the alerts; what it asks in vain is refused by ARC.
+Acknowledgements of the bridge are passed to the alert node; commands that cannot be executed are answered with ARC.
 """
 
 import time
@@ -33,7 +33,7 @@ _ANSWERED_WITHIN_NS = 3 * NS_PER_S
 
 @dataclass(frozen=True)
 class _Asked:
-    """A command that was passed on: the answer to come, until when, and which sink it came from."""
+    """A command that was passed on: its pending response, the deadline, and the sink that it came from."""
 
     answer: Future
     until_ns: int
@@ -42,7 +42,7 @@ class _Asked:
 
 
 class BridgeAlerts:
-    """Tells alerts to the sinks that want them, and takes the bridge's commands.
+    """Sends alerts to the sinks configured for them, and executes the bridge's commands.
 
     Args:
         shell: of the node.
@@ -59,7 +59,7 @@ class BridgeAlerts:
         self._sequences: Counter[str] = Counter()
 
     def begin(self, sinks: Mapping[str, Sink]) -> None:
-        """Begin to tell; ``sinks`` are those of the node by their names."""
+        """Start sending to the ``sinks`` of the node, by name."""
         self._sinks = sinks
         if self.are_told:
             self._acknowledger = self._shell.node.create_client(AcknowledgeAlert, ACKNOWLEDGE_SERVICE)
@@ -69,26 +69,26 @@ class BridgeAlerts:
 
     @property
     def are_told(self) -> bool:
-        """Whether any sink wants alerts."""
+        """True if alerts are sent to any sink."""
         return any(self._with(name) for name in ALERT_SENTENCES)
 
     def hear(self, name: str, text: str, address: str) -> None:
-        """Keep a line that came in at the sink of that name, in whose thread this is called, until it is answered."""
+        """Queue a line received by the named sink; called in the thread of that sink."""
         if len(self._heard) == _MOST_HEARD:
             self._counts["dropped"] += 1
         self._heard.append((name, text, address))
 
     def status(self) -> DiagnosticStatus:
-        """What was told, and what was not."""
+        """Return what was sent, and what was not."""
         values = {name: str(count) for name, count in sorted(self._counts.items())}
         if is_played(self._shell):
-            return DiagnosticStatus("alerts", Level.WARN, f"none goes out, the heartbeat says V: {PLAYED}", values)
+            return DiagnosticStatus("alerts", Level.WARN, f"no alert is sent, heartbeat status V: {PLAYED}", values)
         if not self._is_kept():
-            text = f"nobody publishes {ALERTS.topic}: no list goes out, and the heartbeat says V"
+            text = f"no publisher of {ALERTS.topic}: no list is sent, heartbeat status V"
             return DiagnosticStatus("alerts", Level.WARN, text, values)
         text = f"{len(self._ledger.told)} alerts"
         if self._ledger.left_out:
-            text = f"{text} told, {self._ledger.left_out} more left out"
+            text = f"{text} sent, {self._ledger.left_out} more omitted"
             return DiagnosticStatus("alerts", Level.WARN, text, values)
         return DiagnosticStatus("alerts", Level.OK, text, values)
 
@@ -104,7 +104,7 @@ class BridgeAlerts:
         self._counts["told"] += 1
 
     def _tell_list(self) -> None:
-        """The list, unless nobody keeps the alerts or they are played: an empty list would say that all is well."""
+        """Send the list if live alerts are published; an empty list would report that there is no alert."""
         is_kept = self._is_kept() and not is_played(self._shell)
         sentences = alc(self._ledger.told, self._config.talker, self._config.manufacturer, self._next(ALC))
         for sentence in sentences if is_kept else ():
@@ -123,7 +123,7 @@ class BridgeAlerts:
                 self._take_answer(asked)
             elif now_ns > asked.until_ns:
                 self._acknowledger.remove_pending_request(asked.answer)
-                self._refuse(asked.sink, asked.command, f"{ACKNOWLEDGE_SERVICE} does not answer")
+                self._refuse(asked.sink, asked.command, f"{ACKNOWLEDGE_SERVICE} did not respond")
             else:
                 self._asked.append(asked)
 
@@ -139,11 +139,11 @@ class BridgeAlerts:
         if command is None:
             self._counts["for others"] += 1
         elif not sink.config.takes_commands_of(address):
-            # No answer: the bridge, which would get it as well, gave no such command.
+            # No ARC: the bridge would receive it, too, and gave no such command.
             self._counts["not allowed"] += 1
             self._shell.node.get_logger().warning(
-                f"{sink.name}: command {command.command} about alert {command.identifier} of {address} is not done: "
-                f"allow it by sinks.{sink.name}.from, if it is the bridge's",
+                f"{sink.name}: command {command.command} about alert {command.identifier} of {address} not executed: "
+                f"add this address to sinks.{sink.name}.from, if it is the bridge's",
                 throttle_duration_sec=1.0,
             )
         else:
@@ -152,15 +152,15 @@ class BridgeAlerts:
     def _do(self, sink: Sink, command: AlertCommand) -> None:
         meant, alert = self._ledger.meant(command), self._ledger.told_of(command)
         if not {ALF, ALC} & set(sink.config.sentences):
-            self._refuse(sink, command, "no alerts are told here")
+            self._refuse(sink, command, "this sink sends no alerts")
         elif meant is None or alert is None:
-            self._refuse(sink, command, "there is no such alert")
+            self._refuse(sink, command, "no such alert")
         elif command.command == REPEAT:
             self._tell_alert(alert, [sink])
         elif command.command != ACKNOWLEDGE:
-            self._refuse(sink, command, "this command is not known here")
+            self._refuse(sink, command, "unknown command")
         elif len(self._asked) >= _MOST_ASKED or not self._acknowledger.service_is_ready():
-            self._refuse(sink, command, f"{ACKNOWLEDGE_SERVICE} is not there, or behind")
+            self._refuse(sink, command, f"{ACKNOWLEDGE_SERVICE} is not available, or overloaded")
         else:
             answer = self._acknowledger.call_async(AcknowledgeAlert.Request(id=meant[0], instance=meant[1]))
             self._asked.append(_Asked(answer, time.monotonic_ns() + _ANSWERED_WITHIN_NS, command, sink))
@@ -189,7 +189,7 @@ class BridgeAlerts:
         return [sink for sink in self._sinks.values() if name in sink.config.sentences]
 
     def _next(self, name: str) -> int:
-        """The number of the next message of a kind: by a gap the bridge learns that one is lost."""
+        """Return the number of the next message of a kind: the bridge detects a lost one from a gap."""
         self._sequences[name] += 1
         return self._sequences[name]
 

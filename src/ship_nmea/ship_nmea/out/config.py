@@ -19,19 +19,19 @@ _ALLOWED = {
     SERIAL: ("device", "baud"),
     FILE: ("path",),
 }
-"""Of the parameters that say where a sink leads: those that a kind must have, and those that mean something to it."""
+"""Kind → parameters of a sink's place that it requires, and those that apply to it."""
 
 
 @dataclass(frozen=True)
 class SinkConfig:
-    """Where sentences go, which, and how often."""
+    """Where sentences are sent, which ones, and how often."""
 
-    kind: str = parameter(doc="how the sentences leave", choices=(UDP, TCP_SERVER, SERIAL, FILE))
+    kind: str = parameter(doc="how the sentences are sent", choices=(UDP, TCP_SERVER, SERIAL, FILE))
     sentences: tuple[str, ...] = parameter(
-        ("HDT", "THS", "ROT"), doc="what is sent, in this order", choices=(*ATTITUDE_SENTENCES, *ALERT_SENTENCES)
+        ("HDT", "THS", "ROT"), doc="sentences to send, in this order", choices=(*ATTITUDE_SENTENCES, *ALERT_SENTENCES)
     )
     rate_hz: float = parameter(
-        10.0, doc="how often the attitude is sent; at most as often as it comes", unit="Hz", minimum=0.01,
+        10.0, doc="rate of the attitude; at most the rate at which it is received", unit="Hz", minimum=0.01,
         maximum=1000.0,
     )  # fmt: skip
     decimals: int = parameter(
@@ -39,26 +39,26 @@ class SinkConfig:
         " the 82 bytes of the standard", minimum=1, maximum=7,
     )  # fmt: skip
     address: str = parameter(
-        "", doc="udp: IPv4 address of a host, of all (broadcast) or of a group; tcp_server: own one, empty for all"
+        "", doc="udp: IPv4 address of a host, a broadcast or a multicast group; tcp_server: own address, empty for all"
     )
     port: int = parameter(0, doc="udp: port sent to; tcp_server: port listened on", minimum=0, maximum=65535)
     listen_port: int = parameter(
         0, doc="udp: own port, to which the bridge sends its commands (ACN); 0 for none", minimum=0, maximum=65535
     )
     from_: tuple[str, ...] = parameter(
-        (), doc="udp and tcp_server: IPv4 addresses whose commands (ACN) are done; empty: of udp that of address, of "
-        "tcp_server none",
+        (), doc="udp and tcp_server: IPv4 addresses whose commands (ACN) are executed; empty: for udp that of address, "
+        "for tcp_server none",
     )  # fmt: skip
     interface: str = parameter("", doc="udp to a group: own IPv4 address of the network to use; empty for the default")
     device: str = parameter("", doc="serial: device, better by its name in /dev/serial/by-id")
     baud: int = parameter(
-        38400, doc="serial: rate; 4800 is NMEA 0183's own, some seven sentences a second", unit="Bd", minimum=300,
+        38400, doc="serial: rate; 4800 is that of NMEA 0183, about seven sentences per second", unit="Bd", minimum=300,
         maximum=4_000_000,
     )  # fmt: skip
-    path: str = parameter("", doc="file: is appended to")
+    path: str = parameter("", doc="file: sentences are appended to it")
 
     def misfit(self) -> tuple[str, str] | None:
-        """Which parameter does not fit, and what was expected; None where all do."""
+        """Return the first parameter that does not fit, and what was expected; None if all fit."""
         for name in _NEEDED[self.kind]:
             if not getattr(self, name):
                 return name, f"must be given for kind {self.kind}"
@@ -66,7 +66,7 @@ class SinkConfig:
         for field in ("address", "port", "listen_port", "interface", "from_", "device", "path"):
             name = field.removesuffix("_")
             if getattr(self, field) and name not in allowed:
-                return name, f"means nothing to kind {self.kind}, which takes {', '.join(allowed)}"
+                return name, f"does not apply to kind {self.kind}, which takes {', '.join(allowed)}"
         for address in self.from_:
             if not is_ipv4(address):
                 return "from", f"names '{address}': expected IPv4 addresses, as 10.0.0.7"
@@ -81,16 +81,16 @@ class SinkConfig:
         return None
 
     def takes_commands_of(self, address: str) -> bool:
-        """True if the commands of an address are done; the far end of a serial line has none, and may command."""
+        """True if commands from an address are executed; a serial line has no address, and its commands are."""
         if not address or address in self.from_:
             return True
         return not self.from_ and self.kind == UDP and address == self.address
 
     def held(self, name: str) -> HeldPlace | None:
-        """What it holds of this machine, if anything: several may send to one UDP address.
+        """Return the port, device or file of this machine that it occupies; None if others may share its destination.
 
         Args:
-            name: of the sink's group of parameters, as ``sinks.bridge``.
+            name: of the sink's group of parameters, for example ``sinks.bridge``.
         """
         if self.kind == TCP_SERVER:
             return held_port(f"{name}.port", PlaceKind.TCP, self.port, self.address)
@@ -105,27 +105,27 @@ class SinkConfig:
 class NmeaOutConfig:
     """All parameters of the node."""
 
-    sinks: dict[str, SinkConfig] = mapping_of(doc="where sentences go, by any name")
+    sinks: dict[str, SinkConfig] = mapping_of(doc="destinations of sentences, by any name")
     talker: str = parameter("IN", doc="talker of HDT, THS, ROT and alerts: IN integrated navigation, HE gyro, ...")
     longest_age_s: float = parameter(
-        1.0, doc="an attitude that is older by its stamp, or that came longer ago, is told as void", unit="s",
+        1.0, doc="maximum age of an attitude by its stamp and by its arrival; an older one is sent void", unit="s",
         minimum=0.01, maximum=60.0,
     )  # fmt: skip
     alerts_period_s: float = parameter(
-        30.0, doc="how often ALC and HBT are sent", unit="s", minimum=0.1, maximum=60.0
+        30.0, doc="period of ALC and HBT", unit="s", minimum=0.1, maximum=60.0
     )
     manufacturer: str = parameter("ZZZ", doc="code of three letters that stands for this suite in ALF, ALC, ACN, ARC")
 
     tell_simulated: bool = parameter(
-        False, doc="for training: under /clock (a played bag, a simulation) all goes out as usual; otherwise only THS,"
-        " in mode S, the rest is void, and no alert goes out",
+        False, doc="for training: under /clock (played bag, simulation) all is sent as usual; if false, only THS is"
+        " valid, in mode S, and no alert is sent",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check the parameters against each other.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: contains the name of the parameter.
         """
         if not self.sinks:
             raise ParameterError("parameter 'sinks' names no sink: expected one as 'sinks.bridge.kind'", "sinks")
@@ -139,12 +139,12 @@ class NmeaOutConfig:
 
     @property
     def places(self) -> tuple[HeldPlace, ...]:
-        """What the node holds of this machine."""
+        """Return the ports, devices and files of this machine that the node occupies."""
         return tuple(filter(None, (sink.held(f"sinks.{name}") for name, sink in self.sinks.items())))
 
     @property
     def interfaces(self) -> dict[str, str]:
-        """Dotted name of a parameter → the own address that it names beside a port's."""
+        """Dotted name of a parameter → the own address in it, in addition to that of a port."""
         own = {f"sinks.{id_}.interface": sink.interface for id_, sink in self.sinks.items()}
         return {name: address for name, address in own.items() if address}
 

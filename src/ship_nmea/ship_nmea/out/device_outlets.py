@@ -1,4 +1,4 @@
-"""Ways out to devices of this machine: a serial line, and a file."""
+"""Outlets to devices of this machine: a serial line, and a file."""
 
 import contextlib
 import errno
@@ -13,12 +13,12 @@ from ship_nmea.opening import opened_serial
 from ship_nmea.out.outlet import RECEIVE_BYTES, Outlet, command_texts
 
 _UNSENT_S = 0.1
-"""A serial line takes the next sentence when what it has still to send takes no longer, s."""
+"""Maximum duration of the unsent data of a serial line at which it accepts the next sentence, s."""
 _BITS_PER_BYTE = 10
 
 
 class SerialOutlet(Outlet):
-    """A serial line; it is told the next sentence only when it has nearly sent the one before."""
+    """A serial line; it accepts the next sentence when the previous one is nearly sent."""
 
     _port: serial.Serial | None = None
 
@@ -44,7 +44,7 @@ class SerialOutlet(Outlet):
     def close(self) -> None:
         """See :meth:`Outlet.close`."""
         if self._port is not None:
-            # What is not sent of a line that is gone would be waited for.
+            # Closing would wait for unsent data of a lost line.
             with contextlib.suppress(OSError, termios.error):
                 self._port.reset_output_buffer()
             with contextlib.suppress(OSError, termios.error):
@@ -66,13 +66,13 @@ class SerialOutlet(Outlet):
 
 
 class FileOutlet(Outlet):
-    """A file that is appended to, whole sentences at a time."""
+    """A file to which whole sentences are appended."""
 
     _file: int | None = None
 
     def open(self, _selector: selectors.BaseSelector) -> None:
         """See :meth:`Outlet.open`."""
-        # To open a pipe without a reader would wait for one.
+        # Opening a pipe without O_NONBLOCK would wait for a reader.
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK
         self._file = os.open(self._config.path, flags, 0o644)
         os.set_blocking(self._file, True)
@@ -82,7 +82,7 @@ class FileOutlet(Outlet):
         assert self._file is not None
         written = os.write(self._file, sentence)
         if written < len(sentence):
-            # Of a full disk: what was begun would stand before the next sentence.
+            # Full disk: an incomplete sentence would precede the next one.
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, os.fstat(self._file).st_size - written)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -1,4 +1,4 @@
-"""Ways out over the network: UDP datagrams, and a TCP server with its clients."""
+"""Outlets to the network: UDP datagrams, and a TCP server with its clients."""
 
 import selectors
 import socket
@@ -9,18 +9,18 @@ from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.outlet import RECEIVE_BYTES, Heard, Outlet, command_texts
 
 MOST_CLIENTS, MOST_OF_A_HOST = 32, 8
-"""Places for clients, and how many of them one host may have: it must not shut out the others."""
+"""Maximum number of clients, and of clients of one host, so that it cannot shut out the others."""
 STALLED_S = 10.0
-"""A client whose system takes nothing of what waits for it for so long is sent away, s."""
+"""Time without acknowledgement of sent data after which a client is disconnected, s."""
 
 _MOST_READ = 20
-"""So many reads in one go: a flood of one client must not hold up the sentences."""
+"""Maximum number of reads in a row: a flood from one client must not delay the sentences."""
 _SEND_BUFFER_BYTES = 4096
-"""What waits in the kernel for a client that reads slowly is old when it reads it."""
+"""Small, because data that waits in the kernel for a slow client is old when it is read."""
 
 
 class UdpOutlet(Outlet):
-    """To one host, to all of a network, or to a group; commands come to ``listen_port``."""
+    """Sends to one host, to a network (broadcast) or to a group; commands are received at ``listen_port``."""
 
     _socket: socket.socket | None = None
 
@@ -45,7 +45,7 @@ class UdpOutlet(Outlet):
         except BlockingIOError:
             return False
         except ConnectionRefusedError:
-            pass  # of an earlier sentence: nobody listens there, now
+            pass  # error of an earlier sentence: no program receives there now
         return True
 
     def close(self) -> None:
@@ -65,7 +65,7 @@ class UdpOutlet(Outlet):
 
 
 class _Client:
-    """One who listens, and what it has not taken yet of a sentence."""
+    """A connected client, and the part of a sentence that it has not taken yet."""
 
     def __init__(self, connection: socket.socket, address: str) -> None:
         self.connection, self.address = connection, address
@@ -74,7 +74,7 @@ class _Client:
 
 
 class TcpOutlet(Outlet):
-    """A server; each client gets what it can take, and who takes nothing is sent away."""
+    """A server; each client receives what it can take, and one that takes nothing is disconnected."""
 
     def __init__(self, config: SinkConfig, hear: Heard) -> None:
         super().__init__(config, hear)
@@ -95,7 +95,7 @@ class TcpOutlet(Outlet):
         selector.register(self._server, selectors.EVENT_READ, self._accept)
 
     def send(self, sentence: bytes) -> bool:
-        """See :meth:`Outlet.send`; it takes everything, and skips the clients that do not."""
+        """See :meth:`Outlet.send`; always True, and clients that are not ready are skipped."""
         for client in list(self._clients):
             if client.unsent:
                 self._give(client)
@@ -118,25 +118,25 @@ class TcpOutlet(Outlet):
         text = f"{len(self._clients)} clients"
         if self._skipped:
             text += f", {self._skipped} sentences skipped for clients that did not read"
-        return text + (f", {self._sent_away} clients sent away{self._crowded}" if self._sent_away else "")
+        return text + (f", {self._sent_away} clients disconnected{self._crowded}" if self._sent_away else "")
 
     def _accept(self) -> None:
         assert self._server is not None
         try:
             connection, (address, _) = self._server.accept()
         except OSError:
-            return  # gone again, or too many files are open: the listener itself is well
+            return  # closed again, or too many open files: the listening socket itself still works
         of_host = sum(client.address == address for client in self._clients)
         if len(self._clients) >= MOST_CLIENTS or of_host >= MOST_OF_A_HOST:
             connection.close()
             self._send_away()
             if of_host >= MOST_OF_A_HOST:
-                self._crowded = f", {address} has {MOST_OF_A_HOST} places and gets no more"
+                self._crowded = f", {address} has {MOST_OF_A_HOST} connections, the maximum per host"
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        # At a low rate the buffer of this side takes minutes to fill; only the system knows when nothing arrives.
+        # At a low rate the send buffer takes minutes to fill; the system detects missing acknowledgements earlier.
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * STALLED_S))
         client = _Client(connection, address)
         self._clients.append(client)

@@ -1,7 +1,7 @@
-"""What ``nmea_out`` does: the attitude at each sink's rate, beside alerts.
+"""Work of ``nmea_out``: the attitude at each sink's rate, and alerts.
 
-An attitude goes out when it comes, so that it is as young as can be. Where none comes, or none that is claimed, a timer
-sends void sentences instead: silence of this node would look like a broken cable.
+An attitude is sent on arrival, so that it is as recent as possible. Without a valid attitude a timer sends void
+sentences: without any sentence the bridge could not distinguish this from a broken cable.
 """
 
 import math
@@ -37,10 +37,10 @@ _WORTHS = {
 
 
 class Pace:
-    """Which of the attitudes that come are a sink's: one for each period, up to half of one early or late.
+    """Selects the attitudes that are sent to a sink: one per period, up to half a period early or late.
 
     Args:
-        rate_hz: how many a second; of attitudes that come as often, jitter leaves none out.
+        rate_hz: attitudes per second; of attitudes that arrive at this rate, none is skipped because of jitter.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -48,18 +48,18 @@ class Pace:
         self._next_ns: int | None = None
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether the attitude of now is one of them."""
+        """True if the attitude of this time is sent."""
         late_ns = 0 if self._next_ns is None else now_ns - self._next_ns
         if late_ns < -self._period_ns // 2:
             return False
-        # After a silence the periods begin anew: nothing is made up for.
+        # After a gap the periods restart; skipped attitudes are not sent later.
         is_steady = self._next_ns is not None and late_ns < self._period_ns // 2
         self._next_ns = self._period_ns + (now_ns - late_ns if is_steady else now_ns)
         return True
 
 
 class NmeaOut:
-    """The work of the node; see :class:`ship_nmea.node_shell.Work`.
+    """Work of the node; see :class:`ship_nmea.nmea_node.Work`.
 
     Args:
         shell: of the node.
@@ -93,18 +93,18 @@ class NmeaOut:
         shell.node.get_logger().info("; ".join(told))
 
     def statuses(self) -> Iterable[DiagnosticStatus]:
-        """See :class:`ship_nmea.node_shell.Work`."""
+        """See :class:`ship_nmea.nmea_node.Work`."""
         yield from (sink.status() for sink in self._sinks)
         reason = self._why_void(*self._shell.clock.times())
         text = f"void: {reason}" if reason else ""
         if not text and is_played(self._shell):
-            text = f"void but for {', '.join(SAY_SIMULATED)}: {PLAYED}"
-        yield DiagnosticStatus("attitude", Level.WARN if text else Level.OK, text or "told")
+            text = f"void except {', '.join(SAY_SIMULATED)}: {PLAYED}"
+        yield DiagnosticStatus("attitude", Level.WARN if text else Level.OK, text or "sent")
         if self._alerts.are_told:
             yield self._alerts.status()
 
     def close(self) -> None:
-        """See :class:`ship_nmea.node_shell.Work`."""
+        """See :class:`ship_nmea.nmea_node.Work`."""
         for sink in self._sinks:
             sink.close()
 
@@ -132,16 +132,16 @@ class NmeaOut:
                     sink.put(sentence.render(), self._longest_ns)
 
     def _why_void(self, now_ns: int, waiting_ns: int) -> str:
-        """Why there is no attitude to tell; empty where there is one."""
+        """Return why there is no valid attitude to send; empty if there is one."""
         message = self._attitude
         if message is None:
-            return f"{ATTITUDE.topic} never heard"
+            return f"{ATTITUDE.topic}: no message received yet"
         if message.status not in _WORTHS:
             return f"{ATTITUDE.topic} is INVALID"
         if not all(map(math.isfinite, (message.heading, message.pitch, message.roll))):
-            return f"{ATTITUDE.topic} has an angle that is no number"
+            return f"{ATTITUDE.topic} has an angle that is not a number"
         if not waiting_ns - self._came_ns <= self._longest_ns:
-            return f"{ATTITUDE.topic} silent for {duration_text(waiting_ns - self._came_ns)}"
+            return f"{ATTITUDE.topic}: no message for {duration_text(waiting_ns - self._came_ns)}"
         age_ns = now_ns - ns_from_stamp(message.header.stamp)
         if not abs(age_ns) <= self._longest_ns:
             side = "before" if age_ns > 0 else "after"

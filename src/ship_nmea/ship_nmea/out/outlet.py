@@ -1,7 +1,7 @@
-"""What every way out of the machine can do, for its sink, in whose thread alone it is called.
+"""Interface of all outlets; their methods are called only in the thread of their sink.
 
-An outlet never waits, but for a file, whose disk may. It takes a sentence or says that it cannot now. What it hears
-comes as whole lines. Where it fails it raises OSError, and is opened anew later.
+An outlet never blocks, except for a file on a slow disk. It accepts a sentence or returns False. Received data is
+passed on in whole lines. On failure it raises OSError and is opened again later.
 """
 
 import selectors
@@ -13,22 +13,22 @@ from ship_bags.nmea.lines import LONGEST_LINE
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 
 RECEIVE_BYTES = 4096
-"""Read at once, at most."""
+"""Maximum number of bytes per read."""
 
 Heard = Callable[[str, str], None]
-"""Takes a line that came in, and the address that it came from, empty for that of a serial line."""
+"""Receives a line and the address that it came from, which is empty for a serial line."""
 
 
 class Outlet(ABC):
-    """A way out.
+    """Where a sink sends its sentences.
 
     Attributes:
-        place: what it is for people.
-        lost_ns: when it last lost one of those who listen, by the steady clock; None if never.
+        place: description of it.
+        lost_ns: steady time at which a client was last disconnected; None if never.
 
     Args:
         config: of its sink.
-        hear: takes each line that comes in, with its sender's address.
+        hear: called with each received line and its sender's address.
     """
 
     def __init__(self, config: SinkConfig, hear: Heard) -> None:
@@ -44,7 +44,7 @@ class Outlet(ABC):
 
     @abstractmethod
     def open(self, selector: selectors.BaseSelector) -> None:
-        """Open it; what it waits for is registered with a function to call.
+        """Open it, and register with the selector a function for each event that it waits for.
 
         Raises:
             OSError: it cannot be opened now.
@@ -52,7 +52,7 @@ class Outlet(ABC):
 
     @abstractmethod
     def send(self, sentence: bytes) -> bool:
-        """Whether it took a sentence; if not, it is to be offered again soon.
+        """Return True if a sentence was accepted; otherwise it is to be offered again soon.
 
         Raises:
             OSError: the outlet is broken.
@@ -60,14 +60,14 @@ class Outlet(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Give it back; also where it could not be opened."""
+        """Close it; also after a failed opening."""
 
     def note(self) -> str:
-        """What else is to be said of it."""
+        """Return further text for its status."""
         return ""
 
 
 def command_texts(lines: Iterable[bytes]) -> list[str]:
-    """Lines that came in as texts; one that was longer than a sentence can be is left out."""
+    """Return received lines as texts, without those that are longer than a sentence can be."""
     texts = [line.decode("ascii", errors="replace").strip() for line in lines if len(line) <= LONGEST_LINE]
     return [text for text in texts if text]

@@ -1,4 +1,4 @@
-"""What is played must not reach the bridge as if it were live."""
+"""Played data must not reach the bridge as if it were live."""
 
 import time
 
@@ -8,10 +8,10 @@ PLAYED = "this node follows /clock, and tell_simulated is false"
 
 
 def is_played(shell: NmeaNode) -> bool:
-    """Whether what comes is of another time, and nobody wants it told for training."""
+    """True if the data is played or simulated, and ``tell_simulated`` is not set."""
     return shell.clock.is_simulated() and not shell.config.tell_simulated
 
 
 def utc_ns(shell: NmeaNode) -> int:
-    """The node's time, POSIX UTC; the machine's before the first /clock."""
+    """Return the node's time, POSIX UTC; the machine's before the first /clock."""
     return shell.clock.now_ns() or time.time_ns()

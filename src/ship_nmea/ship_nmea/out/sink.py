@@ -1,4 +1,4 @@
-"""A sink: a queue of sentences and the thread that sends them, so that nothing outside can hold the node up."""
+"""A sink: a queue of sentences and the thread that sends them, so that no outlet can delay the node."""
 
 import contextlib
 import os
@@ -19,15 +19,15 @@ from ship_nmea.out.outlet import Heard, Outlet
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 MOST_WAITING = 200
-"""Sentences that wait at most; a larger number would be old when it is sent."""
+"""Maximum number of queued sentences; more would be old when they are sent."""
 RETRY_S = 2.0
-"""An outlet that failed is opened again after this time, s."""
+"""Time after which a failed outlet is opened again, s."""
 
 _OFFER_AGAIN_S = 0.02
 _LOOK_S = 0.5
 _ENDS_WITHIN_S = 2.0
 _SHOWN_NS = 10 * NS_PER_S
-"""What was dropped, or who was sent away, is a warning for so long, ns."""
+"""Time for which dropped sentences or disconnected clients remain a warning, ns."""
 
 _OUTLETS: dict[str, type[Outlet]] = {UDP: UdpOutlet, TCP_SERVER: TcpOutlet, SERIAL: SerialOutlet, FILE: FileOutlet}
 _NAMED_BY = {
@@ -36,26 +36,26 @@ _NAMED_BY = {
     SERIAL: ("device", "baud"),
     FILE: ("path", "path"),
 }
-"""See :func:`ship_nmea.opening.refusal`; of udp only binding and the interface can fail so."""
+"""See :func:`ship_nmea.link_opening.permanent_error`; of UDP only binding and the interface can fail so."""
 
 
 class _Waiting(NamedTuple):
-    """A sentence with its end of line, and until when it is worth sending, by the steady clock; 0 for ever."""
+    """A sentence with its line end, and the steady time at which it expires; 0 for never."""
 
     data: bytes
     until_ns: int
 
 
 class Sink:
-    """Where some sentences go.
+    """Destination of some sentences.
 
     Args:
         name: of the sink.
         config: of the sink.
-        hear: takes each line that comes in, with its sender's address, in the thread of the sink.
+        hear: called with each received line and its sender's address, in the thread of the sink.
 
     Attributes:
-        refusal: of the first opening, where trying again will not help unless somebody does something; otherwise None.
+        refusal: error of the first opening if only the user can clear it; otherwise None.
     """
 
     def __init__(self, name: str, config: SinkConfig, hear: Heard) -> None:
@@ -81,19 +81,19 @@ class Sink:
 
     @property
     def place(self) -> str:
-        """Where it leads, for people."""
+        """Return a description of its outlet."""
         return self._outlet.place
 
     def start(self) -> None:
-        """Begin to send."""
+        """Start sending."""
         self._thread.start()
 
     def put(self, sentence: str, lasts_ns: int = 0) -> None:
-        """Send a sentence soon; where too many wait, the oldest is dropped.
+        """Queue a sentence; if the queue is full, the oldest is dropped.
 
         Args:
-            sentence: without its end of line.
-            lasts_ns: how long it may wait, ns; 0 for ever.
+            sentence: without its line end.
+            lasts_ns: maximum time in the queue, ns; 0 for no limit.
         """
         until_ns = time.monotonic_ns() + lasts_ns if lasts_ns else 0
         with self._lock:
@@ -102,12 +102,12 @@ class Sink:
                 return
             if len(self._queue) >= MOST_WAITING:
                 self._queue.popleft()
-                self._drop(f"the oldest of more than {MOST_WAITING} that waited")
+                self._drop(f"the oldest of more than {MOST_WAITING} queued")
             self._queue.append(_Waiting(f"{sentence}\r\n".encode("ascii", errors="replace"), until_ns))
         self._wake()
 
     def status(self) -> DiagnosticStatus:
-        """How the sink does."""
+        """Return the status of the sink."""
         with self._lock:
             dropped, failure = dict(self._dropped), self._failure
             waiting, last_ns = len(self._queue), max(self._dropped_ns, self._outlet.lost_ns or self._dropped_ns)
@@ -119,19 +119,19 @@ class Sink:
         if dropped:
             text += f"; {sum(dropped.values())} dropped"
         if not self._is_open:
-            text = f"{self._outlet.place}: {failure}; tried again every {RETRY_S:g} s"
+            text = f"{self._outlet.place}: {failure}; retried every {RETRY_S:g} s"
             return DiagnosticStatus(f"sink {self.name}", Level.ERROR, text, values)
         is_recent = time.monotonic_ns() - last_ns <= _SHOWN_NS
         return DiagnosticStatus(f"sink {self.name}", Level.WARN if is_recent else Level.OK, text, values)
 
     def close(self) -> None:
-        """Send what waits if that goes at once, and end."""
+        """Send queued sentences if that is possible at once, and end."""
         self._is_stopped = True
         self._wake()
         if not self._thread.ident:
             self._give_back()
         elif self._thread.is_alive():
-            self._thread.join(_ENDS_WITHIN_S)  # a disk that hangs is left alone: the thread dies with the process
+            self._thread.join(_ENDS_WITHIN_S)  # with a disk that hangs, the thread ends with the process
 
     def _run(self) -> None:
         while not self._is_stopped:
@@ -144,7 +144,7 @@ class Sink:
         self._give_back()
 
     def _work_until_it_fails(self) -> Exception | None:
-        """What was raised, whatever it is: the thread must live to try again, and the status tells it."""
+        """Return any exception: the thread must stay alive to try again, and the status reports it."""
         try:
             if not self._is_open:
                 self._open()
@@ -161,7 +161,7 @@ class Sink:
             timeout_s = _LOOK_S if self._send_waiting() else _OFFER_AGAIN_S
 
     def _send_waiting(self) -> bool:
-        """Whether all that waited is sent; what waited for too long is dropped."""
+        """Return True if all queued sentences are sent; expired ones are dropped."""
         while True:
             with self._lock:
                 if not self._queue:
@@ -170,13 +170,13 @@ class Sink:
                 is_late = 0 < waiting.until_ns < time.monotonic_ns()
                 if is_late:
                     self._queue.popleft()
-                    self._drop("they waited for too long: the line is too slow for rate_hz")
+                    self._drop("expired in the queue: the line is too slow for rate_hz")
                     continue
             if not self._outlet.send(waiting.data):
                 return False
             self._sent += 1
             with self._lock:
-                # Meanwhile the node may have dropped it to make room.
+                # The node may have dropped it meanwhile to make room.
                 if self._queue and self._queue[0] is waiting:
                     self._queue.popleft()
 

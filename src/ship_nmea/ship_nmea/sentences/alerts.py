@@ -1,8 +1,8 @@
-"""Alerts as the bridge's alert management hears of them, and its commands: ALF, ALC, ARC, HBT out, ACN in.
+"""Alerts for the bridge's alert management, and its commands: ALF, ALC, ARC, HBT out, ACN in.
 
-After IEC 61162-1 and IEC 62923-1: an ALF at every change of an alert, all alerts again and again in ALC so that the
-bridge finds out what it has missed, and a heartbeat. The bridge answers with ACN; what cannot be done is answered by
-ARC. An alert is known there by a manufacturer's code, a number from 10000 on, and its instance.
+After IEC 61162-1 and IEC 62923-1: an ALF at every change of an alert, the list of all alerts periodically in ALC, so
+that the bridge can detect what it has missed, and a heartbeat. The bridge answers with ACN; a command that cannot be
+executed is answered with ARC. An alert is identified by a manufacturer's code, a number from 10000 on and its instance.
 """
 
 from collections.abc import Sequence
@@ -13,33 +13,33 @@ import pynmea2
 from ship_nmea.sentences.defined import ACN, ALC, ALF, ARC, HBT, LONGEST_BYTES, text_field, time_field
 
 FIRST_IDENTIFIER, LAST_IDENTIFIER = 10_000, 9_999_999
-"""Alert identifiers that a manufacturer may give."""
+"""Range of alert identifiers that a manufacturer may use."""
 GREATEST_INSTANCE = 999_999
 MOST_ALERTS = 200
-"""As many are told at most: ten times what a suite has ever had."""
+"""Maximum number of alerts sent: ten times the most that a suite has had."""
 
 ACKNOWLEDGE, REPEAT = "A", "Q"
-"""Commands that are done; O (responsibility transfer) and S (silence) are refused."""
+"""Commands that are executed; O (responsibility transfer) and S (silence) are refused."""
 
 _TITLE_LENGTH = 16
 _CATEGORY = "B"
-"""Nothing but the alert itself is needed to decide what to do."""
+"""The alert itself contains all information needed to decide what to do."""
 _TIME_DECIMALS = 2
 _AROUND = len("$*hh\r\n")
 
 
 @dataclass(frozen=True)
 class AlertToTell:
-    """An alert as the sentences need it.
+    """An alert with the values of its sentences.
 
     Attributes:
         identifier: from FIRST_IDENTIFIER to LAST_IDENTIFIER.
-        instance: from 1 to GREATEST_INSTANCE.
-        revision: from 1 to 99, another one at every change.
-        escalation: from 0 to 9, how often it became more urgent.
+        instance: from 1 to MAX_INSTANCE.
+        revision: from 1 to 99, incremented at every change.
+        escalation: number of times that it became more urgent, from 0 to 9.
         priority: A alarm, W warning, C caution.
-        state: V unacknowledged, S silenced, A acknowledged or a caution, U over and unacknowledged, N normal.
-        changed_ns: when it changed last, POSIX UTC.
+        state: V unacknowledged, S silenced, A acknowledged or a caution, U rectified and unacknowledged, N normal.
+        changed_ns: time of its last change, POSIX UTC.
         title: a few words.
         description: a sentence; empty for none.
     """
@@ -71,13 +71,13 @@ class AlertCommand:
 
 
 def alf(alert: AlertToTell, talker: str, manufacturer: str, sequence: int) -> list[pynmea2.NMEASentence]:
-    """An alert in one sentence, or in two where it has a description: the second repeats only which alert it is.
+    """Return an alert in one sentence, or in two if it has a description; the second repeats only its identity.
 
     Args:
         alert: the alert.
         talker: its two letters.
         manufacturer: code of three letters; empty for none.
-        sequence: a number that goes on from call to call; its last digit tells which two sentences belong together.
+        sequence: number of the call; its last digit identifies the two sentences of one alert.
     """
     total = "2" if alert.description else "1"
     which = manufacturer, str(alert.identifier), str(alert.instance), str(alert.revision), str(alert.escalation)
@@ -95,7 +95,7 @@ def alf(alert: AlertToTell, talker: str, manufacturer: str, sequence: int) -> li
 def alc(
     alerts: Sequence[AlertToTell], talker: str, manufacturer: str, sequence: int
 ) -> list[pynmea2.NMEASentence]:
-    """The list of all alerts, in as many sentences as it takes; no alert is split between two. Arguments as ALF."""
+    """Return the list of all alerts, in as many sentences as needed; no alert is split. Arguments as for `alf`."""
     room = LONGEST_BYTES - _AROUND - len(f"{talker}ALC,01,01,00,99")
     groups: list[list[str]] = [[]]
     for alert in alerts:
@@ -112,22 +112,22 @@ def alc(
 
 
 def arc(command: AlertCommand, talker: str, manufacturer: str, time_ns: int) -> pynmea2.NMEASentence:
-    """A command refused at a time (POSIX UTC)."""
+    """Return the refusal of a command at a time (POSIX UTC)."""
     instance = "" if command.instance is None else str(command.instance)
     time_text = time_field(time_ns, _TIME_DECIMALS)
     return ARC(talker, "ARC", (time_text, manufacturer, str(command.identifier), instance, command.command))
 
 
 def hbt(is_well: bool, talker: str, period_s: float, sequence: int) -> pynmea2.NMEASentence:
-    """That the source of alerts is there, every ``period_s``, and whether it works."""
+    """Return a heartbeat of the source of alerts: its period, s, and whether it works."""
     return HBT(talker, "HBT", (f"{period_s:g}", "A" if is_well else "V", str(sequence % 10)))
 
 
 def alert_command(text: str, manufacturer: str) -> AlertCommand | None:
-    """The command to us in a sentence; None where it is another sentence, or a command to another source.
+    """Return the command to this source in a sentence; None for another sentence, or a command to another source.
 
     Raises:
-        ValueError: it is no sentence, its sum is wrong or absent, or it is a command that cannot be read.
+        ValueError: it is no sentence, its checksum is wrong or absent, or its command cannot be read.
     """
     try:
         sentence = pynmea2.NMEASentence.parse(text, check=True)

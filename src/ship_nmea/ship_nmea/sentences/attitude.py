@@ -2,8 +2,8 @@
 
 Signs of all of them are those of the suite: heading clockwise from true North, pitch positive with the bow up, roll
 positive with the starboard side down, which is "port side up" in Kongsberg's Seapath manual (PSXN) and what Trimble and
-NovAtel print (PASHR). A rate of turn is negative where the bow turns to port. Where there is no attitude the fields are
-void and the status says so: no sentence repeats an old value. Heave, which the suite does not know, is void.
+NovAtel print (PASHR). A rate of turn is negative if the bow turns to port. Without an attitude the fields are void and
+the status is invalid: no sentence repeats an old value. Heave, which the suite does not estimate, is void.
 """
 
 import math
@@ -23,37 +23,37 @@ _FULL_TURN_DEG = 360
 _S_PER_MIN = 60.0
 _TIME_DECIMALS = 3
 _BELOW_ROUNDING = 1.0 - 1e-12
-"""What floating point adds to a number of units must not be rounded up to one more."""
+"""Factor that keeps floating-point errors of a whole number of units from being rounded up."""
 
 
 class Worth(Enum):
-    """What an attitude is worth: mode of THS, and quality of PSXN 20 (0 normal, 1 reduced, 2 invalid)."""
+    """Quality of an attitude: mode of THS, and quality of PSXN 20 (0 normal, 1 reduced, 2 invalid)."""
 
     NORMAL = "A", 0
     ESTIMATED = "E", 1
-    """Held by part of the sources: COASTING without recent stars, DEGRADED."""
+    """Reduced set of sources: COASTING without recent stars, or DEGRADED."""
     SIMULATED = "S", 1
     """Played or simulated: the node follows /clock."""
     VOID = "V", 2
 
     @property
     def mode(self) -> str:
-        """Mode of THS."""
+        """Return the mode of THS."""
         return self.value[0]
 
     @property
     def quality(self) -> int:
-        """Quality of PSXN 20."""
+        """Return the quality of PSXN 20."""
         return self.value[1]
 
 
 @dataclass(frozen=True)
 class AttitudeToTell:
-    """An attitude as the sentences need it.
+    """An attitude with the values of its sentences.
 
     Attributes:
-        time_ns: when it is valid, POSIX UTC; of a void one, when that is told.
-        worth: what it is worth.
+        time_ns: its time of validity, POSIX UTC; of a void one, the time of sending.
+        worth: its quality.
         angles: heading, pitch, roll, rad; NaN = void.
         sigmas: standard deviation of each, rad; NaN = unknown.
         heading_rate: clockwise, rad/s; NaN = unknown.
@@ -67,7 +67,7 @@ class AttitudeToTell:
 
 
 def heading_rate(pitch: float, roll: float, rate_flu: tuple[float, float, float]) -> float:
-    """How fast the heading turns clockwise, rad/s; NaN where the bow points to the zenith and there is no heading.
+    """Return the clockwise rate of the heading, rad/s; NaN if the bow points to the zenith and there is no heading.
 
     Args:
         pitch: bow up positive, rad.
@@ -85,25 +85,25 @@ def heading_rate(pitch: float, roll: float, rate_flu: tuple[float, float, float]
 
 
 def hdt(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Heading, true. It has no status: where there is no heading the field is void."""
+    """Return the true heading. It has no status: without a heading the field is void."""
     return pynmea2.HDT(talker, "HDT", (_heading(attitude.angles[0], decimals), "T"))
 
 
 def ths(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """True heading and status."""
+    """Return true heading and status."""
     return THS(talker, "THS", (_heading(attitude.angles[0], decimals), attitude.worth.mode))
 
 
 def rot(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Rate of turn, °/min; V where it is not known."""
+    """Return the rate of turn, °/min; V if it is unknown."""
     rate = _signed(attitude.heading_rate * _S_PER_MIN, decimals)
     return pynmea2.ROT(talker, "ROT", (rate, "A" if rate else "V"))
 
 
 def pashr(attitude: AttitudeToTell, _talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Time, heading, roll, pitch, and the standard deviation of each with one decimal more, never rounded to zero.
+    """Return time, heading, roll, pitch and their standard deviations, with one decimal more and never rounded to zero.
 
-    The last two fields say 1 where an attitude is told, otherwise 0: "position" and "after alignment" at NovAtel.
+    The last two fields are 1 if there is an attitude, otherwise 0: "position" and "after alignment" at NovAtel.
     """
     heading, pitch, roll = attitude.angles
     is_told = str(int(attitude.worth is not Worth.VOID))
@@ -115,14 +115,14 @@ def pashr(attitude: AttitudeToTell, _talker: str, decimals: int) -> pynmea2.NMEA
 
 
 def psxn20(attitude: AttitudeToTell, _talker: str, _decimals: int) -> pynmea2.NMEASentence:
-    """Quality of position, height, heading, roll and pitch; of position and height, which we do not tell, invalid."""
+    """Return the quality of position, height, heading, roll and pitch; position and height, not sent, are invalid."""
     quality = str(attitude.worth.quality)
     invalid = str(Worth.VOID.quality)
     return pynmea2.sxn.SXN20("SXN", ("", "20", invalid, invalid, quality, quality))
 
 
 def psxn23(attitude: AttitudeToTell, _talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Roll, pitch, heading."""
+    """Return roll, pitch, heading."""
     heading, pitch, roll = attitude.angles
     angles = _signed(roll, decimals), _signed(pitch, decimals), _heading(heading, decimals)
     return pynmea2.sxn.SXN23("SXN", ("", "23", *angles, ""))
@@ -131,18 +131,18 @@ def psxn23(attitude: AttitudeToTell, _talker: str, decimals: int) -> pynmea2.NME
 ATTITUDE_SENTENCES: dict[str, Callable[[AttitudeToTell, str, int], Any]] = {
     "HDT": hdt, "THS": ths, "ROT": rot, "PASHR": pashr, "PSXN20": psxn20, "PSXN23": psxn23,
 }  # fmt: skip
-"""Name → what makes it of an attitude, the talker's two letters, and how many decimals its angles have."""
+"""Name → function of an attitude, the talker's two letters, and the number of decimals of its angles."""
 SAY_SIMULATED = ("THS",)
-"""The sentences that can say of themselves that they are simulated."""
+"""Sentences with a mode for simulated data."""
 
 
 def as_played(name: str, attitude: AttitudeToTell) -> AttitudeToTell:
-    """What a sentence may tell of a played attitude without passing for live: void, unless it says what it is."""
+    """Return a played attitude for a sentence: void, unless the sentence has a mode for simulated data."""
     return attitude if name in SAY_SIMULATED else AttitudeToTell(attitude.time_ns)
 
 
 def _heading(angle: float, decimals: int) -> str:
-    """From 0 to below 360: what would be rounded to 360 is 0."""
+    """Return a heading from 0 to below 360°; a value that would be rounded to 360 is 0."""
     if not math.isfinite(angle):
         return ""
     unit = 10**decimals
@@ -150,7 +150,7 @@ def _heading(angle: float, decimals: int) -> str:
 
 
 def _signed(angle: float, decimals: int, sign: str = "-") -> str:
-    """With a sign where it is negative, or always where ``sign`` is ``+``; zero has no minus."""
+    """Return an angle, °, with a sign if negative, or always if ``sign`` is ``+``; zero has no minus."""
     if not math.isfinite(angle):
         return ""
     # Zero is added because round() gives a negative one for small negative numbers.
@@ -158,7 +158,7 @@ def _signed(angle: float, decimals: int, sign: str = "-") -> str:
 
 
 def _accuracy(sigma: float, decimals: int) -> str:
-    """Rounded up to the last decimal."""
+    """Return a standard deviation, °, rounded up to the last decimal."""
     if not math.isfinite(sigma):
         return ""
     unit = 10**decimals

@@ -1,6 +1,6 @@
-"""Sentences of alerts (IEC 61162-1) that pynmea2 does not know: being defined here, they are known to its parser.
+"""Sentences of alerts (IEC 61162-1) that pynmea2 lacks; their definition here adds them to its parser.
 
-pynmea2 files a sentence under the name of its class, with (description, name, and how to read it) of each field.
+pynmea2 registers a sentence under the name of its class, with (description, name, converter) of each field.
 """
 
 import itertools
@@ -9,20 +9,20 @@ import unicodedata
 import pynmea2
 
 LONGEST_BYTES = 82
-"""A sentence has no more bytes, its ``$`` and its line end with them (IEC 61162-1)."""
+"""Maximum length of a sentence in bytes, with its ``$`` and its line end (IEC 61162-1)."""
 
 _RESERVED = "!$*,\\^~\x7f\r\n"
-"""Characters with a meaning of their own: in a text ``^`` and their code in hexadecimal stand for them."""
+"""Reserved characters: in a text they are written as ``^`` and their hexadecimal code."""
 _IN_ASCII = str.maketrans({
     "″": '"', "′": "'", "°": " deg", "σ": "sigma", "–": "-", "−": "-", "…": "...",
     "×": "x", "·": " ", "µ": "u", "≤": "<=", "≥": ">=", "±": "+-",
 })  # fmt: skip
 _CUT = ".."
-"""Ends a text that is longer than its field."""
+"""End of a text that is longer than its field."""
 
 
 class ALF(pynmea2.TalkerSentence):  # type: ignore[misc]
-    """Alert: how one alert is; in two sentences where there is a description beside the title."""
+    """Alert: the state of one alert; two sentences if it has a description in addition to its title."""
 
     fields = (
         ("Total number of sentences, 1 or 2", "total", int),
@@ -42,7 +42,7 @@ class ALF(pynmea2.TalkerSentence):  # type: ignore[misc]
 
 
 class ALC(pynmea2.TalkerSentence):  # type: ignore[misc]
-    """Cyclic alert list: behind the fields named here (manufacturer, identifier, instance, revision) of each alert."""
+    """Cyclic alert list: after the fields here follow manufacturer, identifier, instance, revision of each alert."""
 
     fields = (
         ("Total number of sentences, 01 to 99", "total", int),
@@ -88,9 +88,9 @@ class HBT(pynmea2.TalkerSentence):  # type: ignore[misc]
 
 
 def text_field(text: str, most: int) -> str:
-    """A text as a field: in ASCII, reserved characters by their codes, at most so many characters.
+    """Return a text as a field: ASCII, reserved characters as codes, at most ``most`` characters.
 
-    What has no likeness in ASCII is ``?``. A text that is too long ends behind a word, with ``..``.
+    A character without an equivalent in ASCII is ``?``. A text that is too long ends after a word, with ``..``.
 
     Example:
         >>> text_field("σ 3.2″, limit 2″", 40)
@@ -121,12 +121,12 @@ def _plain(text: str) -> str:
 
 
 def _coded(word: str) -> list[str]:
-    """The characters of a word as they stand in a field; a code is never cut."""
+    """Return the characters of a word as written in a field; a code is never cut."""
     return [f"^{ord(one):02X}" if one in _RESERVED or not one.isprintable() else one for one in word]
 
 
 def time_field(time_ns: int, decimals: int) -> str:
-    """Time of day (UTC) of a POSIX time as hhmmss.s with so many decimals, rounded.
+    """Return the time of day (UTC) of a POSIX time as hhmmss.s with ``decimals`` decimals, rounded.
 
     Example:
         >>> time_field(1_403_741_109_999_600_000, 3)  # less than half a millisecond before the next second
