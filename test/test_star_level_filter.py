@@ -167,7 +167,7 @@ def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
         scenario = rolling_far(ins_rate_hz)
         core = core_for(scenario)
         feed_attitude(core, simulate(scenario, 0))
-        (clock,) = core.filter.model.rows("ins.time_offset")
+        (clock,) = core.filter.model.state_indices("ins.time_offset")
         claimed_s.append(math.sqrt(core.state.covariance[clock, clock]))
     assert claimed_s[1] == pytest.approx(claimed_s[0], rel=0.01)
 

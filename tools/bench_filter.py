@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_estimation.parameters import build
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing
-from ship_replay.trials.one_estimate import WithoutAlternatives, WithoutIntegrity
+from ship_replay.trials.one_estimate import SightingStepWithoutSubfilters, ShipFilterWithoutSubfilters
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration
@@ -38,7 +38,7 @@ def step_cost() -> list[Row]:
     matrix = np.random.default_rng(1).standard_normal((3, 3))
     step_us, svd_us = by_turns(
         STEP_ROUNDS,
-        lambda: float(np.median(ship_steps_us(run, WithoutIntegrity))),
+        lambda: float(np.median(ship_steps_us(run, ShipFilterWithoutSubfilters))),
         lambda: median_us(lambda: np.linalg.svd(matrix)),
     )
     what = f"step of the ship's filter, {states} states x {parts} parts"
@@ -65,10 +65,10 @@ def integrity_cost() -> list[Row]:
     ship, theodolite = run_of("three_sensors", 20.0), run_of("theodolite", 60.0)
     of_ship = "ship's step by three star sensors"
     return [
-        *_integrity_rows(of_ship, ship_steps_us, ship, WithoutIntegrity, ShipFilter),
-        *_integrity_rows(f"{of_ship}, integrity.pairs", ship_steps_us, ship, WithoutIntegrity, _WithPairs, None),
+        *_integrity_rows(of_ship, ship_steps_us, ship, ShipFilterWithoutSubfilters, ShipFilter),
+        *_integrity_rows(f"{of_ship}, integrity.pairs", ship_steps_us, ship, ShipFilterWithoutSubfilters, _WithPairs, None),
         *_integrity_rows(
-            "theodolite's step by two lights", _theodolite_steps_us, theodolite, WithoutAlternatives, SightingStep
+            "theodolite's step by two lights", _theodolite_steps_us, theodolite, SightingStepWithoutSubfilters, SightingStep
         ),
     ]
 

@@ -19,7 +19,7 @@ from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_estimation.kalman import LinearMeasurement
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.trials.monte_carlo import core_for, feed_attitude
-from ship_replay.trials.one_estimate import WithoutIntegrity
+from ship_replay.trials.one_estimate import ShipFilterWithoutSubfilters
 from ship_simulation.run import SimulatedRun
 
 DURATION_S, ROUNDS = 60.0, 3
@@ -72,7 +72,7 @@ def _smoother_rows(gtsam: ModuleType, run: SimulatedRun) -> list[Row]:
     model, measured = _measured(run)
     own, lag, whole = by_turns(
         ROUNDS,
-        lambda: (float(np.mean(ship_steps_us(run, WithoutIntegrity))), 0.0),
+        lambda: (float(np.mean(ship_steps_us(run, ShipFilterWithoutSubfilters))), 0.0),
         lambda: _smoothed(gtsam, model, measured, LAG_S),
         lambda: _smoothed(gtsam, model, measured, None),
     )
@@ -93,7 +93,7 @@ def _smoother_rows(gtsam: ModuleType, run: SimulatedRun) -> list[Row]:
 def _measured(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
     """Return the model of the ship's filter and all measurements that the filter uses in a run."""
     core = core_for(run.scenario)
-    core.filter = WithoutIntegrity(core.config)
+    core.filter = ShipFilterWithoutSubfilters(core.config)
     core.reset()
     step, linearised = core.filter.step, core.filter.linearisation.of
     last: list[Any] = []
@@ -216,7 +216,7 @@ def _filterpy_rows(filterpy: ModuleType, run: SimulatedRun) -> list[Row]:
         peer.update(linear.residual)
 
     own_us, peer_us = by_turns(
-        ROUNDS, lambda: float(np.median(ship_steps_us(run, WithoutIntegrity))), lambda: median_us(step)
+        ROUNDS, lambda: float(np.median(ship_steps_us(run, ShipFilterWithoutSubfilters))), lambda: median_us(step)
     )
     what = f"prediction and update of {model.size} states by filterpy"
     return [

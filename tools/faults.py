@@ -15,10 +15,10 @@ from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_replay.trials.fault_results import (
-    KIND_HEAD,
+    THREAT_HEAD,
     PAIR_HEAD,
     Row,
-    kind_rows,
+    threat_rows,
     pair_rows,
     results_file,
     totals,
@@ -91,7 +91,7 @@ def _make(wanted: list[Voyage], results: ResultsFile, processes: int) -> None:
 
 def _report(results: list[Result]) -> int:
     console = Console(width=170)
-    for head, rows in ((KIND_HEAD, kind_rows(results)), (PAIR_HEAD, pair_rows(results))):
+    for head, rows in ((THREAT_HEAD, threat_rows(results)), (PAIR_HEAD, pair_rows(results))):
         if rows:
             console.print(_table(head, rows))
     found = totals(results)

@@ -9,7 +9,7 @@ from ship_geometry.rotations import FloatArray
 
 
 def separated(
-    distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors, rows: Sequence[int] | None = None
+    distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors, subfilter_indices: Sequence[int] | None = None
 ) -> Separation:
     """Return the separations of estimates without one source from that by all, and the levels.
 
@@ -20,7 +20,7 @@ def separated(
         k: numbers of sigmas.
         rows: hypotheses to be evaluated; None for all.
     """
-    asked = np.arange(len(distance)) if rows is None else np.array(rows, dtype=np.intp)
+    asked = np.arange(len(distance)) if subfilter_indices is None else np.array(subfilter_indices, dtype=np.intp)
     components, of_all = np.eye(3), np.diag(variance_0)
     left_out = variance[:, :, None] * components
     by_output = components, components, of_all

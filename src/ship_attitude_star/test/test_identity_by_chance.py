@@ -107,7 +107,7 @@ def test_stars_without_identity_are_identified_with_a_wide_heading(watch: SkyWat
     used = {name.rpartition(" ")[0] for name in decision.components}
     assert len(used) >= 4
     assert used <= {f"HIP {hip}" for hip in exposure.hip}
-    found = state.mean[ship_filter.model.rows("ins.attitude")]
+    found = state.mean[ship_filter.model.state_indices("ins.attitude")]
     assert np.linalg.norm(found - error_n) < 60.0 * ARCSEC
 
 

@@ -37,7 +37,7 @@ def sailed(scenario: Scenario) -> ShipAttitudeCore:
 
 
 def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
-    rows = core.filter.model.rows("ins.attitude")
+    rows = core.filter.model.state_indices("ins.attitude")
     north, up, east = core.state.covariance[rows, rows]
     return np.sqrt(up) / ARCSEC, np.sqrt(0.5 * (north + east)) / ARCSEC
 

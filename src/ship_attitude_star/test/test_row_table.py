@@ -11,15 +11,15 @@ from ship_attitude_star.ship_attitude.row_table import RowTable
 from ship_estimation.parameters import ParameterError, build
 
 
-def table(sensors: int, references: int = 0, **integrity: Any) -> RowTable:
+def subfilter_set(sensors: int, references: int = 0, **integrity: Any) -> RowTable:
     stars = {f"s{number}": {"azimuth_deg": 60.0 * number, "elevation_deg": 45.0} for number in range(sensors)}
     others: dict[str, Any] = {f"r{number}": {} for number in range(references)}
     values = {"star_sensors": stars, "references": others, "integrity": integrity}
-    return ShipFilter(build(ShipAttitudeConfig, values)).suspects.table
+    return ShipFilter(build(ShipAttitudeConfig, values)).suspects.subfilters
 
 
 def test_each_source_and_each_pair_of_three_and_the_ins_is_excluded_in_one_subfilter() -> None:
-    found = table(2, 1, pairs=True, max_hypotheses=11)
+    found = subfilter_set(2, 1, pairs=True, max_hypotheses=11)
     assert found.names[:4] == ("star.s0", "star.s1", "reference.r0", "ins")
     assert found.names[4:] == (
         "star.s0+star.s1",
@@ -31,25 +31,25 @@ def test_each_source_and_each_pair_of_three_and_the_ins_is_excluded_in_one_subfi
     )
     for row, names in enumerate(found.left_out, start=1):
         assert {found.sources[index] for index in (~found.uses[row]).nonzero()[0]} == set(names) - {"ins"}
-        assert (row in found.ins_rows) == ("ins" in names)
+        assert (row in found.ins_subfilters) == ("ins" in names)
     assert found.uses[0].all()
 
 
 @pytest.mark.parametrize("sensors", [0, 1, 2])
 def test_fewer_than_three_sources_have_no_pairs(sensors: int) -> None:
-    assert table(sensors, pairs=True).names == table(sensors).names
-    assert table(3).pairs == range(5, 5)
+    assert subfilter_set(sensors, pairs=True).names == subfilter_set(sensors).names
+    assert subfilter_set(3).pairs == range(5, 5)
 
 
 def test_consistent_star_sensors_cannot_show_an_ins_fault() -> None:
-    found = table(3, 1)
+    found = subfilter_set(3, 1)
     assert not found.contradict_ins(["star.s0", "star.s1", "star.s2"])
     assert not found.contradict_ins(["reference.r0"])
     assert found.contradict_ins(["star.s0", "reference.r0"])
 
 
 def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
-    found = table(2, 1, pairs=True, max_hypotheses=11, prior_per_h={"star_sensor": 1e-2, "reference": 0.1, "ins": 1e-3})
+    found = subfilter_set(2, 1, pairs=True, max_hypotheses=11, prior_per_h={"star_sensor": 1e-2, "reference": 0.1, "ins": 1e-3})
     share = 1e-5 / 12  # ten subfilters, all stars together, and the fault-free case
     for name, prior in (("reference.r0", 0.1), ("star.s0+star.s1", 1e-4), ("reference.r0+ins", 1e-4)):
         assert found.k.missed[found.names.index(name)] == pytest.approx(norm.isf(share / prior))
@@ -58,17 +58,17 @@ def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
 @pytest.mark.parametrize(("sensors", "rows"), [(3, 11), (4, 16)])
 def test_more_filters_than_allowed_are_refused_with_a_remedy(sensors: int, rows: int) -> None:
     with pytest.raises(ParameterError) as caught:
-        table(sensors, pairs=True, max_hypotheses=rows - 1)
+        subfilter_set(sensors, pairs=True, max_hypotheses=rows - 1)
     assert caught.value.parameters == ("integrity.max_hypotheses",)
     text = str(caught.value)
     assert f"'integrity.max_hypotheses' = {rows - 1} is less than the {rows} for these sources: star.s0, " in text
     assert "star.s0+star.s1" in text
     assert text.endswith(f"set it to {rows}, or 'integrity.pairs' to false")
-    assert table(sensors, pairs=True, max_hypotheses=rows).rows == rows
+    assert subfilter_set(sensors, pairs=True, max_hypotheses=rows).count == rows
 
 
 def test_a_pair_is_relevant_while_two_others_are_in_use() -> None:
-    found, sensors = table(4, pairs=True, max_hypotheses=16), [f"star.s{number}" for number in range(4)]
+    found, sensors = subfilter_set(4, pairs=True, max_hypotheses=16), [f"star.s{number}" for number in range(4)]
 
     def asked(in_use: list[str], *excluded: str) -> set[str]:
         return {found.names[row - 1] for row in found.pairs_in_question(in_use, excluded)}

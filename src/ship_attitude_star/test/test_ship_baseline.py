@@ -93,7 +93,7 @@ def test_jacobian_is_the_difference_quotient() -> None:
         return compare(measured, device, predicted, model, mean, np.eye(model.size), None)
 
     mean = 20.0 * ARCSEC * rng.standard_normal(model.size)
-    clock = model.rows("ins.time_offset")
+    clock = model.state_indices("ins.time_offset")
     mean[clock] = 0.001
     analytic, step = compared(mean).linear.jacobian, 1e-6
     for state in range(model.size):

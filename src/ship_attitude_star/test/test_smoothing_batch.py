@@ -129,7 +129,7 @@ class Batch:
         return rows
 
 
-def batch_rows(batch: Batch, asked_ms: list[int]) -> list[tuple]:
+def batch_equations(batch: Batch, asked_ms: list[int]) -> list[tuple]:
     stars = measured()
     epochs = sorted({ms for ms, _ in star_epochs()} | set(asked_ms))
     fore = [ms for ms, id_ in star_epochs() if id_ == "fore"]
@@ -169,7 +169,7 @@ def both() -> tuple:
     core, smoothed = smoothed_run()
     asked_ms = [round((one.time_ns - START_NS) / 1e6) for one in smoothed]
     batch = Batch()
-    return core, smoothed, asked_ms, batch, *solved(batch_rows(batch, asked_ms), steps_of(batch))
+    return core, smoothed, asked_ms, batch, *solved(batch_equations(batch, asked_ms), steps_of(batch))
 
 
 @pytest.mark.slow

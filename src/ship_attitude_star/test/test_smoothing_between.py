@@ -58,7 +58,7 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     later = Anchor(times_ns[-1], anchor.known, None)
     found, cross = between.at(anchor, times_ns, later)
     assert cross is not None
-    rows = np.r_[filter_.model.rows("ins.attitude"), filter_.model.rows("ins.time_offset")]
+    rows = np.r_[filter_.model.state_indices("ins.attitude"), filter_.model.state_indices("ins.time_offset")]
     for place, time_ns in enumerate(times_ns):
         there = filter_.predicted(state, time_ns)
         told = np.eye(filter_.model.size)[rows]

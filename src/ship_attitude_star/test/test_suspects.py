@@ -392,8 +392,8 @@ def learnt_mounting(sailed: Sailed, source: str) -> tuple[FloatArray, FloatArray
 def mountings(sailed: Sailed) -> FloatArray:
     """Return the mountings of the stars, across the line of sight, and the offset of the INS clock, in their sigmas."""
     model, state = sailed.core.filter.model, sailed.core.state
-    rows = [row for name in model.slices if "installation" in name for row in model.rows(name)[1:]]
-    rows += list(model.rows("ins.time_offset"))
+    rows = [row for name in model.slices if "installation" in name for row in model.state_indices(name)[1:]]
+    rows += list(model.state_indices("ins.time_offset"))
     sigma = np.sqrt(np.maximum(np.diagonal(state.covariance), 1e-30))
     mounted: FloatArray = (state.mean / sigma)[rows]
     return mounted
@@ -604,7 +604,7 @@ def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
     without = configuration(("port",))
     single = sail(ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.suspects.table.names.index("star.bow") + 1
+    row = core.filter.suspects.subfilters.names.index("star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
     covariance = covariances(core.state.stack, len(core.state.means))[row]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
@@ -704,7 +704,7 @@ def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
     of_port = [arrival for arrival in arrivals if getattr(arrival[1], "source", "") not in left_out]
     single = sail(ShipAttitudeCore(configuration(("port",))), of_port).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.suspects.table.names.index("star.aft+star.bow") + 1
+    row = core.filter.suspects.subfilters.names.index("star.aft+star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
     covariance = covariances(core.state.stack, len(core.state.means))[row]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)

@@ -155,7 +155,7 @@ def test_the_filter_models_it_as_a_correlated_error(watch) -> None:
             inertial = replace(inertial, rotation_cs=bare_cs @ lifted_ns.T @ rotation_ns)
             state, decision = ship_filter.step(state, inertial, ins_track(time_ns), watch)
             assert decision.accepted
-        rows = ship_filter.model.rows("ins.attitude")
+        rows = ship_filter.model.state_indices("ins.attitude")
         sigmas[field] = np.sqrt(np.trace(state.covariance[np.ix_(rows, rows)])) / ARCSEC
     attitude = in_horizon(replace(inertial, field=FIELD), watch)
     assert sigmas[FIELD] > 0.7 * np.sqrt(np.trace(attitude.common_n)) / ARCSEC

@@ -114,7 +114,7 @@ def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[Fl
             track = tracks[exposure.time_ns]
             state, decision = ship_filter.step(state, measurement, track, sky.watch)
             refused += not decision.accepted
-        rows = ship_filter.model.rows("ins.attitude")
+        rows = ship_filter.model.state_indices("ins.attitude")
         found_n, by_error = state.mean[rows], left_jacobian(state.mean[rows])
         left_n = log_rotation(exp_rotation(error_n) @ exp_rotation(found_n).T)
         results[kind] = left_n, by_error @ state.covariance[np.ix_(rows, rows)] @ by_error.T, refused
@@ -221,7 +221,7 @@ def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int)
     state, decision = ship_filter.step(ship_filter.initial_state(), measurement, track, None)
     assert decision.accepted
     rows = np.concatenate(
-        [ship_filter.model.rows(name) for name in ("ins.attitude", "star.fore.installation", "ins.time_offset")]
+        [ship_filter.model.state_indices(name) for name in ("ins.attitude", "star.fore.installation", "ins.time_offset")]
     )
     found = state.mean[rows]
     assert abs(found[6] - likeliest[6]) < 2e-6
@@ -302,7 +302,7 @@ def test_mend_11_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width
         state, decision = ship_filter.step(ship_filter.initial_state(), exchanged, track, sky.watch)
         if decision.accepted:
             used += 1
-            rows = ship_filter.model.rows("ins.attitude")
+            rows = ship_filter.model.state_indices("ins.attitude")
             by_error = left_jacobian(state.mean[rows])
             left_n = log_rotation(exp_rotation(error_n) @ exp_rotation(state.mean[rows]).T)
             covariance_n = by_error @ state.covariance[np.ix_(rows, rows)] @ by_error.T

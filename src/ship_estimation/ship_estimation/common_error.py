@@ -17,7 +17,7 @@ import numpy as np
 
 from ship_estimation import compiled_means
 from ship_estimation.chi_square import normal_value_above
-from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import Factors, IntegrityConfig, Separation
 from ship_estimation.running_means import MEASUREMENTS_PER_H
 from ship_geometry.rotations import FloatArray
@@ -91,7 +91,7 @@ class Absorbed(NamedTuple):
         variance: FloatArray = np.where(is_known, self.variance / np.where(is_known, response, 1.0) ** 2, np.inf)
         return variance
 
-    def with_correction(self, compared: RowsCompared, jacobian: FloatArray, first: int) -> "Absorbed":
+    def with_correction(self, innovations: FilterInnovations, jacobian: FloatArray, first: int) -> "Absorbed":
         """Return the sums after one more measurement of a star sensor.
 
         Args:
@@ -109,7 +109,7 @@ class Absorbed(NamedTuple):
             [2. 2. 2.] [0.5 0.5 0.5] [0.5 0.5 0.5] 2.83
         """
         sums, sigmas = compiled_means.absorbed(
-            self.sums, compared.gain, compared.residual, compared.covariance, jacobian, first, _BLOCK_LEFT
+            self.sums, innovations.gain, innovations.residual, innovations.covariance, jacobian, first, _BLOCK_LEFT
         )
         return Absorbed(sums, sigmas, self.suspicion)
 

@@ -44,7 +44,7 @@ def separation(
     means: cython.const[cython.double][:, :],
     parts: cython.const[cython.double][:, :, :],
     left_out: cython.const[cython.double][:, :, :],
-    rows: cython.const[cython.Py_ssize_t][:],
+    tested_subfilters: cython.const[cython.Py_ssize_t][:],
     right: cython.double,
     false_exclusion: cython.double,
     missed: cython.const[cython.double][:],
@@ -72,7 +72,7 @@ def separation(
     n: cython.Py_ssize_t = states.shape[0]
     m: cython.Py_ssize_t = mean.shape[0]
     hypotheses: cython.Py_ssize_t = means.shape[0]
-    asked: cython.Py_ssize_t = rows.shape[0]
+    asked: cython.Py_ssize_t = tested_subfilters.shape[0]
     check("components", to_components.shape[0] == to_components.shape[1] == by_states.shape[0] == 3)
     check("covariance", covariance.shape[0] == covariance.shape[1] == 3 and by_states.shape[1] == n)
     check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and left_out.shape[0] == hypotheses)
@@ -107,7 +107,7 @@ def separation(
             for j in range(n):
                 covariances[0, i, j] += parts[part, states[i], states[j]]
     for k in range(asked):
-        row = rows[k]
+        row = tested_subfilters[k]
         check("rows", 0 <= row < hypotheses)
         for i in range(n):
             widest = _larger(widest, left_out[row, states[i], states[i]])

@@ -452,7 +452,7 @@ def _sigmas_apart(
     return fabs(means[row, state] - means[0, state]) / sqrt(variance)
 
 
-def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
+def filter_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
     """Return the covariance of each filter: the sum of the parts of the main filter, and those of the subfilters."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     size: cython.Py_ssize_t = stack.shape[1] * stack.shape[2]

@@ -86,8 +86,8 @@ class Finding:
     """
 
     fault: bool
-    row: int | None = None
-    explaining: tuple[int, ...] = ()
+    subfilter: int | None = None
+    explaining_subfilters: tuple[int, ...] = ()
 
 
 _NO_FAULT = Finding(fault=False)
@@ -101,7 +101,7 @@ def find_fault(
     candidates: Sequence[int],
     now_ns: int,
     degraded_after: int = 3,
-    larger: Sequence[int] = (),
+    larger_subfilters: Sequence[int] = (),
 ) -> Finding:
     """Detect a fault and isolate the faulty source, or the two faulty ones.
 
@@ -130,7 +130,7 @@ def find_fault(
     """
     agrees = _first_row_agrees(means, uses[0], now_ns - HEARD_NS, degraded_after)
     sigmas = statistic.tolist()
-    if agrees and all(sigmas[row] <= threshold for row in (*candidates, *larger)):  # NaN is not
+    if agrees and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN is not
         return _NO_FAULT
     heard = means.heard_ns >= now_ns - HEARD_NS
     counts = uses & heard
@@ -140,19 +140,19 @@ def find_fault(
     began_ns = np.max(means.contradicts_ns, initial=LONG_AGO_NS, where=heard)
     well = (means.excess <= WELL) & (means.refused == 0) & (means.heard_ns >= began_ns)
     explains = np.all(well | ~counts, axis=-1)
-    asked = larger if larger and not np.any(worst[candidates] <= 1.0) else candidates
+    asked = larger_subfilters if larger_subfilters and not np.any(worst[candidates] <= 1.0) else candidates
     explaining = sorted((row for row in asked if explains[row]), key=lambda row: worst[row])
     if not explaining:
         return Finding(fault=True)
     best = explaining[0]
     if all(not worst[row] < worst[best] + _CLEARER for row in asked if row != best):
-        return Finding(fault=True, row=best, explaining=tuple(explaining))
+        return Finding(fault=True, subfilter=best, explaining_subfilters=tuple(explaining))
     row = None
     # After a rejection the main filter has used less than the subfilters; the separations do not compare them then.
     if agrees and len(explaining) > 1 and not (means.refused[0] * counts[0]).any():
-        both = [*explaining, *(row for row in larger if explains[row])]
+        both = [*explaining, *(row for row in larger_subfilters if explains[row])]
         row = _farthest(both, statistic, threshold) or _farthest(explaining, statistic, threshold)
-    return Finding(fault=True, row=row, explaining=tuple(explaining))
+    return Finding(fault=True, subfilter=row, explaining_subfilters=tuple(explaining))
 
 
 def agrees_with_all(means: Means, degraded_after: int) -> bool:

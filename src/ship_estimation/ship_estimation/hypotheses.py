@@ -21,7 +21,7 @@ from ship_estimation.protection import LEAST_SHARE, LEAST_VARIANCE_RAD2
 from ship_geometry.rotations import FloatArray
 
 
-class RowsCompared(NamedTuple):
+class FilterInnovations(NamedTuple):
     """Innovations of a measurement of m components in h filters of n states: the main filter first, then subfilters.
 
     Attributes:
@@ -45,7 +45,7 @@ class RowsCompared(NamedTuple):
     turn_root: FloatArray
 
 
-def covariances(stack: FloatArray, rows: int) -> FloatArray:
+def covariances(stack: FloatArray, filter_count: int) -> FloatArray:
     """Return the covariance of each of h filters, shape (h, n, n), from their stack.
 
     Example:
@@ -54,12 +54,12 @@ def covariances(stack: FloatArray, rows: int) -> FloatArray:
         >>> print(covariances(np.array([[[1.0]], [[2.0]], [[5.0]]]), rows=2).ravel())
         [3. 5.]
     """
-    found: FloatArray = compiled_steps.row_covariances(np.ascontiguousarray(stack), rows)
+    found: FloatArray = compiled_steps.filter_covariances(np.ascontiguousarray(stack), filter_count)
     return found
 
 
 def add_error(
-    stack: FloatArray, rows: int, part: int, states: slice, covariance: FloatArray, row: int | None = None
+    stack: FloatArray, filter_count: int, part: int, states: slice, covariance: FloatArray, subfilter: int | None = None
 ) -> None:
     """Inflate the covariance of some states, in place, in all filters or in one subfilter.
 
@@ -78,7 +78,7 @@ def add_error(
         [0. 4. 4.]
     """
     first = states.indices(stack.shape[-1])[0]
-    compiled_steps.add_error(stack, rows, part, first, covariance, row or 0)
+    compiled_steps.add_error(stack, filter_count, part, first, covariance, subfilter or 0)
 
 
 def separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[FloatArray, FloatArray]:
@@ -125,7 +125,7 @@ def stand_together(means: FloatArray, stack: FloatArray, states: slice, most_sig
     return not apart
 
 
-def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
+def promoted(stack: FloatArray, filter_count: int, subfilter: int) -> FloatArray:
     """Return the stack with all filters restarted from one subfilter.
 
     A subfilter has no covariance by error source. The parts of the main filter are transformed by the linear map that
@@ -141,7 +141,7 @@ def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
         >>> print(promoted(stack, 2, row=1).ravel())
         [2. 6. 8.]
     """
-    both = covariances(stack, rows)[[0, row]]
+    both = covariances(stack, filter_count)[[0, subfilter]]
     sigma = np.sqrt(np.diagonal(both[0]))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     values, vectors = np.linalg.eigh(both / (scale[:, None] * scale))
@@ -149,16 +149,16 @@ def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
     inverse = np.where(root[0] > 1e-7 * root[0, -1], 1.0 / np.where(root[0] > 0.0, root[0], 1.0), 0.0)
     to_row = (vectors[1] * root[1]) @ vectors[1].T @ (vectors[0] * inverse) @ vectors[0].T
     to_row = scale[:, None] * to_row / scale
-    parts = to_row @ stack[: len(stack) - rows + 1] @ to_row.T
+    parts = to_row @ stack[: len(stack) - filter_count + 1] @ to_row.T
     # States that are known exactly stay exact in spite of rounding.
     parts[:, sigma == 0.0, :] = parts[:, :, sigma == 0.0] = 0.0
     parts[np.argmax(np.trace(parts, axis1=-2, axis2=-1))] += both[1] - parts.sum(axis=0)
-    return np.concatenate([parts, np.tile(both[1], (rows - 1, 1, 1))])
+    return np.concatenate([parts, np.tile(both[1], (filter_count - 1, 1, 1))])
 
 
 def compare_rows(
     means: FloatArray, stack: FloatArray, measurement: LinearMeasurement, at_mean: FloatArray, by_turn: FloatArray
-) -> RowsCompared:
+) -> FilterInnovations:
     """Return the innovations of a measurement in the main filter and all subfilters.
 
     Args:
@@ -185,11 +185,11 @@ def compare_rows(
     found = compiled_steps.compared(
         means, stack, measurement.residual, measurement.jacobian, measurement.noise, at_mean, by_turn
     )
-    return RowsCompared(*found)
+    return FilterInnovations(*found)
 
 
 def update_rows(
-    stack: FloatArray, measurement: LinearMeasurement, compared: RowsCompared, learns: NDArray[np.bool_]
+    stack: FloatArray, measurement: LinearMeasurement, compared: FilterInnovations, learns: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the corrections, shape (h, n), and the stack of covariances after a measurement update of all filters.
 

@@ -122,7 +122,7 @@ class StateModel:
         ).astype(np.intp)
         self._initial_variance = sigma**2
 
-    def rows(self, name: str) -> NDArray[np.intp]:
+    def state_indices(self, name: str) -> NDArray[np.intp]:
         """Indices of a block in the state."""
         return np.arange(self.slices[name].start, self.slices[name].stop)
 
@@ -259,7 +259,7 @@ class ResidualCompared(NamedTuple):
 
 
 def predict(
-    stack: FloatArray, decay: FloatArray, noise: FloatArray, source_of: NDArray[np.intp], rows: int = 1
+    stack: FloatArray, decay: FloatArray, noise: FloatArray, source_of: NDArray[np.intp], filter_count: int = 1
 ) -> FloatArray:
     """Return the predicted covariances (time update) for a diagonal transition and process noise, shapes (n,).
 
@@ -279,7 +279,7 @@ def predict(
         [2. 0.]
     """
     stacks = np.ascontiguousarray(stack).reshape(-1, *stack.shape[-3:])
-    predicted: FloatArray = compiled_steps.carried(stacks, stack.shape[-3] - rows + 1, decay, noise, source_of)
+    predicted: FloatArray = compiled_steps.carried(stacks, stack.shape[-3] - filter_count + 1, decay, noise, source_of)
     return predicted.reshape(stack.shape)
 
 

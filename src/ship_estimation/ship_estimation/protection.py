@@ -196,13 +196,13 @@ class Separation(NamedTuple):
 
 def separation(
     k: Factors,
-    rows: NDArray[np.intp],
+    tested_subfilters: NDArray[np.intp],
     states: NDArray[np.intp],
     by_output: tuple[FloatArray, FloatArray, FloatArray],
     mean: FloatArray,
     means: FloatArray,
     parts: FloatArray,
-    left_out: FloatArray,
+    subfilter_covariances: FloatArray,
 ) -> Separation:
     """Return the solution separations of the subfilters from the main filter, and the protection levels.
 
@@ -232,8 +232,8 @@ def separation(
         mean,
         means,
         parts,
-        left_out,
-        rows,
+        subfilter_covariances,
+        tested_subfilters,
         k.right,
         k.false_exclusion,
         k.missed,

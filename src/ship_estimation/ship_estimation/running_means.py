@@ -30,7 +30,7 @@ WELL = 0.5
 LONG_AGO_NS = -(2**62)
 """Stamp before any other, of a source without a measurement or without inconsistency."""
 
-SEEN_BY_ROWS = ("running", "excess", "refused")
+FIELDS_BY_SUBFILTER = ("running", "excess", "refused")
 """Fields of :class:`InnovationMeans` with one row for each filter."""
 
 _LARGEST_TURN = math.sqrt(0.5)
@@ -69,7 +69,7 @@ class Means:
     contradicts_ns: NDArray[np.int64]
 
 
-def no_means(rows: int, sources: int) -> Means:
+def no_means(subfilters: int, sources: int) -> Means:
     """Return the innovation means before any measurement.
 
     Example:
@@ -77,9 +77,9 @@ def no_means(rows: int, sources: int) -> Means:
         (3, 2, 3, 5)
     """
     return Means(
-        running=np.zeros((rows, sources, len(MEANS_OVER), 5)),
-        excess=np.zeros((rows, sources)),
-        refused=np.zeros((rows, sources), dtype=np.int64),
+        running=np.zeros((subfilters, sources, len(MEANS_OVER), 5)),
+        excess=np.zeros((subfilters, sources)),
+        refused=np.zeros((subfilters, sources), dtype=np.int64),
         heard_ns=np.full(sources, LONG_AGO_NS),
         contradicts_ns=np.full(sources, LONG_AGO_NS),
     )
@@ -175,7 +175,7 @@ def averaged(running: FloatArray, turn: FloatArray) -> tuple[FloatArray, float]:
     return after
 
 
-def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:
+def forgotten(means: Means, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:
     """Return the means with those of some filters and sources cleared.
 
     Example:
@@ -184,8 +184,8 @@ def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] 
         [[1, 0], [3, 0]]
     """
     cut = {}
-    for name in SEEN_BY_ROWS:
+    for name in FIELDS_BY_SUBFILTER:
         values = getattr(means, name).copy()
-        values[rows, sources] = 0
+        values[subfilters, sources] = 0
         cut[name] = values
     return replace(means, **cut)

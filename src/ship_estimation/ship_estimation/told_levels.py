@@ -64,7 +64,7 @@ class ToldLevels:
     def __init__(self) -> None:
         self.report: IntegrityReport | None = None
         self.state: Any = None
-        self.checked_by: tuple[Any, ...] = ()
+        self.redundancy_key: tuple[Any, ...] = ()
         self.directions: FloatArray = np.empty((0, 0))
         self.until_ns, self.greatest_variance, self.most_turned = 0, 0.0, 0.0
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed, with_common_error
-from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import Factors, Separation
 from ship_geometry.rotations import FloatArray
 
 NOISE, WALK, COUNT = 9.0, 0.2, 40
 
 
-def filtered(measured: FloatArray, heard: int) -> tuple[FloatArray, FloatArray, list[RowsCompared]]:
+def filtered(measured: FloatArray, heard: int) -> tuple[FloatArray, FloatArray, list[FilterInnovations]]:
     """Filter a random walk of three states with the first measurements only; plain equations of the Kalman filter.
 
     Args:
@@ -28,20 +28,20 @@ def filtered(measured: FloatArray, heard: int) -> tuple[FloatArray, FloatArray, 
             of_residual = covariance + NOISE * np.eye(3)
             gain, residual = covariance @ np.linalg.inv(of_residual), one - mean
             found.append(
-                RowsCompared(residual[None], of_residual[None], np.ones(1), gain[None], *(np.empty(0),) * 3)
+                FilterInnovations(residual[None], of_residual[None], np.ones(1), gain[None], *(np.empty(0),) * 3)
             )
             mean, covariance = mean + gain @ residual, (np.eye(3) - gain) @ covariance
     return mean, covariance, found
 
 
-def absorbed_of(compared: list[RowsCompared]) -> Absorbed:
+def absorbed_of(compared: list[FilterInnovations]) -> Absorbed:
     found = NOTHING_ABSORBED
     for one in compared:
         found = found.with_correction(one, np.eye(3), first=0)
     return found
 
 
-def window_of(compared: list[RowsCompared]) -> int:
+def window_of(compared: list[FilterInnovations]) -> int:
     """Return the number of measurements in the sums: those of four blocks of half a time constant."""
     for count in range(1, len(compared)):
         if absorbed_of(compared[-count:]).variance == pytest.approx(absorbed_of(compared).variance):

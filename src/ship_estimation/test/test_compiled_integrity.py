@@ -118,7 +118,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="means"):
         separated(np.zeros((2, 4)), np.ones((2, 3)), np.ones(3), k)
     with pytest.raises(ValueError, match="rows"):
-        separated(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), k, rows=[2])
+        separated(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), k, subfilter_indices=[2])
     with pytest.raises(ValueError, match="matrix"):
         compiled_integrity.least_eigenvalue(np.eye(2))
 

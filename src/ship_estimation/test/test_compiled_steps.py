@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_steps
-from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, covariances, update_rows
+from ship_estimation.hypotheses import FilterInnovations, add_error, compare_rows, covariances, update_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
@@ -35,9 +35,9 @@ def case(
     return stack, rng.standard_normal((rows, states)), measured, rng.standard_normal((residuals, 3))
 
 
-def numpy_compared(
+def numpy_innovations(
     means: np.ndarray, covariance: np.ndarray, measured: LinearMeasurement, at_mean: np.ndarray, by_turn: np.ndarray
-) -> RowsCompared:
+) -> FilterInnovations:
     h, noise = measured.jacobian, measured.noise
     residual = measured.residual - (means - at_mean) @ h.T
     cross = covariance @ h.T
@@ -50,11 +50,11 @@ def numpy_compared(
     root = (vectors * scale[:, None]) @ vectors.transpose(0, 2, 1)
     turn = np.einsum("hij,hmj,hm->hi", root, weighted, residual)
     weights = root[0] @ weighted[0].T
-    return RowsCompared(residual, innovation, nis, gain, turn, weights @ noise @ weights.T, root)
+    return FilterInnovations(residual, innovation, nis, gain, turn, weights @ noise @ weights.T, root)
 
 
 def numpy_updated(
-    stack: np.ndarray, measured: LinearMeasurement, compared: RowsCompared, learns: np.ndarray
+    stack: np.ndarray, measured: LinearMeasurement, compared: FilterInnovations, learns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     rows, states = learns.shape
     sources = len(stack) - rows + 1
@@ -97,7 +97,7 @@ def test_propagated_states_equal_numpy(dt_s: float) -> None:
     expected = decay * means
     expected[:, states] = slow_error_later(means[:, states], decay[states], slow.sigma)
     found = model.later(dt_s, means, stack, "slow")
-    for one, other in zip(found, (decay, expected, predict(stack, decay, noise, model.source_of, rows=9)), strict=True):
+    for one, other in zip(found, (decay, expected, predict(stack, decay, noise, model.source_of, filter_count=9)), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -125,7 +125,7 @@ def test_innovations_of_all_filters_equal_numpy(shape: tuple[int, int, int, int]
     stack, means, measured, by_turn = case(shape)
     at_mean = means[-1] + 0.1
     found = compare_rows(means, stack, measured, at_mean, by_turn)
-    expected = numpy_compared(means, covariances(stack, shape[3]), measured, at_mean, by_turn)
+    expected = numpy_innovations(means, covariances(stack, shape[3]), measured, at_mean, by_turn)
     for name in expected._fields:
         equal(getattr(found, name), getattr(expected, name))
 
@@ -152,7 +152,7 @@ def test_unobserved_rotation_has_no_whitened_innovation() -> None:
     found = compare_rows(means, stack, measured, means[0], by_turn)
     np.testing.assert_array_equal(found.turn[:, 2], 0.0)
     np.testing.assert_array_equal(found.turn_root[:, 2], 0.0)
-    equal(found.turn, numpy_compared(means, covariances(stack, 2), measured, means[0], by_turn).turn)
+    equal(found.turn, numpy_innovations(means, covariances(stack, 2), measured, means[0], by_turn).turn)
 
 
 @pytest.mark.parametrize("wrong", [-1e6, np.nan])

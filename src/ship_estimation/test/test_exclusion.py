@@ -52,7 +52,7 @@ class Bank:
         total = self.stack[:, range(3), range(3)]
         statistic = np.max(np.abs(apart) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
         one, two = range(1, self.sensors + 1), range(self.sensors + 1, len(self.left_out))
-        return find_fault(self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, one, time_ns, larger=two)
+        return find_fault(self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, one, time_ns, larger_subfilters=two)
 
 
 AT = 200
@@ -100,8 +100,8 @@ def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
     base, told = copy.deepcopy(_before_knocks(seed, sensors, pairs)), None
     for epoch, found in base.until(epochs, knocks or {}):
         told = epoch - AT if found.fault and told is None else told
-        if found.row is not None:
-            return told, base.bank.left_out[found.row]
+        if found.subfilter is not None:
+            return told, base.bank.left_out[found.subfilter]
     return None if told is None else (told, None)
 
 
@@ -156,14 +156,14 @@ def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_s
     seen = no_means(4, 3)
     seen.heard_ns[:], seen.excess[:2, 1], seen.excess[2, 0] = 0, [3.0, 2.0], 0.8
     # The third subfilter, of one source, is consistent: it may still explain the fault.
-    assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger=[3]).row is None
+    assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter is None
     seen.excess[2, 0] = 1.1
-    assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger=[3]).row == 3
+    assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter == 3
     agrees = no_means(4, 3)
     agrees.heard_ns[:] = 0
     for far, told in ((6.0, 3), (5.2, None)):
         # No separation is clearly the largest, and no subfilter of one source exceeds the threshold.
-        assert find_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger=[3]).row == told
+        assert find_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter == told
 
 
 def test_separation_isolates_nothing_after_a_rejection():
@@ -172,12 +172,12 @@ def test_separation_isolates_nothing_after_a_rejection():
     seen = no_means(3, 2)
     seen.heard_ns[:] = 0
     apart = np.array([0.0, 2000.0, 4.0])
-    assert find_fault(seen, uses, apart, 5.0, [1, 2], 0).row == 1
+    assert find_fault(seen, uses, apart, 5.0, [1, 2], 0).subfilter == 1
     seen.refused[0, 1] = 1
     found = find_fault(seen, uses, apart, 5.0, [1, 2], 0)
-    assert (found.fault, found.row) == (True, None)
+    assert (found.fault, found.subfilter) == (True, None)
     # Rejections of a source that the main filter does not use have no effect.
-    assert find_fault(seen, uses & [True, False], apart, 5.0, [1, 2], 0).row == 1
+    assert find_fault(seen, uses & [True, False], apart, 5.0, [1, 2], 0).subfilter == 1
 
 
 def test_single_gross_error_excludes_no_source():
@@ -207,9 +207,9 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
         return find_fault(seen, uses, np.zeros(3), 5.0, [1, 2], 0, after)
 
     assert not found(after - 1, after).fault
-    assert found(after, after).row == 1
+    assert found(after, after).subfilter == 1
     # The subfilter that uses the same source is consistent: it may still be the fault-free one.
-    assert (found(after, after - 1).fault, found(after, after - 1).row) == (True, None)
+    assert (found(after, after - 1).fault, found(after, after - 1).subfilter) == (True, None)
 
 
 def test_source_is_reinstated_after_an_unbroken_time_of_consistency():

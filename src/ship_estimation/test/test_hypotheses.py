@@ -69,13 +69,13 @@ def test_restart_from_a_subfilter_keeps_the_shares_of_the_sources():
     rng = np.random.default_rng(4)
     stack = _stack(rng, 3)
     stack[:, 6] = stack[:, :, 6] = 0.0  # a state that is known exactly
-    after = promoted(stack, 3, row=2)
+    after = promoted(stack, 3, subfilter=2)
     for row in range(3):
         np.testing.assert_allclose(covariances(after, 3)[row], stack[-1], rtol=1e-8, atol=1e-8)
     assert np.all(np.linalg.eigvalsh(after[:SOURCES]) > -1e-8)
     assert np.all(covariances(after, 3)[:, 6] == 0.0)
     same = np.concatenate([stack[:SOURCES], stack[:SOURCES].sum(0)[None]])
-    np.testing.assert_allclose(promoted(same, 2, row=1)[:SOURCES], stack[:SOURCES], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(promoted(same, 2, subfilter=1)[:SOURCES], stack[:SOURCES], rtol=1e-6, atol=1e-7)
 
 
 def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():

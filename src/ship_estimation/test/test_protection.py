@@ -146,7 +146,7 @@ def test_excluded_source_does_not_affect_the_level():
     """Its subfilter is separated by a hundred sigmas, and would give the largest level."""
     k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
     distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
-    found = separated(distance, variance, np.full(3, 3.0), k, rows=[1])
+    found = separated(distance, variance, np.full(3, 3.0), k, subfilter_indices=[1])
     told = integrity_report(7, IntegrityConfig(), k, ("ins",), found, (("star.bow", 5),), checked=True)
     assert told.widest == 2.0
     assert (told.hypotheses, told.excluded, told.dominant) == (("ins",), (("star.bow", 5),), "")
@@ -155,7 +155,7 @@ def test_excluded_source_does_not_affect_the_level():
 
 def test_without_tested_hypotheses_there_is_no_level():
     k, nobody = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), []
-    found = separated(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, rows=nobody)
+    found = separated(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=nobody)
     for limit, state in (((), IntegrityState.NO_LIMIT), ((1e6,) * 3, IntegrityState.EXCEEDED)):
         config = IntegrityConfig(alert_limit_arcsec=limit)
         told = integrity_report(0, config, k, (), found, (), checked=True)

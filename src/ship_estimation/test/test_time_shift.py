@@ -42,5 +42,5 @@ def test_all_stamps_are_shifted_by_the_step_and_nothing_else_changes() -> None:
 
 
 def test_never_stamp_is_not_shifted() -> None:
-    means = replace(no_means(rows=1, sources=2), heard_ns=np.array([LONG_AGO_NS, 50]))
+    means = replace(no_means(subfilters=1, sources=2), heard_ns=np.array([LONG_AGO_NS, 50]))
     assert with_shifted_stamps(means, 7).heard_ns.tolist() == [LONG_AGO_NS, 57]

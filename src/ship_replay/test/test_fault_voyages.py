@@ -17,10 +17,10 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.trials.fault_judge import beyond, first_named, is_source, judged
-from ship_replay.trials.fault_results import kind_rows, pair_rows, results_file, totals
+from ship_replay.trials.fault_results import threat_rows, pair_rows, results_file, totals
 from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, replayed, run_voyage, taken_topics, voyages
 from ship_replay.trials.one_fault import one_fault_lines
-from ship_replay.trials.passage import UNSEEN_ROWS, UNTOLD_ROWS, Passage
+from ship_replay.trials.passage import UNDETECTABLE_CASES, UNREPORTED_CASES, Passage
 from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, draw_faults
 from ship_replay.trials.voyage_told import EXCLUSION, SILENT, Claim, HealthBook, Sign, Told, VoyageSink
 from ship_simulation.draws.noise import random_stream
@@ -60,7 +60,7 @@ def test_the_page_lists_every_kind_with_the_rows_that_it_is_drawn_for():
     assert [(kind.strip("`"), doc) for kind, doc, _ in table] == [(kind, KINDS[kind].doc) for kind in KINDS]
     for kind, _, rows in table:
         drawn_for = {threat.label for threat in DATA_LIKE + BY_FORM if threat.kind == kind.strip("`")}
-        unseen = {row for row in UNSEEN_ROWS if row.split(",")[0] in drawn_for}
+        unseen = {row for row in UNDETECTABLE_CASES if row.split(",")[0] in drawn_for}
         assert set(rows.split("; ")) - {"-"} == drawn_for | unseen
 
 
@@ -216,7 +216,7 @@ def test_undetectable_cases_are_those_of_the_page():
     page = (ROOT / "docs" / "explanation" / "integrity.md").read_text(encoding="utf-8")
     section = page.split("## What no data can tell")[1].split("\n##")[0]
     labels = [line.split("|")[2].strip() for line in section.splitlines() if line.startswith("|")][2:]
-    assert sorted(label.strip("`") for label in labels if label != "-") == sorted(UNSEEN_ROWS)
+    assert sorted(label.strip("`") for label in labels if label != "-") == sorted(UNDETECTABLE_CASES)
 
 
 def test_a_fault_is_detected_by_status_or_by_name_in_time():
@@ -437,10 +437,10 @@ def test_the_table_counts():
         result(1, alert_s=2.0, attributed=False),
         result(2, detected=False, attributed=False, alert_s=None, worst_sigmas=8.0, worst_over_level=None),
     ]
-    row = kind_rows(results)[0]
+    row = threat_rows(results)[0]
     assert row == ("ins step", "3", "2", "1", "1.25", "1.98", "8.00", "1", "0.00", "0.40", "0")
-    assert kind_rows(results)[-1][0] == "all"
-    assert kind_rows([]) == pair_rows([]) == []
+    assert threat_rows(results)[-1][0] == "all"
+    assert threat_rows([]) == pair_rows([]) == []
 
 
 def overlapping(number, **changes):
@@ -453,11 +453,11 @@ def overlapping(number, **changes):
         ([], []),
         ([result(3, worst_over_level=1.1)], ["1 VALID beyond the protection level"]),
         ([result(3, worst_sigmas=5.1)], ["VALID beyond 5σ: 1;"]),
-        ([result(3, threat=UNSEEN_ROWS[0], worst_sigmas=5.1)], []),
-        ([result(3, threat=UNSEEN_ROWS[0], worst_over_level=1.1)], ["1 VALID beyond the protection level"]),
+        ([result(3, threat=UNDETECTABLE_CASES[0], worst_sigmas=5.1)], []),
+        ([result(3, threat=UNDETECTABLE_CASES[0], worst_over_level=1.1)], ["1 VALID beyond the protection level"]),
         ([result(3, alert_s=1.1)], ["detected within 1 s or 3 measurements: 98.0%"]),
         ([result(3, alert_s=1.1, sigmas=7.9)], []),
-        ([result(3, alert_s=1.1, threat=UNTOLD_ROWS[0])], []),
+        ([result(3, alert_s=1.1, threat=UNREPORTED_CASES[0])], []),
         ([result(3, alert_s=1.1, threat="ins step, small")], ["detected within 1 s or 3 measurements: 98.0%"]),
         ([result(3, alert_s=None, detected=False)], ["detected within 1 s or 3 measurements: 98.0%"]),
         ([result(3, alert_s=None, detected=False, changed=2)], []),

@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_estimation.parameters import build
 from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, pointing_outcomes
-from ship_replay.trials.one_estimate import WithoutAlternatives, WithoutIntegrity
+from ship_replay.trials.one_estimate import SightingStepWithoutSubfilters, ShipFilterWithoutSubfilters
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration
@@ -27,7 +27,7 @@ def run_of(scenario: str, duration_s: float) -> SimulatedRun:
 def test_the_ships_attitude_is_that_of_the_main_filter_alone() -> None:
     run = run_of("three_sensors", 20.0)
     cores = core_for(run.scenario), core_for(run.scenario)
-    cores[1].filter = WithoutIntegrity(cores[1].config)
+    cores[1].filter = ShipFilterWithoutSubfilters(cores[1].config)
     cores[1].reset()
     every_ns = set(run.ins.time_ns[::20].tolist())
     told = [list(attitude_outcomes(core, run, every_ns)) for core in cores]
@@ -50,7 +50,7 @@ def test_the_pointing_is_that_of_the_main_filter_alone() -> None:
     run = run_of("theodolite", 30.0)
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     told = []
-    for step in (SightingStep, WithoutAlternatives):
+    for step in (SightingStep, SightingStepWithoutSubfilters):
         core = OpticalAxisCore(config)
         core._step_to = step(config, core.filter)
         told.append([one for outcome in pointing_outcomes(core, run) for one in outcome.estimates])

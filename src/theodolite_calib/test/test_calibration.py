@@ -75,7 +75,7 @@ def test_a_session_that_starts_from_it_knows_what_was_known() -> None:
     assert np.sqrt(np.diagonal(state.covariance)[deformation]) == pytest.approx(20.0 * ARCSEC)
     assert state.mean[deformation].tolist() == [0.0, 0.0, 0.0]
     source = filter_.model.sources.index("saved_calibration")
-    rows = filter_.model.rows("axes")[:6]
+    rows = filter_.model.state_indices("axes")[:6]
     assert state.parts[source][rows, rows] == pytest.approx(np.diagonal(state.covariance)[rows])
 
 
@@ -85,7 +85,7 @@ def test_an_old_calibration_is_a_wider_prior() -> None:
     old, messages = state_from_prior(filter_, config(), saved(), NOW_NS + 31 * DAY_NS)
     (message,) = messages
     assert message.startswith("saved calibration is 31.0 d old, more than calibration_max_age_d = 30: the configured")
-    rows = filter_.model.rows("axes")[:6]
+    rows = filter_.model.state_indices("axes")[:6]
     added = np.diagonal(old.covariance - young.covariance)[rows]
     assert np.sqrt(added) == pytest.approx(30.0 * ARCSEC)
     assert old.mean.tolist() == young.mean.tolist()

@@ -29,8 +29,8 @@ def learned(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, Calibration
     """Return a state with the camera's mounting known to a third of the configured sigma, and collimation with it."""
     filter_ = CalibrationFilter(settings)
     state = filter_.initial_state()
-    rows = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism")
-    c = filter_.model.rows("axes")[2]
+    rows = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism")
+    c = filter_.model.state_indices("axes")[2]
     mean, parts = state.mean.copy(), state.parts.copy()
     mean[rows], mean[c] = OFF, 3.0 * ARCSEC
     parts[:, rows, :] /= 3.0
@@ -70,7 +70,7 @@ def test_next_session_starts_with_the_saved_calibration(tmp_path: Path) -> None:
     filter_, before = learned(settings)
     state, messages = state_from_prior(filter_, settings, through_file(saved(settings), tmp_path / "c.yaml"), NOW_NS)
     assert messages == []
-    rows = [*filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism"), filter_.model.rows("axes")[2]]
+    rows = [*filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism"), filter_.model.state_indices("axes")[2]]
     np.testing.assert_allclose(state.mean[rows], before.mean[rows], rtol=1e-6)
     np.testing.assert_allclose(
         state.covariance[np.ix_(rows, rows)], before.covariance[np.ix_(rows, rows)], rtol=1e-9, atol=1e-20
@@ -88,7 +88,7 @@ def test_a_camera_that_looks_backward_is_within_half_a_turn(tmp_path: Path, azim
     filter_ = CalibrationFilter(settings)
     state, messages = state_from_prior(filter_, settings, through_file(prior, tmp_path / "c.yaml"), NOW_NS)
     assert messages == []
-    row = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism")[0]
+    row = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism")[0]
     assert state.mean[row] == pytest.approx(OFF[0], rel=1e-6)
 
 
@@ -99,10 +99,10 @@ def test_remounted_camera_is_ignored_and_the_rest_used(angle: str) -> None:
     filter_ = CalibrationFilter(settings)
     state, (message,) = state_from_prior(filter_, settings, saved(mount_config(1.0)), NOW_NS)
     assert message.startswith(f"saved calibration of camera '{CAMERA_ID}' is not used: its {angle} is 3")
-    rows, initial = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism"), filter_.initial_state()
+    rows, initial = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism"), filter_.initial_state()
     assert state.mean[rows].tolist() == [0.0, 0.0, 0.0]
     assert state.covariance[np.ix_(rows, rows)].tolist() == initial.covariance[np.ix_(rows, rows)].tolist()
-    assert state.mean[filter_.model.rows("axes")[2]] == pytest.approx(3.0 * ARCSEC)
+    assert state.mean[filter_.model.state_indices("axes")[2]] == pytest.approx(3.0 * ARCSEC)
 
 
 def test_removed_camera_is_ignored() -> None:
@@ -111,7 +111,7 @@ def test_removed_camera_is_ignored() -> None:
     state, (message,) = state_from_prior(filter_, settings, saved(mount_config(1.0)), NOW_NS)
     why = "no camera of that name has angles of its own here"
     assert message == f"saved calibration of camera '{CAMERA_ID}' is not used: {why}"
-    assert state.mean[filter_.model.rows("axes")[2]] == pytest.approx(3.0 * ARCSEC)
+    assert state.mean[filter_.model.state_indices("axes")[2]] == pytest.approx(3.0 * ARCSEC)
 
 
 def test_a_file_without_cameras_leaves_them_as_configured() -> None:
@@ -123,7 +123,7 @@ def test_a_file_without_cameras_leaves_them_as_configured() -> None:
     filter_ = CalibrationFilter(settings)
     state, messages = state_from_prior(filter_, settings, old, NOW_NS)
     assert messages == []
-    rows = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism")
+    rows = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism")
     assert np.sqrt(np.diagonal(state.covariance)[rows]) == pytest.approx(ARCSEC)
 
 

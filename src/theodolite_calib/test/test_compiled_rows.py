@@ -44,7 +44,7 @@ def inverse_root(covariance: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("lights", [1, 2, 5])
 def test_beacon_innovations_equal_numpy(lights: int) -> None:
     distance, parts, residual, h, noise, first, sees, known = sighting(lights)
-    residuals, gains, nis, turns = compiled_rows.rows_seen(*sighting(lights))
+    residuals, gains, nis, turns = compiled_rows.beacon_innovations(*sighting(lights))
     every = [residual, *(residual - distance @ h.T)]
     covariances = [first, *(h @ parts @ h.T + noise)]
     for row in range(ROWS):
@@ -67,7 +67,7 @@ def test_indefinite_covariance_is_refused() -> None:
     arrays = list(sighting(2))
     arrays[4] = -1e3 * np.eye(4)
     with pytest.raises(np.linalg.LinAlgError):
-        compiled_rows.rows_seen(*arrays)
+        compiled_rows.beacon_innovations(*arrays)
 
 
 @pytest.mark.parametrize("number", range(8))
@@ -76,4 +76,4 @@ def test_mismatched_shapes_are_refused(number: int) -> None:
     arrays = list(sighting(2))
     arrays[number] = arrays[number][:-1].copy()
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_rows.rows_seen(*arrays)
+        compiled_rows.beacon_innovations(*arrays)

@@ -163,7 +163,7 @@ def test_distant_start_converges_to_the_same_estimate() -> None:
     sightings = sightings_of(config(**sigma), 3)
     off, near = (filtered(CalibrationFilter(config(**start, **sigma)), sightings) for start in (far, {}))
     model = CalibrationFilter(config()).model
-    g, h = model.rows("axes")[:2]
+    g, h = model.state_indices("axes")[:2]
     moved = near.mean - off.mean
     # The prior pulls each back by its share, so a little of the 600" is left: (sigma / 1000")².
     left = 600.0 * ARCSEC * np.diagonal(near.covariance)[[g, h]] / (1000.0 * ARCSEC) ** 2

@@ -12,7 +12,7 @@ from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.trust import Conflict, LeftOut, Referee, Trust, no_doubt
 
 SETTINGS = config()
-ROWS = CalibrationFilter(SETTINGS).rows
+ROWS = CalibrationFilter(SETTINGS).subfilters
 REFEREE = Referee(SETTINGS.integrity, SETTINGS.gate, ROWS, threshold=5.0)
 FIRST, SECOND = ROWS.beacons[:2]
 AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS

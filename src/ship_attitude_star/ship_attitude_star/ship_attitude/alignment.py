@@ -122,7 +122,7 @@ def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState
     assert state.time_ns is not None
     model = filter_.model
     names = [name for name in model.slices if name.endswith((".installation", ".time_offset"))]
-    rows = np.concatenate([model.rows(name) for name in names])
+    rows = np.concatenate([model.state_indices(name) for name in names])
     to_saved = np.eye(model.size)
     rotations = {}
     for device in filter_.devices.values():

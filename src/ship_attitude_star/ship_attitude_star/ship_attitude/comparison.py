@@ -12,7 +12,7 @@ from ship_attitude_star.measurements.baseline import BASELINE_COMPONENTS, Baseli
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.stars.camera_states import camera_rows
+from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.residuals import star_residuals
 from ship_attitude_star.stars.selection import StarPrior
@@ -75,7 +75,7 @@ class Compared(NamedTuple):
     """
 
     linear: LinearMeasurement
-    by_turn: FloatArray
+    rotation_jacobian: FloatArray
     components: tuple[str, ...]
     rotation_nv: FloatArray
     predicted_nv: FloatArray
@@ -146,7 +146,7 @@ def compare(
         noise, interpolation = measurement.noise_v, predicted.interpolation_v
         return Compared(
             linear=LinearMeasurement(residual, jacobian, {index[device.noise_source]: noise, between: interpolation}),
-            by_turn=_TURNED_AS_DEVICE,
+            rotation_jacobian=_TURNED_AS_DEVICE,
             components=ATTITUDE_COMPONENTS,
             rotation_nv=measurement.rotation_nv,
             predicted_nv=predicted.rotation_nv,
@@ -165,7 +165,7 @@ def compare(
         model.sky_rows,
         mean,
         None if expected is None else predicted.rotation_nv,
-        camera_rows(model.slices, device.name),
+        camera_state_indices(model.slices, device.name),
     )
     if isinstance(stars, Refusal):
         return stars
@@ -174,7 +174,7 @@ def compare(
     noise_by_source[between] = interpolation
     return Compared(
         linear=LinearMeasurement(stars.residual, stars.jacobian, noise_by_source),
-        by_turn=stars.by_turn,
+        rotation_jacobian=stars.by_turn,
         components=stars.components,
         rotation_nv=predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns,
         predicted_nv=predicted.rotation_nv,
@@ -212,7 +212,7 @@ def _baseline_compared(
                 model.source_indices[SOURCE_INTERPOLATION]: _ACROSS @ predicted.interpolation_v @ _ACROSS.T,
             },
         ),
-        by_turn=_ACROSS,
+        rotation_jacobian=_ACROSS,
         components=BASELINE_COMPONENTS,
         rotation_nv=predicted.rotation_nv @ exp_rotation(turn_v),
         predicted_nv=predicted.rotation_nv,

@@ -79,7 +79,7 @@ class CorrectedIns:
                 model.ins_process, filter_.vertical, sources, models_deflection, horizon == GRAVITY
             )
         attitude, others = np.split(model.process_rows, [3])
-        self._rows = np.concatenate([attitude, model.rows("ins.time_offset"), others])
+        self._rows = np.concatenate([attitude, model.state_indices("ins.time_offset"), others])
         self._rest_on(state)
 
     def by(self, state: FilterState) -> "CorrectedIns":

@@ -27,7 +27,7 @@ from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_attitude_star.stars.scale_check import learned_contradiction
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
+from ship_estimation.hypotheses import FilterInnovations, add_error, compare_rows
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
@@ -133,18 +133,18 @@ class ShipFilter:
             if INS in state.excluded:
                 return state
         state = self.suspects.acquitted(state, opens_ns)
-        stack, means, rows = state.stack.copy(), state.means, len(state.means)
+        stack, means, count = state.stack.copy(), state.means, len(state.means)
         slow, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
         # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
         if abs(jump.clock_s) <= _CLOCK_SIGMAS * clock.sigma[0]:
-            both = np.r_[self.model.rows("ins.attitude"), self.model.rows(clock.name)]
+            both = np.r_[self.model.state_indices("ins.attitude"), self.model.state_indices(clock.name)]
             moved, shared = jump.shared
             means, covariance = means.copy(), np.zeros((self.model.size, self.model.size))
             means[:, both] += moved
             covariance[both[:, None], both] = shared
-            add_error(stack, rows, self._ins_index, slice(None), covariance)
+            add_error(stack, count, self._ins_index, slice(None), covariance)
         else:
-            add_error(stack, rows, self._ins_index, slow, jump.covariance_n)
+            add_error(stack, count, self._ins_index, slow, jump.covariance_n)
             if jump.is_of_clock:
                 state = self.suspects.ins.clock_has_stepped(state, opens_ns)
         return changed(
@@ -279,26 +279,26 @@ class ShipFilter:
         linear, source = found.compared.linear, measurement.source
         gate = chi_square_gate(self._gate.probability, len(linear.residual))
         try:
-            predicted, compared = self._beside(predicted, source, found.compared, gate)
+            predicted, innovations = self._beside(predicted, source, found.compared, gate)
         except np.linalg.LinAlgError:
             return self._refused(state, measurement, NotCompared(singular_covariance(), found.ins_time_ns))
         # Written so that NaN fails.
-        accepted = compared.nis <= gate
+        accepted = innovations.nis <= gate
         decision = AttitudeDecision(
             measurement=measurement,
             reason=Reason.NONE,
             accepted=bool(accepted[0]) and source not in state.excluded,
             ins_time_ns=found.ins_time_ns,
             residual=linear.residual,
-            sigma=np.sqrt(compared.covariance[0].diagonal()),
+            sigma=np.sqrt(innovations.covariance[0].diagonal()),
             components=found.compared.components,
-            covariance=compared.covariance[0],
+            covariance=innovations.covariance[0],
             noise=linear.noise,
-            nis=float(compared.nis[0]),
+            nis=float(innovations.nis[0]),
             gate=gate,
             left_out=found.compared.left_out,
         )
-        after = self.suspects.learned(state, predicted, measurement, found.compared, compared, accepted)
+        after = self.suspects.learned(state, predicted, measurement, found.compared, innovations, accepted)
         if decision.accepted:
             after = self._used(after, found.measured)
         elif source in state.excluded and (accepted[0] or state.excluded[source].apart is None):
@@ -309,7 +309,7 @@ class ShipFilter:
         if self.devices[source].is_star and not (accepted[0] or vouched):
             # No other data show whether the INS has jumped.
             after = changed(after, unconfirmed=_jumped(measurement.time_ns))
-        after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
+        after, text = self.suspects.judged(after, source, innovations, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
 
     def _lacks_latitude(self, time_ns: int) -> bool:
@@ -327,7 +327,7 @@ class ShipFilter:
 
     def _beside(
         self, predicted: FilterState, source: str, compared: Compared, gate: float
-    ) -> tuple[FilterState, RowsCompared]:
+    ) -> tuple[FilterState, FilterInnovations]:
         """Return the innovations of all filters; filters without the INS are inflated where they are inconsistent.
 
         Args:
@@ -339,15 +339,15 @@ class ShipFilter:
         Returns:
             The state, with inflated covariances where needed, and the innovations.
         """
-        linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.mean
-        rows = compare_rows(predicted.means, predicted.stack, linear, at_mean, by_turn)
-        opened, wrong = self.suspects.ins.opened_against(predicted, source, rows, compared.predicted_nv, gate)
+        linear, by_turn, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
+        innovations = compare_rows(predicted.means, predicted.stack, linear, at_mean, by_turn)
+        opened, wrong = self.suspects.ins.opened_against(predicted, source, innovations, compared.predicted_nv, gate)
         if not wrong:
-            return predicted, rows
+            return predicted, innovations
         wider = compare_rows(predicted.means, opened, linear, at_mean, by_turn)
         # Fault detection uses the innovations from before the inflation.
         turn, turn_root = wider.turn.copy(), wider.turn_root.copy()
-        turn[wrong], turn_root[wrong] = rows.turn[wrong], rows.turn_root[wrong]
+        turn[wrong], turn_root[wrong] = innovations.turn[wrong], innovations.turn_root[wrong]
         return changed(predicted, stack=opened), wider._replace(turn=turn, turn_root=turn_root)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:

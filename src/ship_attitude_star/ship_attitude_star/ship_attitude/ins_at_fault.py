@@ -21,7 +21,7 @@ from ship_attitude_star.ship_attitude.row_table import INS, RowTable
 from ship_attitude_star.ship_attitude.state import Doubt, FilterState, changed, with_entry, without
 from ship_estimation.exclusion import Exclusion, must_agree_s
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.hypotheses import RowsCompared, add_error
+from ship_estimation.hypotheses import FilterInnovations, add_error
 from ship_estimation.running_means import forgotten
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -58,15 +58,15 @@ class InsAtFault:
         subfilters: the filters.
     """
 
-    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, table: RowTable) -> None:
-        self._table, self._return_after_s = table, config.integrity.return_after_s
+    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, subfilters: RowTable) -> None:
+        self._subfilters, self._return_after_s = subfilters, config.integrity.return_after_s
         self._degraded_after = config.gate.degraded_after
         self._agreed = chi_square_gate(config.gate.probability, 3)
         self._slow, self._part = model.slices["ins.attitude"], model.sources.index(SOURCE_INS)
         self._all_but_slow = np.ones(model.size, dtype=bool)
         self._all_but_slow[self._slow] = False
 
-    def all_rows_at(self, mean: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def all_filters_at(self, mean: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return means and covariances of all filters started from one state.
 
         Args:
@@ -76,11 +76,11 @@ class InsAtFault:
         Returns:
             Shapes (h, n) and (n_sources + h - 1, n, n).
         """
-        rows = self._table.rows
-        stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (rows - 1, 1, 1))])
-        for row in self._table.ins_rows:
-            self._open(stack, rows, _UNKNOWN_RAD**2 * np.eye(3), row)
-        return np.tile(mean, (rows, 1)), stack
+        count = self._subfilters.count
+        stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (count - 1, 1, 1))])
+        for subfilter in self._subfilters.ins_subfilters:
+            self._open(stack, count, _UNKNOWN_RAD**2 * np.eye(3), subfilter)
+        return np.tile(mean, (count, 1)), stack
 
     def open_slow_error(self, parts: FloatArray, covariance_n: FloatArray) -> None:
         """Inflate the covariance of the correlated INS error, in place, in a main filter without subfilters."""
@@ -89,11 +89,11 @@ class InsAtFault:
     def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Add the random walk of an excluded INS to the covariances, in place."""
         walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _ABOUT_EACH_AXIS
-        for row in (None,) if INS in state.excluded else self._table.ins_rows:
-            self._open(stack, len(state.means), walked, row)
+        for subfilter in (None,) if INS in state.excluded else self._subfilters.ins_subfilters:
+            self._open(stack, len(state.means), walked, subfilter)
 
     def opened_against(
-        self, state: FilterState, source: str, compared: RowsCompared, predicted_nv: FloatArray, gate: float
+        self, state: FilterState, source: str, innovations: FilterInnovations, predicted_nv: FloatArray, gate: float
     ) -> tuple[FloatArray, list[int]]:
         """Inflate the covariance of the INS error by an inconsistent innovation.
 
@@ -112,13 +112,13 @@ class InsAtFault:
         """
         everywhere = distrusted(state) and source not in state.excluded
         # Written so that NaN inflates nothing.
-        far = [row for row in ((0,) if everywhere else self._table.ins_rows) if compared.nis[row] > gate]
+        far = [subfilter for subfilter in ((0,) if everywhere else self._subfilters.ins_subfilters) if innovations.nis[subfilter] > gate]
         wrong = far if everywhere else [row for row in far if self._contradicted(state, source, row)]
         if not wrong:
             return state.stack, []
         stack: FloatArray = state.stack.copy()
         for row in wrong:
-            turn_n = predicted_nv @ compared.turn_root[row] @ compared.turn[row]
+            turn_n = predicted_nv @ innovations.turn_root[row] @ innovations.turn[row]
             covariance_n = np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3)
             self._open(stack, len(state.means), covariance_n, None if everywhere else row)
         return stack, list(range(len(state.means))) if everywhere else wrong
@@ -140,7 +140,7 @@ class InsAtFault:
 
     def clock_has_stepped(self, state: FilterState, time_ns: int) -> FilterState:
         """Exclude the INS after a clock step that is too large to estimate."""
-        if distrusted(state) or not self.may_be_excluded(state.in_use(self._table.sources, time_ns)):
+        if distrusted(state) or not self.may_be_excluded(state.in_use(self._subfilters.sources, time_ns)):
             return state
         times = state.record.get(INS, 0) + 1
         excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times, on_suspicion=True))
@@ -152,7 +152,7 @@ class InsAtFault:
 
         Its change of attitude may be wrong by as much as recently, so the fault is unresolved with that covariance.
         """
-        names = state.in_use(self._table.sources, time_ns)
+        names = state.in_use(self._subfilters.sources, time_ns)
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], on_suspicion=False))
         text = f"the INS is excluded: it reported a jump, and {', '.join(names) or 'all sources'} contradicted it"
         return self._doubted(changed(state, excluded=excluded), time_ns, text)
@@ -165,7 +165,7 @@ class InsAtFault:
         self._open(stack, len(state.means), _UNKNOWN_RAD**2 * np.eye(3), None)
         return self.contradicted_now(changed(state, stack=stack), time_ns)
 
-    def watched(self, state: FilterState, compared: RowsCompared, agrees: bool, time_ns: int) -> FilterState:
+    def watched(self, state: FilterState, innovations: FilterInnovations, agrees: bool, time_ns: int) -> FilterState:
         """Monitor an INS that the stars have excluded, after a measurement.
 
         Args:
@@ -174,7 +174,7 @@ class InsAtFault:
             is_consistent: True if the source's recent innovations are consistent with the main filter.
             time_ns: stamp of the measurement.
         """
-        turn = compared.turn[0]
+        turn = innovations.turn[0]
         # Written so that NaN is inconsistent.
         return state if agrees and turn @ turn <= self._agreed else self.contradicted_now(state, time_ns)
 
@@ -196,7 +196,7 @@ class InsAtFault:
             return state
         if distrust:
             # The filters were updated equally and do not differ.
-            means, stack = self.all_rows_at(state.mean, state.parts)
+            means, stack = self.all_filters_at(state.mean, state.parts)
             state = changed(state, means=means, stack=stack)
         if not exclusion.on_suspicion:
             # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.
@@ -208,22 +208,22 @@ class InsAtFault:
 
     def _doubted(self, state: FilterState, time_ns: int, text: str) -> FilterState:
         """Return the state with an unresolved fault of the excluded INS, whose consistency starts from this time."""
-        names = state.in_use(self._table.sources, time_ns)
+        names = state.in_use(self._subfilters.sources, time_ns)
         disputed = [state.apart[name].turn_n for name in names if name in state.apart]
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in disputed), start=np.zeros((3, 3)))
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
         seen = forgotten(state.seen, slice(None), slice(None))
         return changed(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))
 
-    def _contradicted(self, state: FilterState, source: str, row: int) -> bool:
+    def _contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
         """True if one more rejection of the source would make a fault of this subfilter."""
-        index = self._table.sources.index(source)
-        if source in state.excluded or not self._table.uses[row, index]:
+        index = self._subfilters.sources.index(source)
+        if source in state.excluded or not self._subfilters.uses[subfilter, index]:
             return False
-        return bool(state.seen.refused[row, index] >= self._degraded_after - 1)
+        return bool(state.seen.refused[subfilter, index] >= self._degraded_after - 1)
 
-    def _open(self, stack: FloatArray, rows: int, covariance_n: FloatArray, row: int | None) -> None:
-        add_error(stack, rows, self._part, self._slow, covariance_n, row)
+    def _open(self, stack: FloatArray, count: int, covariance_n: FloatArray, subfilter: int | None) -> None:
+        add_error(stack, count, self._part, self._slow, covariance_n, subfilter)
 
 
 def distrusted(state: FilterState) -> bool:

@@ -31,16 +31,16 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         estimate: the attitude, with its filter state.
     """
     state, suspects = estimate.state, filter_.suspects
-    asked = suspects.table.asked(estimate.sources, state.excluded)
+    asked = suspects.subfilters.asked(estimate.sources, state.excluded)
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
     to_angles, parts = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
     means, stack = against_horizon(filter_, config, state, estimate.time_ns)
     # The levels contain the solution separations already. Errors that an attitude adds to those of the state, such as
     # the INS noise, are the same in every filter.
     found = separation(
-        suspects.table.k,
+        suspects.subfilters.k,
         asked.hypotheses,
-        filter_.model.rows("ins.attitude"),
+        filter_.model.state_indices("ins.attitude"),
         (to_angles, to_angles, estimate.undisputed_n),
         means[0],
         means[1:],
@@ -49,7 +49,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     )
     names = asked.names
     if INS not in state.excluded and asked.check_one_another:
-        table, variance_n = suspects.table, to_angles @ estimate.undisputed_n @ to_angles.T
+        table, variance_n = suspects.subfilters, to_angles @ estimate.undisputed_n @ to_angles.T
         found = with_common_error(
             found, table.k, table.common_missed, table.common_threshold, state.absorbed, to_angles, variance_n
         )
@@ -57,7 +57,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
     in_dispute = state.doubt is not None or state.unconfirmed is not None or estimate.status is Status.INVALID
     checked = asked.check_one_another and not in_dispute
-    return integrity_report(estimate.time_ns, config.integrity, suspects.table.k, names, found, excluded, checked)
+    return integrity_report(estimate.time_ns, config.integrity, suspects.subfilters.k, names, found, excluded, checked)
 
 
 def against_horizon(

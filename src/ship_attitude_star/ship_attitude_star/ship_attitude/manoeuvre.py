@@ -107,7 +107,7 @@ def worthwhile_turn(
 
 def _sigmas(filter_: ShipFilter, covariance: FloatArray) -> dict[str, float]:
     """Return the standard deviations of heading and tilt, rad."""
-    rows = filter_.model.rows("ins.attitude")
+    rows = filter_.model.state_indices("ins.attitude")
     north, up, east = covariance[rows, rows].tolist()
     return {"heading": float(np.sqrt(up)), "tilt": float(np.sqrt(0.5 * (north + east)))}
 
@@ -206,7 +206,7 @@ def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[Float
     decay, fresh = model.transition(step_s)
     transition, noise = np.diag(decay), np.diag(fresh)
     # The white INS noise is part of each measurement.
-    white = model.rows("ins.noise")
+    white = model.state_indices("ins.noise")
     noise[white, white] = 0.0
     for source, steady in state.common_n.items():
         common = model.slices[f"{source}.common"]

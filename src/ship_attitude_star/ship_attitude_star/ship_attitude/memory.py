@@ -61,7 +61,7 @@ def memory_residual(
     found = filter_.linearisation.of(measurement, state.mean, state.covariance, {}, track, watch)
     if found is None or isinstance(found, NotCompared):
         return None
-    linear, by_turn = found.compared.linear, found.compared.by_turn
+    linear, by_turn = found.compared.linear, found.compared.rotation_jacobian
     weighted = np.linalg.solve(linear.noise, by_turn)
     information = by_turn.T @ weighted
     if not np.linalg.eigvalsh(information)[0] >= _SEEN_RAD**-2:
@@ -83,7 +83,7 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
     if state.time_ns is None:
         return np.inf
     memory = filter_.predicted(memory, state.time_ns)
-    rows = np.concatenate([filter_.model.rows(name) for name in filter_.model.slices if name.endswith(_LASTING)])
+    rows = np.concatenate([filter_.model.state_indices(name) for name in filter_.model.slices if name.endswith(_LASTING)])
     variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
     difference = np.abs(state.mean - memory.mean)[rows]
     # States known exactly do not differ. Written so that NaN is compared.

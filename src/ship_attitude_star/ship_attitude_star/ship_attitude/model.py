@@ -66,7 +66,7 @@ from ship_attitude_star.ship_attitude.config import (
     ShipBaselineConfig,
     StarSensorConfig,
 )
-from ship_attitude_star.sky.shared_states import sky_blocks, sky_rows
+from ship_attitude_star.sky.shared_states import sky_blocks, sky_slice
 from ship_attitude_star.stars.camera_states import camera_blocks
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL
@@ -192,9 +192,9 @@ class ShipStateModel(StateModel):
         super().__init__(blocks, noise_sources)
         self.sky_rows = slice(0, 0)
         if looks_at_sky:
-            self.sky_rows = sky_rows(self.slices, config.sky)
+            self.sky_rows = sky_slice(self.slices, config.sky)
         carried = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
-        self.process_rows = np.concatenate([self.rows(name) for name in carried])
+        self.process_rows = np.concatenate([self.state_indices(name) for name in carried])
         self.chains = {name: self._chain(device) for name, device in devices(config).items()}
         self.shared_rows = {
             SHARED_BY_SKY: self.sky_rows,

@@ -44,7 +44,7 @@ def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) 
     names, rows, sigmas = [], [], []
     for block, sigma in _known_before(filter_, config).items():
         prefix, _, kind = block.rpartition(".")
-        for axis, row, before in zip(_AXES[kind], filter_.model.rows(block).tolist(), sigma, strict=True):
+        for axis, row, before in zip(_AXES[kind], filter_.model.state_indices(block).tolist(), sigma, strict=True):
             if before > 0.0:
                 names.append(f"{prefix}.{axis}")
                 rows.append(row)

@@ -76,15 +76,15 @@ def estimate_from_star(
     installation = state.mean[model.slices[f"{device.name}.installation"]]
     to_horizon = measurement.rotation_nv
     rotation_nd = to_horizon @ (device.rotation_dv0 @ exp_rotation(installation)).T
-    rows, jacobian = model.rows(f"{device.name}.installation"), to_horizon @ left_jacobian(installation).T
+    rows, jacobian = model.state_indices(f"{device.name}.installation"), to_horizon @ left_jacobian(installation).T
     if f"{device.name}.flexure" in model.slices:
         # The flexure is unknown now and soon independent of its estimate: only its covariance is used.
-        rows = np.r_[rows, model.rows(f"{device.name}.flexure")]
+        rows = np.r_[rows, model.state_indices(f"{device.name}.flexure")]
         jacobian = np.hstack([jacobian, rotation_nd])
     to_gravity = horizon == GRAVITY and filter_.vertical is not None
     if to_gravity:
         assert filter_.vertical is not None
-        turn, deflection = filter_.vertical.at(measurement.time_ns).turn, model.rows("gravity.deflection")
+        turn, deflection = filter_.vertical.at(measurement.time_ns).turn, model.state_indices("gravity.deflection")
         rotation_nd = exp_rotation(-turn @ state.mean[deflection]) @ rotation_nd
         rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -turn])
     parts = jacobian @ state.parts[:, rows[:, None], rows] @ jacobian.T

@@ -90,10 +90,10 @@ class RowTable:
         two = itertools.combinations(one, 2) if with_pairs else ()
         self.left_out: tuple[tuple[str, ...], ...] = (*((name,) for name in one), *two)
         self.names = tuple("+".join(names) for names in self.left_out)
-        self.rows = len(self.names) + 1
+        self.count = len(self.names) + 1
         self._check_number(config.integrity.max_hypotheses)
-        self.singles, self.pairs = range(1, len(one) + 1), range(len(one) + 1, self.rows)
-        self.ins_rows = tuple(row for row, names in enumerate(self.left_out, start=1) if INS in names)
+        self.singles, self.pairs = range(1, len(one) + 1), range(len(one) + 1, self.count)
+        self.ins_subfilters = tuple(row for row, names in enumerate(self.left_out, start=1) if INS in names)
         used = [[name not in names for name in self.sources] for names in ((), *self.left_out)]
         self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
         self.users = {name: self.uses[:, index].copy() for index, name in enumerate(self.sources)}
@@ -154,11 +154,11 @@ class RowTable:
         return Asked(np.array(hypotheses, dtype=np.intp), names, check_one_another)
 
     def _check_number(self, most: int) -> None:
-        if self.rows > most:
-            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.rows} for these sources: "
+        if self.count > most:
+            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.count} for these sources: "
             reason += ", ".join(self.names)
             if len(self.left_out[-1]) > 1:
-                reason += f"; set it to {self.rows}, or 'integrity.pairs' to false"
+                reason += f"; set it to {self.count}, or 'integrity.pairs' to false"
             raise ParameterError(reason, "integrity.max_hypotheses", value=most)
 
 

@@ -35,7 +35,7 @@ from ship_estimation.exclusion import (
     must_agree_s,
 )
 from ship_estimation.hypotheses import (
-    RowsCompared,
+    FilterInnovations,
     add_error,
     promoted,
     separations,
@@ -80,12 +80,12 @@ class Suspects:
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
         self._integrity, self._model = config.integrity, model
         self._degraded_after = config.gate.degraded_after
-        self.table = RowTable(config, model, devices)
-        self._sources = self.table.sources
+        self.subfilters = RowTable(config, model, devices)
+        self._sources = self.subfilters.sources
         self._indices = {name: index for index, name in enumerate(self._sources)}
-        self.ins = InsAtFault(config, model, self.table)
+        self.ins = InsAtFault(config, model, self.subfilters)
         self._slow = model.slices["ins.attitude"]
-        self._undisputed = min(UNDISPUTED_SIGMAS, self.table.k.false_exclusion)
+        self._undisputed = min(UNDISPUTED_SIGMAS, self.subfilters.k.false_exclusion)
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
         """Return the state before any measurement, with all filters at one mean and covariance.
@@ -94,14 +94,14 @@ class Suspects:
             mean: estimated errors, shape (n,).
             covariance_by_source: covariance by error source, shape (n_sources, n, n).
         """
-        return FilterState(None, *self.ins.all_rows_at(mean, parts), no_means(self.table.rows, len(self._sources)))
+        return FilterState(None, *self.ins.all_filters_at(mean, parts), no_means(self.subfilters.count, len(self._sources)))
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Return a mask of the sources that each filter uses, shape (h, s)."""
         if not state.excluded:
-            return self.table.uses
+            return self.subfilters.uses
         excluded = np.array([name in state.excluded for name in self._sources], dtype=bool)
-        used: NDArray[np.bool_] = self.table.uses & ~excluded
+        used: NDArray[np.bool_] = self.subfilters.uses & ~excluded
         return used
 
     def learned(
@@ -110,7 +110,7 @@ class Suspects:
         predicted: FilterState,
         measurement: Measurement,
         measured: Compared,
-        compared: RowsCompared,
+        innovations: FilterInnovations,
         accepted: NDArray[np.bool_],
     ) -> FilterState:
         """Return the state with all filters updated by a measurement.
@@ -126,14 +126,14 @@ class Suspects:
             accepted: True for each filter whose gate the measurement passed, shape (h,).
         """
         source, index = measurement.source, self._indices[measurement.source]
-        used = self.table.users[source] if not state.excluded else self.uses(state)[:, index]
-        noise = None if used[0] else compared.turn_noise
+        used = self.subfilters.users[source] if not state.excluded else self.uses(state)[:, index]
+        noise = None if used[0] else innovations.turn_noise
         seen = observed(
-            state.seen, index, compared.turn, accepted, measurement.time_ns, self.table.limit, noise
+            state.seen, index, innovations.turn, accepted, measurement.time_ns, self.subfilters.limit, noise
         )
         if state.seen.heard_ns[index] < measurement.time_ns - HEARD_NS:
             state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
-        last = Apart(compared.turn[0], compared.turn_root[0], measured.predicted_nv)
+        last = Apart(innovations.turn[0], innovations.turn_root[0], measured.predicted_nv)
         apart = with_entry(state.apart, source, last)
         exclusion = state.excluded.get(source)
         # A measurement that no filter uses leaves all of them bit-identical. An excluded source may still update its
@@ -142,13 +142,13 @@ class Suspects:
         if not learnt:
             return changed(state, seen=seen, apart=apart)
         learns = self.ins.learns(state, self._learns(state, source, used) & accepted[:, None])
-        corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
+        corrections, stack = update_rows(predicted.stack, measured.linear, innovations, learns)
         lately, absorbed = state.lately, state.absorbed
         if used[0] and accepted[0]:
             running = lately[source].running if source in lately else NO_MEANS
-            lately = with_entry(lately, source, Lately(*averaged(running, compared.turn[0])))
-            if source in self.table.stars and INS not in state.excluded:
-                absorbed = absorbed.with_correction(compared, measured.linear.jacobian, self._slow.start)
+            lately = with_entry(lately, source, Lately(*averaged(running, innovations.turn[0])))
+            if source in self.subfilters.stars and INS not in state.excluded:
+                absorbed = absorbed.with_correction(innovations, measured.linear.jacobian, self._slow.start)
         means = predicted.means + corrections
         return changed(
             predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately, absorbed=absorbed
@@ -162,7 +162,7 @@ class Suspects:
             source: name of the source.
             used: True for each filter that uses the source, shape (h,).
         """
-        return self.table.learns[source] if not state.excluded else used[:, None] | self.table.own[source]
+        return self.subfilters.learns[source] if not state.excluded else used[:, None] | self.subfilters.own[source]
 
     def _heard_again(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """Return the state before the first measurement of a source after a timeout; reinstatement timers restart."""
@@ -184,7 +184,7 @@ class Suspects:
         return separations(state.means, state.stack, self._slow)
 
     def judged(
-        self, state: FilterState, source: str, compared: RowsCompared, ins_vouched: bool, time_ns: int
+        self, state: FilterState, source: str, innovations: FilterInnovations, ins_vouched: bool, time_ns: int
     ) -> tuple[FilterState, str]:
         """Detect and isolate faults after a measurement.
 
@@ -202,13 +202,13 @@ class Suspects:
             return state, ""
         state = self.ins.believed_again(state, time_ns)
         if source in state.excluded:
-            state, text = self._judge_return(state, source, compared, time_ns)
+            state, text = self._judge_return(state, source, innovations, time_ns)
             if source in state.excluded:
                 return state, text
         if distrusted(state):
             agrees = not self._contradicts(state, self._sources.index(source))
-            return self.ins.watched(state, compared, agrees, time_ns), ""
-        table, uses, in_use = self.table, self.uses(state), state.in_use(self._sources, time_ns)
+            return self.ins.watched(state, innovations, agrees, time_ns), ""
+        table, uses, in_use = self.subfilters, self.uses(state), state.in_use(self._sources, time_ns)
         apart_n, statistic = self.separations(state)
         candidates: Sequence[int] = table.singles
         if state.excluded:
@@ -217,7 +217,7 @@ class Suspects:
         # The rates show a step of the INS, but not a drift.
         stepped = any(state.seen.refused[0].tolist())
         if ins_vouched and stepped:
-            candidates, pairs = ([row for row in rows if row not in table.ins_rows] for rows in (candidates, pairs))
+            candidates, pairs = ([row for row in rows if row not in table.ins_subfilters] for rows in (candidates, pairs))
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
             pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
         threshold, after = table.k.false_exclusion, self._degraded_after
@@ -231,7 +231,7 @@ class Suspects:
             wrong = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
         if self.ins.told(state, time_ns):
             state = changed(state, ins_suspected_ns=time_ns)
-            if INS not in wrong and not set(table.ins_rows).isdisjoint(finding.explaining):
+            if INS not in wrong and not set(table.ins_subfilters).isdisjoint(finding.explaining_subfilters):
                 wrong = ()  # A jump of the INS explains it as well: the INS may have rotated in its own frame.
         contradicting = self._stars_contradicting(state, wrong, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
@@ -293,7 +293,7 @@ class Suspects:
         After an unresolved fault all filters restart from the main filter, because they differ by that fault.
         """
         if state.doubt is not None:
-            means, stack = self.ins.all_rows_at(state.mean, state.parts)
+            means, stack = self.ins.all_filters_at(state.mean, state.parts)
             state = changed(state, means=means, stack=stack)
         if distrusted(state):
             return self.ins.contradicted_now(state, time_ns)
@@ -312,7 +312,7 @@ class Suspects:
 
     def begun_anew(self, state: FilterState) -> FilterState:
         """Return the state with all filters restarted from the main filter and faults reset."""
-        means, stack = self.ins.all_rows_at(state.mean, state.parts)
+        means, stack = self.ins.all_filters_at(state.mean, state.parts)
         return self._forgiven(changed(state, means=means, stack=stack))
 
     def _forgiven(self, state: FilterState) -> FilterState:
@@ -337,9 +337,9 @@ class Suspects:
 
         If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
         """
-        left_out = self.table.left_out
-        known = [row for row in finding.explaining if state.record.keys() >= set(left_out[row - 1])]
-        row = known[0] if len(known) == 1 else finding.row
+        left_out = self.subfilters.left_out
+        known = [row for row in finding.explaining_subfilters if state.record.keys() >= set(left_out[row - 1])]
+        row = known[0] if len(known) == 1 else finding.subfilter
         return () if row is None else left_out[row - 1]
 
     def _without(self, state: FilterState, wrong: tuple[str, ...], time_ns: int) -> tuple[FilterState, str]:
@@ -353,7 +353,7 @@ class Suspects:
         Returns:
             The state, and a text that names the excluded and the remaining sources.
         """
-        row, rows = self.table.left_out.index(wrong) + 1, len(state.means)
+        row, rows = self.subfilters.left_out.index(wrong) + 1, len(state.means)
         means = np.tile(state.means[row], (rows, 1))
         stack = promoted(state.stack, rows, row)
         excluded, record, used_ns = dict(state.excluded), dict(state.record), dict(state.used_ns)
@@ -402,7 +402,7 @@ class Suspects:
         excluded = {
             name: Exclusion(time_ns, apart=state.apart[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
         }
-        means, stack = self.ins.all_rows_at(mean, parts)
+        means, stack = self.ins.all_filters_at(mean, parts)
         return changed(
             state,
             means=means,
@@ -412,7 +412,7 @@ class Suspects:
         )
 
     def _judge_return(
-        self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
+        self, state: FilterState, source: str, innovations: FilterInnovations, time_ns: int
     ) -> tuple[FilterState, str]:
         """Evaluate the reinstatement of an excluded source after one of its measurements.
 
@@ -425,7 +425,7 @@ class Suspects:
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         share = self._share_left(state, source, time_ns)
-        sigma = _share_sigma(state, source, compared)
+        sigma = _share_sigma(state, source, innovations)
         exclusion, back = judge_return(exclusion, state.seen, index, time_ns, after_s, share, sigma)
         after_s = must_agree_s(exclusion, after_s)
         if not back:
@@ -456,7 +456,7 @@ class Suspects:
         before = np.linalg.pinv(last.root) @ exclusion.apart
         moved = last.whitened - before
         # Both offsets contain the noise of a measurement.
-        is_farther = moved @ moved > 2.0 * self.table.limit and moved @ before > 0.0
+        is_farther = moved @ moved > 2.0 * self.subfilters.limit and moved @ before > 0.0
         since_ns = exclusion.farther_since_ns
         since_ns = None if not is_farther else time_ns if since_ns is None else since_ns
         if since_ns == exclusion.farther_since_ns:
@@ -472,7 +472,7 @@ class Suspects:
         """
         since_ns = state.excluded[source].since_ns
         together = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
-        if state.doubt is None or len(together) < len(self.table.stars) or not self.ins.may_be_excluded([*together]):
+        if state.doubt is None or len(together) < len(self.subfilters.stars) or not self.ins.may_be_excluded([*together]):
             return False
         return all(
             one.farther_since_ns is not None and time_ns - one.farther_since_ns >= _CREEPS_FOR_NS
@@ -555,7 +555,7 @@ class Suspects:
             in_use: sources in use.
             shared: True if the sum of the star corrections exceeds its threshold.
         """
-        heard = [name for name in in_use if name in self.table.stars]
+        heard = [name for name in in_use if name in self.subfilters.stars]
         if shared:
             return tuple(heard)
         long_refused = state.seen.refused[0] >= self._degraded_after
@@ -581,11 +581,11 @@ class Suspects:
             add_error(stack, len(state.means), part, self._model.slices[block.name], covariance)
 
 
-def _share_sigma(state: FilterState, source: str, compared: RowsCompared) -> float:
+def _share_sigma(state: FilterState, source: str, innovations: FilterInnovations) -> float:
     """Return the standard deviation of the remaining offset ratio from the errors of the state alone."""
     apart = state.excluded[source].apart
     if apart is None:
         return 0.0
     distance = np.linalg.pinv(state.apart[source].root) @ apart
-    by_state = np.eye(3) - compared.turn_noise
+    by_state = np.eye(3) - innovations.turn_noise
     return math.sqrt(max(float(distance @ by_state @ distance), 0.0)) / float(distance @ distance)

@@ -26,7 +26,7 @@ def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
     return blocks
 
 
-def sky_rows(slices: dict[str, slice], sky: SkyConfig) -> slice:
+def sky_slice(slices: dict[str, slice], sky: SkyConfig) -> slice:
     """Return the slice of these states in the state vector of a filter that has them."""
     of_sky = [slices[of_cause.name] for of_cause in sky_blocks(sky)]
     return slice(of_sky[0].start, of_sky[-1].stop)

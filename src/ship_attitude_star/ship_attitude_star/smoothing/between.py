@@ -46,7 +46,7 @@ class Between:
     def __init__(self, filter_: ShipFilter, to_gravity: bool) -> None:
         self._model, self._vertical, self._to_gravity = filter_.model, filter_.vertical, to_gravity
         attitude, rest = np.split(self._model.process_rows, [3])
-        self._rows = np.concatenate([attitude, self._model.rows("ins.time_offset"), rest])
+        self._rows = np.concatenate([attitude, self._model.state_indices("ins.time_offset"), rest])
 
     @property
     def knows_before_the_first(self) -> bool:

@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Came
-from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
 from ship_geometry.rotations import FloatArray
@@ -65,7 +65,7 @@ class _TracedSuspects(Suspects):
         predicted: FilterState,
         measurement: Measurement,
         measured: Compared,
-        compared: RowsCompared,
+        compared: FilterInnovations,
         accepted: NDArray[np.bool_],
     ) -> FilterState:
         """See :meth:`FaultDetector.update`."""

@@ -62,10 +62,10 @@ def star_residuals(
     to_sensor: FloatArray,
     prior: StarPrior,
     watch: SkyWatch,
-    sky_rows: slice,
+    sky_slice: slice,
     mean: FloatArray,
     near_ns: FloatArray | None = None,
-    field_rows: NDArray[np.intp] | None = None,
+    camera_indices: NDArray[np.intp] | None = None,
 ) -> StarResiduals | Refusal:
     """Select the correctly identified stars, and compare them with the prediction.
 
@@ -84,7 +84,7 @@ def star_residuals(
         The rejection of the whole exposure if no star can be placed in the sky at its time, if none can be used, or if
         the stars contradict the focal length of their camera.
     """
-    found = _compare(exposure, rotation_ns, to_sensor, prior, watch, sky_rows, mean, near_ns, field_rows)
+    found = _compare(exposure, rotation_ns, to_sensor, prior, watch, sky_slice, mean, near_ns, camera_indices)
     used_count = 0 if isinstance(found, Refusal) else len(found.components) // 2
     return contradicted_scale(exposure, watch, prior, used_count) or found
 
@@ -95,10 +95,10 @@ def _compare(
     to_sensor: FloatArray,
     prior: StarPrior,
     watch: SkyWatch,
-    sky_rows: slice,
+    sky_slice: slice,
     mean: FloatArray,
     near_ns: FloatArray | None,
-    field_rows: NDArray[np.intp] | None,
+    camera_indices: NDArray[np.intp] | None,
 ) -> StarResiduals | Refusal:
     """Compare the correctly identified stars with the prediction; see :func:`star_residuals`."""
     visible = visible_stars(exposure, watch, prior)
@@ -110,10 +110,10 @@ def _compare(
         reason = Reason.UNIDENTIFIED if nameless else Reason.TOO_FEW_STARS
         return Refusal(reason, _listed(f"none of {len(exposure)} stars is usable", refused))
     # The estimate of the shared errors corrects the expected directions.
-    expected_n = compiled_fit.expected(stars.reference_n, stars.shared_n, mean[sky_rows])
-    measured_s, field_s = stars.measured_b, None if field_rows is None else stars.field_b
+    expected_n = compiled_fit.expected(stars.reference_n, stars.shared_n, mean[sky_slice])
+    measured_s, field_s = stars.measured_b, None if camera_indices is None else stars.field_b
     if field_s is not None:
-        measured_s = measured_s - field_s @ mean[field_rows]
+        measured_s = measured_s - field_s @ mean[camera_indices]
     at_estimate = replace(stars, reference_n=expected_n, measured_b=measured_s)
     believed = _believed(stars, at_estimate, prior, near_ns)
     if isinstance(believed, Refusal):
@@ -125,10 +125,10 @@ def _compare(
         return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), refused))
     names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
     residual, jacobian, by_turn, basis = compiled_fit.residuals(
-        measured_s, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, sky_rows.start
+        measured_s, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, sky_slice.start
     )
     if field_s is not None:
-        jacobian[:, field_rows] = (basis @ field_s[members]).reshape(len(residual), -1)
+        jacobian[:, camera_indices] = (basis @ field_s[members]).reshape(len(residual), -1)
     return StarResiduals(
         residual=residual,
         jacobian=jacobian,

@@ -57,7 +57,7 @@ class RecordedSuite:
         if namespace and not names:
             raise BadInput(f"there is no topic in the namespace /{namespace.strip('/')}", file=path)
         usable = {relative: name for relative, name in names.items() if watched_topic(relative, self._bag.topics[name])}
-        self._rows = {name: (relative, watched_topic(relative)) for relative, name in usable.items()}
+        self._topics = {name: (relative, watched_topic(relative)) for relative, name in usable.items()}
         self.start_ns, self.end_ns = self._bag.start_ns or 0, self._bag.end_ns or 0
         has_truth = any(relative.startswith(TRUTH_PREFIX) for relative in names)
         self.is_simulated = has_truth or SCENARIO_ATTACHMENT in self._bag.attachments
@@ -80,8 +80,8 @@ class RecordedSuite:
             if record is not None:
                 yield from self._decoded(record, since_ns)
         taken_ns: dict[str, int] = {}
-        for record in self._bag.records(self._rows, since_ns):
-            row = self._rows[record.topic][1]
+        for record in self._bag.records(self._topics, since_ns):
+            row = self._topics[record.topic][1]
             if row is not None and not row.every:
                 step = record.log_time_ns // THINNED_NS
                 if taken_ns.get(record.topic) == step:
@@ -95,7 +95,7 @@ class RecordedSuite:
 
     def _decoded(self, record: BagRecord, log_time_ns: int) -> Iterator[Recorded]:
         try:
-            yield Recorded(self._rows[record.topic][0], record.decode(), log_time_ns)
+            yield Recorded(self._topics[record.topic][0], record.decode(), log_time_ns)
         except BadInput as problem:
             if record.topic not in self._told:
                 print(f"monitor: message skipped: {problem}", file=sys.stderr, flush=True)

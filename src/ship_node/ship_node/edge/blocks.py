@@ -148,6 +148,6 @@ def parts_with_levels(
         yield BlockPart(place + start, levels_before(run.one(start)))
         rest = slice(start + 1, count)
         end = start + 1 + told.covered(run.time_ns[rest], run.covariance_n[rest], directions[rest])
-        end = next((other for other in range(start + 1, end) if checked_by[other] != told.checked_by), end)
+        end = next((other for other in range(start + 1, end) if checked_by[other] != told.redundancy_key), end)
         yield BlockPart(place + start, [], run if end - start == count else run.some(slice(start, end)))
         start = end

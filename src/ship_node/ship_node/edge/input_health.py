@@ -216,8 +216,8 @@ def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     last = record.last_refusal
     if last is None or record.last_refusal_ns is None:
         return []
-    if record.future_in_a_row >= FUTURE_ERROR:
-        return [(Level.ERROR, f"clock offset: {record.future_in_a_row} stamps in a row in the future; {last.text}")]
+    if record.consecutive_future_stamps >= FUTURE_ERROR:
+        return [(Level.ERROR, f"clock offset: {record.consecutive_future_stamps} stamps in a row in the future; {last.text}")]
     if record.refused_in_a_row >= REFUSALS_WARN:
         level = Level.ERROR if record.refused_in_a_row >= REFUSALS_ERROR else Level.WARN
         return [(level, f"{record.refused_in_a_row} rejected in a row, last {last.reason.word}: {last.text}")]

@@ -64,7 +64,7 @@ class InputRecord:
 
     def forget_stamps(self) -> None:
         """Reset everything that depends on stamps; keep the counts and the arrival times."""
-        self.refused_in_a_row = self.future_in_a_row = 0
+        self.refused_in_a_row = self.consecutive_future_stamps = 0
         self.is_too_old = False
         self._newest_stamp_ns: int | None = None
         self._latencies_ns: deque[int] = deque(maxlen=WINDOW)
@@ -86,7 +86,7 @@ class InputRecord:
         """
         self.received += len(arrivals_ns)
         self.accepted += len(arrivals_ns)
-        self.refused_in_a_row = self.future_in_a_row = 0
+        self.refused_in_a_row = self.consecutive_future_stamps = 0
         arrivals = arrivals_ns[-WINDOW - 1 :].tolist()
         if self.last_arrival_ns is not None and len(arrivals_ns) <= WINDOW:
             arrivals.insert(0, self.last_arrival_ns)
@@ -105,7 +105,7 @@ class InputRecord:
     def add_accepted(self, stamp_ns: int, receive_ns: int, max_age_ns: int) -> None:
         """Count a used message and end a run of rejections; one older than ``max_age_ns`` is counted as CLOCK."""
         self.accepted += 1
-        self.refused_in_a_row = self.future_in_a_row = 0
+        self.refused_in_a_row = self.consecutive_future_stamps = 0
         self._latencies_ns.append(receive_ns - stamp_ns)
         self.is_too_old = receive_ns - stamp_ns > max_age_ns
         if self.is_too_old:
@@ -120,7 +120,7 @@ class InputRecord:
         self.reasons[refusal.reason] += 1
         # A source that is switched off may be good: its messages do not count as consecutive rejections.
         self.refused_in_a_row += refusal.reason is not Reason.OFF
-        self.future_in_a_row = self.future_in_a_row + 1 if refusal.reason is Reason.FUTURE else 0
+        self.consecutive_future_stamps = self.consecutive_future_stamps + 1 if refusal.reason is Reason.FUTURE else 0
         self.last_refusal_ns, self.last_refusal = waiting_ns, refusal
         if refusal.reason is Reason.LATE and stamp_ns is not None:
             delay_s = (receive_ns - stamp_ns) * 1e-9

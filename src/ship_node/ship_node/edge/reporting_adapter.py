@@ -510,12 +510,12 @@ class ReportingAdapter(ABC):
         """Return the protection levels of an output if the published ones do not cover it."""
         told, checked_by, directions = self.told_levels, self.checked_by(estimate), self.directions(estimate)
         # Runs for every output: the fast check comes first.
-        if told.state is estimate.state and told.checked_by == checked_by:
+        if told.state is estimate.state and told.redundancy_key == checked_by:
             one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
             if told.covered(*one):
                 return []
         report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * _SECOND_NS)
-        told.state, told.checked_by, told.directions = estimate.state, checked_by, directions
+        told.state, told.redundancy_key, told.directions = estimate.state, checked_by, directions
         if not told.must_tell(estimate, report, period_ns):
             return []
         config = self.config.integrity

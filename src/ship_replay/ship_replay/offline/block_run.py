@@ -65,13 +65,13 @@ class BlockRun(ReplayRun):
         """Process the buffered messages by one node after another, then write the outputs."""
         records, self._waiting = self._waiting, []
         moments, of_moment = self._moments(records)
-        rows = self._rows(moments, of_moment)
+        rows = self._topic_blocks(moments, of_moment)
         self._note(moments, of_moment, rows)
         passed: list[Passed] = []
         for adapter, taken in zip(self._chain.adapters, self._chain.taken, strict=True):
             given = self._given(adapter, passed, taken, moments) if self._chain.linked else {}
             passed.append(NodePass(adapter, taken, moments, rows, given).run())
-            self._add_rows(len(passed) - 1, passed[-1], moments)
+            self._add_message_batches(len(passed) - 1, passed[-1], moments)
         self._hand_on(moments, of_moment, passed, self._truth(moments, of_moment))
         self._output.flush()
 
@@ -88,7 +88,7 @@ class BlockRun(ReplayRun):
             of_moment += [None] * len(ticks_ns) + [record]
         return moments, of_moment
 
-    def _rows(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[str, TopicBlock]:
+    def _topic_blocks(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[str, TopicBlock]:
         """Return the messages of topics that may be processed in blocks; all others are decoded."""
         blocks = self._chain.topics_in_blocks()
         places: dict[str, list[int]] = defaultdict(list)
@@ -166,7 +166,7 @@ class BlockRun(ReplayRun):
         for node, one in enumerate(passed):
             for place, order, published in one.single:
                 found += [(place, node, order, message) for message in published if message[0] in taken]
-            for rows, places, orders in one.rows:
+            for rows, places, orders in one.message_batches:
                 if rows.topic in taken:
                     readings = read_ahead(adapter, rows.topic, rows.messages, _times_ns(moments, places))
                     found += [
@@ -180,9 +180,9 @@ class BlockRun(ReplayRun):
             given[place].append(message)
         return given
 
-    def _add_rows(self, node: int, passed: Passed, moments: list[Moment]) -> None:
+    def _add_message_batches(self, node: int, passed: Passed, moments: list[Moment]) -> None:
         """Queue the messages made from a node's estimates."""
-        for rows, places, orders in passed.rows:
+        for rows, places, orders in passed.message_batches:
             self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, _times_ns(moments, places))
             for errors in self._errors:
                 errors.add_rows(rows)

@@ -70,7 +70,7 @@ class EstimatesOfMoments(NamedTuple):
     estimates: Any
 
 
-class RowsOfMoments(NamedTuple):
+class MessageBatch(NamedTuple):
     """Messages of estimates on one topic, with the event index and the order of each."""
 
     rows: PublishedRows
@@ -90,7 +90,7 @@ class Passed:
 
     single: list[tuple[int, int, list[Published]]] = field(default_factory=list)
     runs: list[EstimatesOfMoments] = field(default_factory=list)
-    rows: list[RowsOfMoments] = field(default_factory=list)
+    message_batches: list[MessageBatch] = field(default_factory=list)
 
 
 class NodePass:
@@ -154,7 +154,7 @@ class NodePass:
         places = np.concatenate([run.places for run in runs])
         orders = np.concatenate([run.orders for run in runs])
         for rows in adapter.block_messages([run.estimates for run in runs]):
-            self.passed.rows.append(RowsOfMoments(rows, places[rows.places], orders[rows.places]))
+            self.passed.message_batches.append(MessageBatch(rows, places[rows.places], orders[rows.places]))
 
     def _tick(self, place: int, now_ns: int) -> None:
         # Within a block a tick has no effect on the node, or the block would end before it.

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ship_replay.trials.fault_judge import BEYOND
-from ship_replay.trials.passage import MEASUREMENTS, UNSEEN_ROWS, UNTOLD_ROWS
+from ship_replay.trials.passage import MEASUREMENTS, UNDETECTABLE_CASES, UNREPORTED_CASES
 from ship_replay.trials.results_file import Result, ResultsFile
 from ship_replay.trials.threats import DATA_LIKE, OVERLAPPING, SINGLE
 
@@ -25,14 +25,14 @@ _IN_TIME, _NAMED = 0.99, 0.95
 _LONGEST_BEYOND_S = 2.0
 """Maximum time for which an output is VALID above five sigmas with overlapping faults, s."""
 
-KIND_HEAD = (
+THREAT_HEAD = (
     "threat", "count", "detected", "attributed", "alert s: median", "99 %", "worst σ", "beyond 5σ", "longest s",
     "worst/level", "level exceeded",
 )  # fmt: skip
 PAIR_HEAD = ("pair", "count", "longest beyond 5σ, s", "worst σ", "worst/level")
 _LEVEL = "worst_over_level"
 _PAIR_VALUES = ("longest_beyond_s", "worst_sigmas", _LEVEL)
-_DATA_LIKE = {threat.label for threat in DATA_LIKE} | set(UNSEEN_ROWS)
+_DATA_LIKE = {threat.label for threat in DATA_LIKE} | set(UNDETECTABLE_CASES)
 
 
 def results_file(path: Path, fresh: bool = False) -> ResultsFile:
@@ -50,17 +50,17 @@ def _key(result: Result) -> tuple[int, str, str]:
     return result["voyage"], result["bag"], result["mode"]
 
 
-def kind_rows(results: Sequence[Result]) -> list[Row]:
+def threat_rows(results: Sequence[Result]) -> list[Row]:
     """Return one row per threat, and one for all of them."""
     by_threat: dict[str, list[Result]] = defaultdict(list)
     for fault in _judged_faults(results):
         by_threat[fault["threat"]].append(fault)
-    rows = [_kind_row(threat, by_threat[threat]) for threat in sorted(by_threat)]
+    rows = [_threat_row(threat, by_threat[threat]) for threat in sorted(by_threat)]
     everything = [fault for faults in by_threat.values() for fault in faults]
-    return [*rows, _kind_row("all", everything)] if rows else []
+    return [*rows, _threat_row("all", everything)] if rows else []
 
 
-def _kind_row(threat: str, faults: Sequence[Result]) -> Row:
+def _threat_row(threat: str, faults: Sequence[Result]) -> Row:
     detected = [fault for fault in faults if fault["detected"]]
     alerts_s = [fault["alert_s"] for fault in detected if fault["alert_s"] is not None]
     levels = [level for fault in faults if (level := fault["worst_over_level"]) is not None]
@@ -141,11 +141,11 @@ def totals(results: Sequence[Result]) -> Totals:
 
 def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
     """Return for each bound of single faults True if it is met, and its text."""
-    unseen = [fault for fault in single if fault["threat"] in UNSEEN_ROWS]
-    seen = [fault for fault in single if fault["threat"] not in UNSEEN_ROWS]
+    unseen = [fault for fault in single if fault["threat"] in UNDETECTABLE_CASES]
+    seen = [fault for fault in single if fault["threat"] not in UNDETECTABLE_CASES]
     exceeded, beyond = _above(single, _LEVEL, 1.0), _above(seen, "worst_sigmas", BEYOND)
     all_large = [fault for fault in single if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
-    large = [fault for fault in all_large if fault["threat"] not in UNTOLD_ROWS]
+    large = [fault for fault in all_large if fault["threat"] not in UNREPORTED_CASES]
     # With fewer measurements the time for detection was not over.
     steps = [fault for fault in large if fault["changed"] >= MEASUREMENTS]
     detected = [fault for fault in single if fault["detected"]]

@@ -20,12 +20,12 @@ from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import ExposureDecision
 
 
-class WithoutIntegrity(ShipFilter):
+class ShipFilterWithoutSubfilters(ShipFilter):
     """The ship's filter step without subfilters; it uses every measurement that can be evaluated."""
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         super().__init__(config)
-        self.suspects.table.rows, self.suspects.table.ins_rows = 1, ()
+        self.suspects.subfilters.count, self.suspects.subfilters.ins_subfilters = 1, ()
 
     def _judged(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
@@ -38,7 +38,7 @@ class WithoutIntegrity(ShipFilter):
         return self._used(after, measurement), decision
 
 
-class _NoAlternatives:
+class _NoSubfilters:
     """Subfilters of a theodolite's filter that are never propagated."""
 
     def __init__(self, rows: SourceRows) -> None:
@@ -47,19 +47,19 @@ class _NoAlternatives:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._rows, name)
 
-    def predicted(self, rows: Alternatives, *_: object) -> Alternatives:
+    def propagate(self, rows: Alternatives, *_: object) -> Alternatives:
         """Return the subfilters unchanged."""
         return rows
 
-    unknown = predicted
+    add_unknown_errors = propagate
 
 
-class WithoutAlternatives(SightingStep):
+class SightingStepWithoutSubfilters(SightingStep):
     """The theodolite's filter step without subfilters, with its gate and its light checks."""
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
         super().__init__(config, filter_)
-        filter_.rows = _NoAlternatives(filter_.rows)  # type: ignore[assignment]
+        filter_.subfilters = _NoSubfilters(filter_.subfilters)  # type: ignore[assignment]
 
     def _learnt(
         self,

@@ -148,8 +148,8 @@ _UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
     "star knock, no stars": Passage._knocked_unseen,
 }
 
-UNSEEN_ROWS = tuple(_UNSEEN)
+UNDETECTABLE_CASES = tuple(_UNSEEN)
 """Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table."""
 
-UNTOLD_ROWS = ("encoder slip, no lights", "telescope knock, small", "star knock, no stars")
+UNREPORTED_CASES = ("encoder slip, no lights", "telescope knock, small", "star knock, no stars")
 """Undetectable cases that need not be reported; in the others an output may be VALID and wrong before detection."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.hypotheses import RowsCompared, compare_rows, update_rows
+from ship_estimation.hypotheses import FilterInnovations, compare_rows, update_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel, predict
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
@@ -113,8 +113,8 @@ class SourceRows:
         self._patterns: dict[tuple[tuple[str, ...], frozenset[str], float], _Pattern] = {}
         self._states = {
             ENCODER: zero_points,
-            SHIP: model.rows("ship.attitude"),
-            TELESCOPE: model.rows("parallelism"),
+            SHIP: model.state_indices("ship.attitude"),
+            TELESCOPE: model.state_indices("parallelism"),
         }
 
     def states_of(self, excluded: Set[str]) -> NDArray[np.intp]:
@@ -126,38 +126,38 @@ class SourceRows:
         """Return all subfilters, equal to the main filter."""
         return self.restarted(Alternatives(None, mean, covariance), mean, covariance)
 
-    def restarted(self, rows: Alternatives, mean: FloatArray, covariance: FloatArray) -> Alternatives:
+    def restarted(self, subfilters: Alternatives, mean: FloatArray, covariance: FloatArray) -> Alternatives:
         """Restart all subfilters from one estimate, shapes (n,), (n, n)."""
         count = len(self.sources)
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
-        return replace(rows, mean=np.tile(mean, (count, 1)), parts=parts)
+        return replace(subfilters, mean=np.tile(mean, (count, 1)), parts=parts)
 
-    def predicted(self, rows: Alternatives, time_ns: int, ship_now_n: FloatArray | None) -> Alternatives:
+    def predicted(self, subfilters: Alternatives, time_ns: int, ship_now_n: FloatArray | None) -> Alternatives:
         """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
-        dt_s = 0.0 if rows.time_ns is None else max(time_ns - rows.time_ns, 0) * 1e-9
+        dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
-        mean, ship, of_no_budget = decay * rows.mean, self._ship_error.columns, len(rows.mean) + 1
-        parts = predict(rows.parts[:, 0], decay, noise, self._model.source_of, of_no_budget)[:, None]
-        mean[:, ship] = self._ship_error.later(rows.mean[:, ship], decay[ship])
+        mean, ship, count = decay * subfilters.mean, self._ship_error.columns, len(subfilters.mean) + 1
+        parts = predict(subfilters.parts[:, 0], decay, noise, self._model.source_of, count)[:, None]
+        mean[:, ship] = self._ship_error.later(subfilters.mean[:, ship], decay[ship])
         mean, parts, _ = self._ship_error.carried(
-            mean, parts, ship, decay[ship], rows.ship_steady_n, ship_now_n, _ONLY_SOURCE
+            mean, parts, ship, decay[ship], subfilters.ship_steady_n, ship_now_n, _ONLY_SOURCE
         )
-        later_ns = time_ns if rows.time_ns is None else max(time_ns, rows.time_ns)
+        later_ns = time_ns if subfilters.time_ns is None else max(time_ns, subfilters.time_ns)
         return Alternatives(later_ns, mean, parts, ship_now_n)
 
-    def opened(self, rows: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
+    def opened(self, subfilters: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
         """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
-        parts = rows.parts.copy()
+        parts = subfilters.parts.copy()
         parts[..., states[:, None], states] += covariance
-        return replace(rows, parts=parts)
+        return replace(subfilters, parts=parts)
 
-    def unknown(self, rows: Alternatives, excluded: Set[str]) -> Alternatives:
+    def unknown(self, subfilters: Alternatives, excluded: Set[str]) -> Alternatives:
         """Add the unknown error changes of excluded sources, and of each subfilter's own source, before a sighting."""
-        parts = rows.parts.copy()
+        parts = subfilters.parts.copy()
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():
                 add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN[name])
-        return replace(rows, parts=parts)
+        return replace(subfilters, parts=parts)
 
     def with_unknown(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
         """Add the unknown error changes of excluded sources to a covariance by source, shape (n_sources, n, n)."""
@@ -175,13 +175,13 @@ class SourceRows:
 
     def _new_pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_Pattern":
         unknown = excluded & self._states.keys()
-        unknown_rows = [bool(unknown), *(bool(unknown) or source in self._states for source in self.sources)]
+        has_unknown_states = [bool(unknown), *(bool(unknown) or source in self._states for source in self.sources)]
         sees = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
         for light, name in enumerate(names):
             sees[1 + self.sources.index(BEACON + name), 2 * light : 2 * light + 2] = False
         # Components of the other beacons, for each beacon: shape (l, 1, m).
         others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
-        known = sees & np.array(unknown_rows)[:, None] & others
+        known = sees & np.array(has_unknown_states)[:, None] & others
         degrees = np.count_nonzero(sees[1:], axis=1).tolist()
         return _Pattern(
             sees=sees[1:].astype(np.uint8),
@@ -192,10 +192,10 @@ class SourceRows:
 
     def seen(
         self,
-        rows: Alternatives,
+        subfilters: Alternatives,
         names: tuple[str, ...],
         measurement: LinearMeasurement,
-        first: tuple[FloatArray, FloatArray],
+        main_filter: tuple[FloatArray, FloatArray],
         excluded: Set[str],
         probability: float,
     ) -> tuple[Alternatives, RowsSeen]:
@@ -209,14 +209,14 @@ class SourceRows:
             excluded: sources that every subfilter leaves out.
             probability: probability of the gate.
         """
-        pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(rows.parts[:, 0])
-        residual, gain, nis, light_turn = compiled_rows.rows_seen(
-            rows.mean - first[0],
+        pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(subfilters.parts[:, 0])
+        residual, gain, nis, light_turn = compiled_rows.beacon_innovations(
+            subfilters.mean - main_filter[0],
             parts,
             measurement.residual,
             measurement.jacobian,
             measurement.noise,
-            first[1],
+            main_filter[1],
             pattern.sees,
             pattern.known,
         )
@@ -231,17 +231,17 @@ class SourceRows:
             ((_ONLY_SOURCE, measurement.noise),),
             measurement.noise,
         )
-        mean = rows.mean + corrections
+        mean = subfilters.mean + corrections
         light_nis = np.einsum("hlk,hlk->hl", light_turn, light_turn)
-        return replace(rows, mean=mean, parts=updated[:, None]), RowsSeen(accepted, light_nis, light_turn)
+        return replace(subfilters, mean=mean, parts=updated[:, None]), RowsSeen(accepted, light_nis, light_turn)
 
 
     def seen_stars(
         self,
-        rows: Alternatives,
+        subfilters: Alternatives,
         measurement: LinearMeasurement,
-        first_mean: FloatArray,
-        by_turn: FloatArray,
+        main_mean: FloatArray,
+        rotation_jacobian: FloatArray,
         probability: float,
     ) -> Alternatives:
         """Update with an exposure of stars those subfilters in which it passes the gate.
@@ -255,14 +255,14 @@ class SourceRows:
             by_turn: derivative of the residual by a rotation of the camera, shape (m, 3).
             probability: probability of the gate.
         """
-        stack = rows.parts[:, 0]
-        compared = compare_rows(rows.mean, stack, measurement, first_mean, by_turn)
+        stack = subfilters.parts[:, 0]
+        compared = compare_rows(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
         accepted = compared.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
         learns = np.repeat(accepted[:, None], self._model.size, axis=1)
         # Subfilters have no budget: all noise is one source.
         of_no_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
         corrections, stack = update_rows(stack, of_no_budget, compared, learns)
-        return replace(rows, mean=rows.mean + corrections, parts=stack[:, None])
+        return replace(subfilters, mean=subfilters.mean + corrections, parts=stack[:, None])
 
 
 def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
@@ -274,7 +274,7 @@ def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index
     parts[source_index, states, states] += sigma_rad**2
 
 
-def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> RowsCompared:
+def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> FilterInnovations:
     """Return the innovation of one beacon in one estimate; the whitened innovation is along the axes of the detector.
 
     Args:
@@ -286,7 +286,7 @@ def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArr
     turn, turn_noise = np.zeros((1, 3)), np.eye(3)
     turn[0, :2], turn_noise[:2, :2] = root @ residual, root @ noise @ root
     nothing = np.empty(0)
-    return RowsCompared(residual[None], covariance[None], np.sum(turn**2, axis=-1), nothing, turn, turn_noise, nothing)
+    return FilterInnovations(residual[None], covariance[None], np.sum(turn**2, axis=-1), nothing, turn, turn_noise, nothing)
 
 
 def _whitening(covariance: FloatArray) -> FloatArray:

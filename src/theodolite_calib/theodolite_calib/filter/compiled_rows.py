@@ -124,13 +124,13 @@ def _light(
     return True
 
 
-def rows_seen(
+def beacon_innovations(
     distance: cython.const[cython.double][:, ::1],
     parts: cython.const[cython.double][:, :, ::1],
     residual: cython.const[cython.double][::1],
     jacobian: cython.const[cython.double][:, ::1],
     noise: cython.const[cython.double][:, ::1],
-    first: cython.const[cython.double][:, ::1],
+    main_covariance: cython.const[cython.double][:, ::1],
     sees: cython.const[cython.uchar][:, ::1],
     known: cython.const[cython.uchar][:, :, ::1],
 ):
@@ -155,16 +155,16 @@ def rows_seen(
     Raises:
         numpy.linalg.LinAlgError: A covariance is not positive definite.
     """
-    rows: cython.Py_ssize_t = distance.shape[0]
+    subfilters: cython.Py_ssize_t = distance.shape[0]
     n: cython.Py_ssize_t = distance.shape[1]
     m: cython.Py_ssize_t = residual.shape[0]
     lights: cython.Py_ssize_t = known.shape[0]
-    check("rows", parts.shape[0] == sees.shape[0] == rows and known.shape[1] == rows + 1)
+    check("rows", parts.shape[0] == sees.shape[0] == subfilters and known.shape[1] == subfilters + 1)
     check("states", parts.shape[1] == parts.shape[2] == jacobian.shape[1] == n)
     check("components", jacobian.shape[0] == sees.shape[1] == known.shape[2] == 2 * lights == m)
-    check("noise", noise.shape[0] == noise.shape[1] == first.shape[0] == first.shape[1] == m)
-    of_residuals, of_gains = np.zeros((rows, m)), np.zeros((rows, n, m))
-    of_nis, of_turns = np.empty(rows), np.empty((rows + 1, lights, 3))
+    check("noise", noise.shape[0] == noise.shape[1] == main_covariance.shape[0] == main_covariance.shape[1] == m)
+    of_residuals, of_gains = np.zeros((subfilters, m)), np.zeros((subfilters, n, m))
+    of_nis, of_turns = np.empty(subfilters), np.empty((subfilters + 1, lights, 3))
     residuals: cython.double[:, ::1] = of_residuals
     gains: cython.double[:, :, ::1] = of_gains
     nis: cython.double[::1] = of_nis
@@ -172,14 +172,14 @@ def rows_seen(
     places: cython.int[::1] = np.empty(max(m, 1), dtype=np.intc)
     # Per subfilter: residual, its covariance and that with the states, a scratch matrix, and the right-hand side.
     room: cython.double[::1] = np.empty(m + m * m + m * n + m * m + m * max(n + 1, 3) + 1)
-    of_row: cython.p_double = cython.address(room[0])
-    covariance: cython.p_double = of_row + m
+    subfilter_residual: cython.p_double = cython.address(room[0])
+    covariance: cython.p_double = subfilter_residual + m
     cross: cython.p_double = covariance + m * m
     scratch: cython.p_double = cross + m * n
     asked: cython.p_double
     total: cython.double
     count: cython.Py_ssize_t
-    row: cython.Py_ssize_t
+    subfilter: cython.Py_ssize_t
     light: cython.int
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -187,12 +187,12 @@ def rows_seen(
     if m == 0:
         of_nis[:] = 0.0
         return of_residuals, of_gains, of_nis, of_turns
-    for row in range(-1, rows):
+    for subfilter in range(-1, subfilters):
         for i in range(m):
-            of_row[i] = residual[i]
+            subfilter_residual[i] = residual[i]
             for j in range(m):
-                covariance[i * m + j] = first[i, j] if row < 0 else noise[i, j]
-            if row < 0:
+                covariance[i * m + j] = main_covariance[i, j] if subfilter < 0 else noise[i, j]
+            if subfilter < 0:
                 continue
             for k in range(n):
                 cross[i * n + k] = 0.0
@@ -200,36 +200,36 @@ def rows_seen(
                 total = jacobian[i, j]
                 if total == 0.0:
                     continue
-                of_row[i] -= total * distance[row, j]
+                subfilter_residual[i] -= total * distance[subfilter, j]
                 for k in range(n):
-                    cross[i * n + k] += total * parts[row, j, k]
+                    cross[i * n + k] += total * parts[subfilter, j, k]
             for j in range(m):
                 for k in range(n):
                     covariance[i * m + j] += cross[i * n + k] * jacobian[j, k]
         for light in range(lights):
             if not _light(
                 light,
-                known[light, row + 1],
-                of_row,
+                known[light, subfilter + 1],
+                subfilter_residual,
                 covariance,
                 cython.address(places[0]),
                 scratch,
-                cython.address(turns[row + 1, light, 0]),
+                cython.address(turns[subfilter + 1, light, 0]),
             ):
                 raise np.linalg.LinAlgError("beacon covariance is not positive definite")
-        if row < 0:
+        if subfilter < 0:
             continue
-        count = _chosen(sees[row], covariance, cython.address(places[0]), scratch)
+        count = _chosen(sees[subfilter], covariance, cython.address(places[0]), scratch)
         asked = scratch + count * count
         for i in range(count):
             for k in range(n):
                 asked[i * (n + 1) + k] = cross[places[i] * n + k]
-            asked[i * (n + 1) + n] = residuals[row, places[i]] = of_row[places[i]]
+            asked[i * (n + 1) + n] = residuals[subfilter, places[i]] = subfilter_residual[places[i]]
         if not _solved(scratch, count, asked, n + 1):
             raise np.linalg.LinAlgError("innovation covariance is not positive definite")
-        nis[row] = 0.0
+        nis[subfilter] = 0.0
         for i in range(count):
             for k in range(n):
-                gains[row, k, places[i]] = asked[i * (n + 1) + k]
-            nis[row] += of_row[places[i]] * asked[i * (n + 1) + n]
+                gains[subfilter, k, places[i]] = asked[i * (n + 1) + k]
+            nis[subfilter] += subfilter_residual[places[i]] * asked[i * (n + 1) + n]
     return of_residuals, of_gains, of_nis, of_turns

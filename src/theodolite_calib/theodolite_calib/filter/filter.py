@@ -65,10 +65,10 @@ class CalibrationState:
     mean: FloatArray
     parts: FloatArray
     unaided: Unaided
-    alternatives: Alternatives
+    subfilters: Alternatives
     trust: Trust
     separation: FloatArray
-    ship_steady_n: FloatArray | None = None
+    ship_covariance_n: FloatArray | None = None
     refusals: int = 0
     refused_for: str = ""
     used_ns: int | None = None
@@ -130,7 +130,7 @@ class CalibrationFilter:
         self.stars = StarModel(config, self.model, self.sightings)
         self.observability = Observability(self.model, tells_lens=bool(config.telescopes))
         self.ship_error = ShipErrorProcess(config, self.model)
-        self.rows = SourceRows(config, self.model, self.ship_error)
+        self.subfilters = SourceRows(config, self.model, self.ship_error)
 
     def initial_state(self) -> CalibrationState:
         """Return the state before any sighting, with the errors as configured."""
@@ -138,10 +138,10 @@ class CalibrationFilter:
 
     def started(self, mean: FloatArray, parts: FloatArray) -> CalibrationState:
         """Return the state before any sighting, with given errors; shapes (n,), (n_sources, n, n)."""
-        alternatives = self.rows.start(mean, parts.sum(axis=0))
-        apart = np.zeros(len(self.rows.sources))
+        alternatives = self.subfilters.start(mean, parts.sum(axis=0))
+        apart = np.zeros(len(self.subfilters.sources))
         return CalibrationState(
-            None, mean, parts, self.observability.start(), alternatives, no_doubt(self.rows), apart
+            None, mean, parts, self.observability.start(), alternatives, no_doubt(self.subfilters), apart
         )
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
@@ -155,7 +155,7 @@ class CalibrationFilter:
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
         parts = predict(state.parts, decay, noise, self.model.source_of)
-        mean, steady_n, ship = decay * state.mean, state.ship_steady_n, self.ship_error.columns
+        mean, steady_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
         mean[..., ship] = self.ship_error.later(state.mean[..., ship], decay[ship])
         mean, parts, step = self.ship_error.carried(mean, parts, ship, decay[ship], steady_n, ship_now_n)
         unaided = self.observability.predicted(state.unaided, dt_s, steady_n)
@@ -167,7 +167,7 @@ class CalibrationFilter:
             mean=mean,
             parts=parts,
             unaided=unaided,
-            alternatives=self.rows.predicted(state.alternatives, time_ns, ship_now_n),
+            alternatives=self.subfilters.predicted(state.subfilters, time_ns, ship_now_n),
             ship_steady_n=ship_now_n,
         )
 
@@ -175,31 +175,31 @@ class CalibrationFilter:
         """Inflate the covariance after a jump: of the INS's correlated error, or of the encoders' zero points."""
         if isinstance(jump, InsJump):
             state = self.predicted(state, jump.time_ns, None)
-            states, source, covariance = self.model.rows("ship.attitude"), SOURCE_SHIP, jump.covariance_n
+            states, source, covariance = self.model.state_indices("ship.attitude"), SOURCE_SHIP, jump.covariance_n
         else:
             first_axis = self.model.slices["axes"].start
             states, source = first_axis + np.array([NAMES.index("g"), NAMES.index("h")]), SOURCE_AXES
             covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
         parts = state.parts.copy()
         parts[..., self.model.sources.index(source), states[:, None], states] += covariance
-        rows = self.rows.opened(state.alternatives, states, covariance)
-        return replace(state, parts=parts, alternatives=rows, stays=_NO_STAYS)
+        subfilters = self.subfilters.opened(state.subfilters, states, covariance)
+        return replace(state, parts=parts, alternatives=subfilters, stays=_NO_STAYS)
 
     def without(self, state: CalibrationState, source: str) -> CalibrationState:
         """Exclude a source: its subfilter becomes the main filter.
 
         For the telescope, which has no subfilter, the state before the contradiction is kept.
         """
-        if source not in self.rows.sources:
-            rows = self.rows.restarted(state.alternatives, state.mean, state.covariance)
-            return replace(state, alternatives=rows)
-        rows, row = state.alternatives, self.rows.sources.index(source)
-        mean, covariance = rows.mean[row], rows.parts[row, 0]
+        if source not in self.subfilters.sources:
+            subfilters = self.subfilters.restarted(state.subfilters, state.mean, state.covariance)
+            return replace(state, alternatives=subfilters)
+        subfilters, row = state.subfilters, self.subfilters.sources.index(source)
+        mean, covariance = subfilters.mean[row], subfilters.parts[row, 0]
         return replace(
             state,
             mean=mean,
             parts=_reshaped(state.parts, covariance),
-            alternatives=self.rows.restarted(rows, mean, covariance),
+            alternatives=self.subfilters.restarted(subfilters, mean, covariance),
             separation=np.zeros_like(state.separation),
             stays=_NO_STAYS,
         )
@@ -208,8 +208,8 @@ class CalibrationFilter:
         """Add the unknown error changes of excluded sources to the propagated state, before a sighting."""
         excluded, parts = state.trust.excluded, state.parts
         if excluded:
-            parts = self.rows.with_unknown(parts, self.model.sources.index(SOURCE_AXES), excluded)
-        return replace(state, parts=parts, alternatives=self.rows.unknown(state.alternatives, excluded))
+            parts = self.subfilters.with_unknown(parts, self.model.sources.index(SOURCE_AXES), excluded)
+        return replace(state, parts=parts, alternatives=self.subfilters.unknown(state.subfilters, excluded))
 
     def aligned(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """Set the unknown errors (:meth:`add_unknown_errors`) to their values in a sighting.
@@ -220,10 +220,10 @@ class CalibrationFilter:
         if comparison is None:
             return state
         after, _ = self.used(state, sighting, comparison)
-        states = self.rows.states_of(state.trust.excluded)
-        mean, rows = state.mean.copy(), state.alternatives.mean.copy()
-        mean[states] = rows[:, states] = after.mean[states]
-        return replace(state, mean=mean, alternatives=replace(state.alternatives, mean=rows))
+        states = self.subfilters.states_of(state.trust.excluded)
+        mean, subfilter_means = state.mean.copy(), state.subfilters.mean.copy()
+        mean[states] = subfilter_means[:, states] = after.mean[states]
+        return replace(state, mean=mean, alternatives=replace(state.subfilters, mean=subfilter_means))
 
     def compare(self, state: CalibrationState, sighting: Sighting) -> Comparison | None:
         """Compare a sighting with a state propagated to its time; None if a beacon would be behind the telescope."""
@@ -275,7 +275,7 @@ class CalibrationFilter:
             exposure: exposure of the stars.
             comparison: comparison of the stars with that state.
         """
-        measurement, (gain,) = comparison.measurement, comparison.rows.gain
+        measurement, (gain,) = comparison.measurement, comparison.innovations.gain
         stays = state.stays
         if exposure.stay is not None:
             stays = MappingProxyType({**stays, exposure.source: exposure.stay})

@@ -97,7 +97,7 @@ def state_model(config: OpticalAxisConfig) -> StateModel:
 
 def chain_rows(model: StateModel) -> NDArray[np.intp]:
     """Return the indices of the states that turn the main axis, in the order of AXIS_STATES."""
-    return np.concatenate([model.rows(name) for name in CHAIN_STATES if name in model.slices])
+    return np.concatenate([model.state_indices(name) for name in CHAIN_STATES if name in model.slices])
 
 
 def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:

@@ -70,7 +70,7 @@ class Observability:
         self._ship = model.slices["ship.attitude"]
         names = [name for of_block in told.values() for name in of_block]
         sigma = np.concatenate([model.blocks[name].sigma for name in told])
-        rows = np.concatenate([model.rows(name) for name in told])
+        rows = np.concatenate([model.state_indices(name) for name in told])
         self._told = names
         # An error with a sigma of 0 is fixed and not reported.
         order = [names.index(name) for name in _LEADING if name in names and sigma[names.index(name)] > 0.0]

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.sky.shared_states import sky_rows
+from ship_attitude_star.sky.shared_states import sky_slice
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.stars.camera_states import camera_rows
+from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
 from ship_attitude_star.stars.scale_check import learned_contradiction
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.hypotheses import RowsCompared, compare_rows
+from ship_estimation.hypotheses import FilterInnovations, compare_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel
 from ship_estimation.refusals import Refusal
 from ship_geometry.rotations import FloatArray
@@ -72,7 +72,7 @@ class StarComparison:
     camera: CameraAttitude
     stars: StarResiduals
     measurement: LinearMeasurement
-    rows: RowsCompared
+    innovations: FilterInnovations
 
 
 class StarModel:
@@ -91,7 +91,7 @@ class StarModel:
         }
         shared = config.telescope.telescope_id
         self._lens_rows = {
-            id_: camera_rows(model.slices, f"telescope.{id_}", "focal_length" if id_ == shared else "")
+            id_: camera_state_indices(model.slices, f"telescope.{id_}", "focal_length" if id_ == shared else "")
             for id_ in config.telescopes
         }
         # Errors of a lens are in sigmas, but the focal length shared with the beacons is in metres.
@@ -99,7 +99,7 @@ class StarModel:
         if shared in config.telescopes:
             lens = config.star_camera(shared)
             self._in_sigmas[model.slices["focal_length"]] = 1.0 / (lens.focal_sigma * lens.focal_length_m)
-        self._sky_rows = sky_rows(model.slices, config.sky) if config.telescopes else slice(0, 0)
+        self._sky_rows = sky_slice(model.slices, config.sky) if config.telescopes else slice(0, 0)
 
     def predict(self, mean: FloatArray, sighting: StarSighting) -> CameraAttitude:
         """Return the camera's attitude at the middle of an exposure by a state."""
@@ -179,9 +179,9 @@ class StarModel:
             if isinstance(stars, Refusal):
                 return stars
             measurement = self._measurement(camera, stars, reached - mean)
-            rows = compare_rows(mean[None], covariance[None], measurement, mean, stars.by_turn)
-            found = StarComparison(camera, stars, measurement, rows)
-            led = mean + rows.gain[0] @ measurement.residual
+            innovations = compare_rows(mean[None], covariance[None], measurement, mean, stars.by_turn)
+            found = StarComparison(camera, stars, measurement, innovations)
+            led = mean + innovations.gain[0] @ measurement.residual
             if np.max(np.abs(camera.turn_n @ (led - reached))) < _SMALL_STEP:
                 break
             reached, camera = led, self.predict(led, sighting)

@@ -38,8 +38,8 @@ class StarStep:
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, watch: SkyWatch) -> None:
         self._filter, self._gate, self._watch = filter_, config.gate, watch
-        threshold = hypothesis_factors(config.integrity, filter_.rows.sources).false_exclusion
-        self._referee = Referee(config.integrity, config.gate, filter_.rows, threshold)
+        threshold = hypothesis_factors(config.integrity, filter_.subfilters.sources).false_exclusion
+        self._referee = Referee(config.integrity, config.gate, filter_.subfilters, threshold)
         self._turning = chain_rows(filter_.model)
 
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
@@ -67,7 +67,7 @@ class StarStep:
     def _compared(
         self, state: CalibrationState, predicted: CalibrationState, sighting: StarSighting, found: StarComparison
     ) -> tuple[CalibrationState, ExposureDecision]:
-        measurement, (covariance,), (nis,) = found.measurement, found.rows.covariance, found.rows.nis.tolist()
+        measurement, (covariance,), (nis,) = found.measurement, found.innovations.covariance, found.innovations.nis.tolist()
         gate = chi_square_gate(self._gate.probability, len(measurement.residual))
         decision = ExposureDecision(
             measurement=sighting.exposure,
@@ -90,8 +90,8 @@ class StarStep:
         if contradiction is not None:
             decision = replace(decision, reason=contradiction.reason, text=contradiction.text)
             return held_back(state, decision, self._gate, "stars")
-        alternatives = self._filter.rows.seen_stars(
-            predicted.alternatives, measurement, predicted.mean, found.stars.by_turn, self._gate.probability
+        alternatives = self._filter.subfilters.seen_stars(
+            predicted.subfilters, measurement, predicted.mean, found.stars.by_turn, self._gate.probability
         )
         separation = separations(after, alternatives, self._turning, found.camera.rotation_ns, found.camera.turn_n)
         trust = self._referee.agreed(predicted.trust, sighting.time_ns)

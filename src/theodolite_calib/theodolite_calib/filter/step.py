@@ -55,9 +55,9 @@ class SightingStep:
         self._streams_since, self._ship_crept, self._own_faults = streams_since, ship_crept, own_faults
         self._filter, self._gate, self._config = filter_, config.gate, config.integrity
         self._judge = SightingJudge(filter_, config.gate)
-        self._factors = hypothesis_factors(config.integrity, filter_.rows.sources)
+        self._factors = hypothesis_factors(config.integrity, filter_.subfilters.sources)
         threshold = self._factors.false_exclusion
-        self._referee = Referee(config.integrity, config.gate, filter_.rows, threshold)
+        self._referee = Referee(config.integrity, config.gate, filter_.subfilters, threshold)
         self._turning = chain_rows(filter_.model)
 
     def __call__(
@@ -102,10 +102,10 @@ class SightingStep:
         return self._excluded(predicted, source, left_out)
 
     def _excluded(
-        self, state: CalibrationState, source: str, left_out: LeftOut, seen_by: str | None = None
+        self, state: CalibrationState, source: str, left_out: LeftOut, explaining_subfilter: str | None = None
     ) -> CalibrationState:
         """Exclude a source: its subfilter becomes the main filter."""
-        trust = self._referee.without(state.trust, source, left_out, seen_by)
+        trust = self._referee.without(state.trust, source, left_out, explaining_subfilter)
         return replace(self._filter.without(state, source), trust=trust)
 
     def _judged(
@@ -122,7 +122,7 @@ class SightingStep:
             predicted = self._watched_turn(predicted, sighting, source)
         trust = self._watched_lights(predicted.trust, unknown, sighting, bool(used_rows))
         if not used_rows:
-            held = replace(held, alternatives=predicted.alternatives, trust=trust)
+            held = replace(held, alternatives=predicted.subfilters, trust=trust)
             reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
             return held, ExposureDecision(exposure, reason, text=text, left_out=left_out)
         unknown = replace(unknown, trust=trust)
@@ -155,12 +155,12 @@ class SightingStep:
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Update subfilters and fault state with an accepted sighting; ``before`` is the state propagated to it."""
-        first = before.mean, compared.covariance
-        alternatives, seen = self._filter.rows.seen(
-            before.alternatives, names, compared.measurement, first, before.trust.excluded, self._gate.probability
+        main_filter = before.mean, compared.covariance
+        alternatives, innovations = self._filter.subfilters.seen(
+            before.subfilters, names, compared.measurement, main_filter, before.trust.excluded, self._gate.probability
         )
         time_ns = decision.measurement.time_ns
-        trust = self._referee.observed(before.trust, names, seen, True, time_ns)
+        trust = self._referee.observed(before.trust, names, innovations, True, time_ns)
         prediction = compared.prediction
         separation = separations(after, alternatives, self._turning, prediction.rotation_nt, prediction.turn_n)
         trusted = self._referee.agreed(trust, time_ns)
@@ -188,18 +188,18 @@ class SightingStep:
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Update subfilters and fault state with a rejected sighting; ``predicted`` is the state at its time."""
-        first = predicted.mean, comparison.covariance
-        alternatives, seen = self._filter.rows.seen(
-            predicted.alternatives,
+        main_filter = predicted.mean, comparison.covariance
+        alternatives, innovations = self._filter.subfilters.seen(
+            predicted.subfilters,
             sighting.names,
             comparison.measurement,
-            first,
+            main_filter,
             predicted.trust.excluded,
             self._gate.probability,
         )
         time_ns = sighting.time_ns
-        trust = self._referee.observed(held.trust, sighting.names, seen, False, time_ns)
-        fault, found, explaining = self._referee.fault(trust, np.zeros(len(self._filter.rows.sources)), time_ns)
+        trust = self._referee.observed(held.trust, sighting.names, innovations, False, time_ns)
+        fault, found, explaining = self._referee.fault(trust, np.zeros(len(self._filter.subfilters.sources)), time_ns)
         after = replace(predicted, alternatives=alternatives, trust=trust)
         source = found
         if found in (ENCODER, SHIP) and not held.trust.excluded:
@@ -229,7 +229,7 @@ class SightingStep:
         return other if other in explaining else None
 
     def _attributed(
-        self, state: CalibrationState, source: str, decision: ExposureDecision, seen_by: str | None = None
+        self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Exclude an isolated source; ``explaining_subfilter`` is set if the source has no subfilter of its own."""
         why = f"{source} is inconsistent with the other sources, which are consistent without it"
@@ -237,13 +237,13 @@ class SightingStep:
             state.mean
         )
         left_out = LeftOut(Exclusion(decision.measurement.time_ns), why, refused_m)
-        state = self._excluded(state, source, left_out, source if source in self._filter.rows.sources else seen_by)
+        state = self._excluded(state, source, left_out, source if source in self._filter.subfilters.sources else explaining_subfilter)
         text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
         return replace(state, refusals=0), replace(decision, text=text)
 
     def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
         """Return the largest separation of a subfilter's pointing from the main filter, as a covariance in n, rad²."""
-        apart_n = (state.alternatives.mean - state.mean)[:, self._turning] @ (
+        apart_n = (state.subfilters.mean - state.mean)[:, self._turning] @ (
             compared.prediction.turn_n[:, self._turning].T
         )
         farthest = apart_n[np.argmax(np.sum(apart_n**2, axis=1))]
@@ -321,7 +321,7 @@ def held_back(
 
 
 def separations(
-    state: CalibrationState, rows: Alternatives, turning: NDArray[np.intp], rotation_nc: FloatArray, turn_n: FloatArray
+    state: CalibrationState, subfilters: Alternatives, turning: NDArray[np.intp], rotation_nc: FloatArray, turn_n: FloatArray
 ) -> FloatArray:
     """Return the solution separation of each subfilter in the pointing, in standard deviations, shape (h,).
 
@@ -333,9 +333,9 @@ def separations(
         turn_n: its rotation vector in n per state, shape (3, n).
     """
     to_axes = rotation_nc.T @ turn_n[:, turning]
-    apart = (rows.mean - state.mean)[:, turning] @ to_axes.T
+    apart = (subfilters.mean - state.mean)[:, turning] @ to_axes.T
     covariance = np.concatenate(
-        [state.parts[:, turning[:, None], turning].sum(axis=0)[None], rows.parts[:, 0, turning[:, None], turning]]
+        [state.parts[:, turning[:, None], turning].sum(axis=0)[None], subfilters.parts[:, 0, turning[:, None], turning]]
     )
     variance = (to_axes @ covariance * to_axes).sum(axis=-1)
     statistic: FloatArray = np.abs(apart / separation_sigma(variance[1:], variance[0])).max(axis=-1)

@@ -16,9 +16,9 @@ import numpy as np
 
 from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, judge_return
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import IntegrityConfig
-from ship_estimation.running_means import SEEN_BY_ROWS, WELL, Means, excess_limit, forgotten, no_means, observed
+from ship_estimation.running_means import FIELDS_BY_SUBFILTER, WELL, Means, excess_limit, forgotten, no_means, observed
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
@@ -143,9 +143,9 @@ def crept(source: str | None, explaining: Set[str], alike: bool, ship_crept: boo
     return source if source in CHAIN else None
 
 
-def no_doubt(rows: SourceRows) -> Trust:
+def no_doubt(subfilters: SourceRows) -> Trust:
     """Return the initial state: no source is excluded and no fault is unresolved."""
-    return Trust(no_means(1 + len(rows.sources), len(rows.beacons)))
+    return Trust(no_means(1 + len(subfilters.sources), len(subfilters.beacons)))
 
 
 class Referee:
@@ -158,12 +158,12 @@ class Referee:
         threshold: threshold of a solution separation, in standard deviations.
     """
 
-    def __init__(self, config: IntegrityConfig, gate: GateConfig, rows: SourceRows, threshold: float) -> None:
-        self._config, self._rows, self._threshold = config, rows, threshold
-        self._limit = excess_limit(config, max(len(rows.beacons), 1))
+    def __init__(self, config: IntegrityConfig, gate: GateConfig, subfilters: SourceRows, threshold: float) -> None:
+        self._config, self._subfilters, self._threshold = config, subfilters, threshold
+        self._limit = excess_limit(config, max(len(subfilters.beacons), 1))
         self._light_gate, self._degraded_after = chi_square_gate(gate.probability, 2), gate.degraded_after
-        own = np.array([[BEACON + id_ == source for id_ in rows.beacons] for source in rows.sources], dtype=bool)
-        self._leaves_out = np.vstack([np.zeros((1, len(rows.beacons)), dtype=bool), own])
+        own = np.array([[BEACON + id_ == source for id_ in subfilters.beacons] for source in subfilters.sources], dtype=bool)
+        self._leaves_out = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
     def heard_again(self, trust: Trust, names: tuple[str, ...], time_ns: int) -> Trust:
         """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
@@ -174,7 +174,7 @@ class Referee:
             time_ns: time of the sighting.
         """
         heard_ns, silent_ns = trust.means.heard_ns, time_ns - HEARD_NS
-        quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._rows.beacons.index(name)] < silent_ns}
+        quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._subfilters.beacons.index(name)] < silent_ns}
         if not quiet or not (trust.left_out or trust.conflict):
             return trust
         conflict = trust.conflict
@@ -187,12 +187,12 @@ class Referee:
             left_out[name] = replace(left_out[name], exclusion=exclusion)
         return replace(trust, left_out=left_out, conflict=conflict)
 
-    def observed(self, trust: Trust, names: tuple[str, ...], seen: RowsSeen, used: bool, time_ns: int) -> Trust:
+    def observed(self, trust: Trust, names: tuple[str, ...], innovations: RowsSeen, used: bool, time_ns: int) -> Trust:
         """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
-        beacons = [self._rows.beacons.index(name) for name in names]
-        by_row = np.concatenate([[used], seen.accepted])[:, None]
-        accepted = np.where(self._leaves_out[:, beacons], seen.light_nis <= self._light_gate, by_row)
-        means = observed(trust.means, beacons, seen.light_turn, accepted, time_ns, self._limit)
+        beacons = [self._subfilters.beacons.index(name) for name in names]
+        by_row = np.concatenate([[used], innovations.accepted])[:, None]
+        accepted = np.where(self._leaves_out[:, beacons], innovations.light_nis <= self._light_gate, by_row)
+        means = observed(trust.means, beacons, innovations.light_turn, accepted, time_ns, self._limit)
         return replace(trust, means=means)
 
     def fault(self, trust: Trust, statistic: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
@@ -203,8 +203,8 @@ class Referee:
             statistic: solution separation of each subfilter in standard deviations, shape (h,).
             time_ns: time of the sighting.
         """
-        sources, excluded = self._rows.sources, trust.excluded
-        gone = np.array([BEACON + id_ in excluded for id_ in self._rows.beacons], dtype=bool)
+        sources, excluded = self._subfilters.sources, trust.excluded
+        gone = np.array([BEACON + id_ in excluded for id_ in self._subfilters.beacons], dtype=bool)
         uses = ~(self._leaves_out | gone)
         distance = np.concatenate([[0.0], statistic])
 
@@ -216,13 +216,13 @@ class Referee:
         finding = found(candidates)
         if not finding.fault:
             return False, None, set()
-        explaining = {sources[row - 1] for row in finding.explaining}
-        if finding.row is not None:
-            return True, sources[finding.row - 1], explaining
+        explaining = {sources[row - 1] for row in finding.explaining_subfilters}
+        if finding.subfilter is not None:
+            return True, sources[finding.subfilter - 1], explaining
         # Faults of encoders and ship's attitude have similar effects on the beacons: either may explain both.
         for name, other in ((ENCODER, SHIP), (SHIP, ENCODER)):
             alone = found([candidate for candidate in candidates if candidate != other])
-            if alone.row is not None and sources[alone.row - 1] == name:
+            if alone.subfilter is not None and sources[alone.subfilter - 1] == name:
                 return True, name, explaining
         return True, None, explaining
 
@@ -230,7 +230,7 @@ class Referee:
         """True if at least two beacons are in use and all of them drift in the same direction in the image."""
         used = [
             row
-            for row, id_ in enumerate(self._rows.beacons)
+            for row, id_ in enumerate(self._subfilters.beacons)
             if BEACON + id_ not in trust.excluded and trust.means.heard_ns[row] >= time_ns - HEARD_NS
         ]
         if len(used) < 2:
@@ -248,15 +248,15 @@ class Referee:
         heard = trust.means.heard_ns >= time_ns - HEARD_NS
         if trust.excluded or trust.conflict is not None or not np.any(trust.means.excess[0, heard] > _SUSPECTED):
             return False
-        row = 1 + self._rows.sources.index(SHIP)
+        row = 1 + self._subfilters.sources.index(SHIP)
         return bool(np.all(trust.means.excess[row, heard] <= WELL) and np.all(trust.means.refused[row, heard] == 0))
 
-    def without(self, trust: Trust, source: str, left_out: LeftOut, seen_by: str | None = None) -> Trust:
+    def without(self, trust: Trust, source: str, left_out: LeftOut, explaining_subfilter: str | None = None) -> Trust:
         """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
-        row, means = 1 + self._rows.sources.index(seen_by or source), trust.means
+        row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), trust.means
         same = {
-            name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._rows.sources), axis=0)
-            for name in SEEN_BY_ROWS
+            name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._subfilters.sources), axis=0)
+            for name in FIELDS_BY_SUBFILTER
         }
         all_left_out = {**trust.left_out, source: left_out}
         return replace(trust, means=replace(means, **same), left_out=all_left_out, conflict=None)
@@ -271,11 +271,11 @@ class Referee:
         means = trust.means
         if np.linalg.norm(jumped_n) <= _UNDONE_SIGMAS * sigma_m:
             again = replace(again, jumped_n=np.zeros(3), jumped_sigma_m=0.0)
-            means = forgotten(means, slice(None), [self._rows.sources.index(source)])
+            means = forgotten(means, slice(None), [self._subfilters.sources.index(source)])
         return replace(trust, means=means, left_out={**trust.left_out, source: again})
 
     def watched_light(
-        self, trust: Trust, name: str, compared: RowsCompared, time_ns: int, refused_m: float
+        self, trust: Trust, name: str, compared: FilterInnovations, time_ns: int, refused_m: float
     ) -> Trust:
         """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
 
@@ -286,9 +286,9 @@ class Referee:
             time_ns: time of the sighting.
             refused_m: residual on the detector that the fault would cause now, m; 0 if there is none.
         """
-        index, source = self._rows.beacons.index(name), BEACON + name
+        index, source = self._subfilters.beacons.index(name), BEACON + name
         left_out = trust.left_out[source]
-        rows = 1 + len(self._rows.sources)
+        rows = 1 + len(self._subfilters.sources)
         turn = np.repeat(compared.turn, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
         means = observed(trust.means, index, turn, accepted, time_ns, self._limit, compared.turn_noise)
@@ -309,10 +309,10 @@ class Referee:
         left_out, jumped_ns, means = dict(trust.left_out), dict(trust.jumped_ns), trust.means
         if returns:
             jumped_ns[source] = left_out.pop(source).jump_ns + _SAME_JUMP_NS
-            row = len(self._rows.beacons) if source in CHAIN else self._rows.sources.index(source)
-            if row < len(self._rows.beacons):
+            row = len(self._subfilters.beacons) if source in CHAIN else self._subfilters.sources.index(source)
+            if row < len(self._subfilters.beacons):
                 # Means of an excluded source are not valid for subfilters that use it again.
-                others = [other for other in range(1 + len(self._rows.sources)) if other != 1 + row]
+                others = [other for other in range(1 + len(self._subfilters.sources)) if other != 1 + row]
                 means = forgotten(means, others, [row])
         else:
             left_out[source] = replace(left_out[source], exclusion=exclusion)

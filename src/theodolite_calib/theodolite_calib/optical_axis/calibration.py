@@ -98,8 +98,8 @@ def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state:
     model = filter_.model
     axes = config.axes.values + state.mean[model.slices["axes"]]
     variance = np.diagonal(state.covariance)
-    shown = [i for i, row in enumerate(model.rows("axes")) if NAMES[i] != "flexure" or variance[row] > 0.0 or axes[i]]
-    rows = np.concatenate([model.rows("axes")[shown], model.rows("focal_length"), model.rows("deformation")])
+    shown = [i for i, row in enumerate(model.state_indices("axes")) if NAMES[i] != "flexure" or variance[row] > 0.0 or axes[i]]
+    rows = np.concatenate([model.state_indices("axes")[shown], model.state_indices("focal_length"), model.state_indices("deformation")])
     deformation = state.mean[model.slices["deformation"]]
     by_stars = _by_stars(filter_, config, state)
     rows = np.concatenate([rows, [one.row for one in by_stars]]).astype(np.intp)
@@ -139,7 +139,7 @@ def _by_stars(filter_: CalibrationFilter, config: OpticalAxisConfig, state: Cali
         _Named(name, row, float(value + state.mean[row]), unit)
         for block, (names, configured, unit) in told.items()
         if block in model.slices
-        for name, row, value in zip(names, model.rows(block).tolist(), configured, strict=True)
+        for name, row, value in zip(names, model.state_indices(block).tolist(), configured, strict=True)
         if state.covariance[row, row] > 0.0
     ]
 
@@ -235,7 +235,7 @@ def _saved(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_Saved
             names += camera_names(id_)
             configured += [*camera.parallelism]
             blocks.append(parallelism_block(id_, config))
-    rows = np.concatenate([model.rows(block) for block in blocks])
+    rows = np.concatenate([model.state_indices(block) for block in blocks])
     return list(map(_Saved, names, rows.tolist(), map(float, configured)))
 
 

@@ -35,12 +35,12 @@ class PointingLevels:
 
     def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:
         self.state, self._config = state, config.integrity
-        sources = filter_.rows.sources
+        sources = filter_.subfilters.sources
         self._k = hypothesis_factors(config.integrity, sources)
         self._turning = chain_rows(filter_.model)
         excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
-        self._rows = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
-        self._names = tuple([sources[row] for row in self._rows])
+        self._subfilter_indices = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
+        self._names = tuple([sources[row] for row in self._subfilter_indices])
         self._excluded = tuple(sorted(excluded.items()))
         self._in_dispute = state.trust.conflict is not None or state.refusals > 0
 
@@ -53,13 +53,13 @@ class PointingLevels:
         # such as the noise of the encoders, is the same in every subfilter.
         found = separation(
             self._k,
-            self._rows,
+            self._subfilter_indices,
             self._turning,
             (to_angles, to_angles @ estimate.by_error_n, estimate.undisputed_n),
             self.state.mean,
-            self.state.alternatives.mean,
+            self.state.subfilters.mean,
             self.state.parts,
-            self.state.alternatives.parts[:, 0],
+            self.state.subfilters.parts[:, 0],
         )
         # Without beacons and stars nothing checks encoders and ship's attitude; stars alone are not checked either.
         alone = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED

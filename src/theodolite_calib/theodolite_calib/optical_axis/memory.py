@@ -58,7 +58,7 @@ def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> C
         filter_.started(memory.mean, memory.parts),
         time_ns=memory.time_ns,
         unaided=memory.unaided,
-        ship_steady_n=memory.ship_steady_n,
+        ship_steady_n=memory.ship_covariance_n,
         sighting_count=memory.sighting_count,
         points_used=memory.points_used,
         squares=memory.squares,
@@ -71,7 +71,7 @@ def propagate_memory(
     """Return the remembered state propagated to a time, with a covariance inflated by jumps."""
     for own in jumps:
         memory = filter_.opened(memory, own.jump)
-    return filter_.predicted(memory, time_ns, memory.ship_steady_n)
+    return filter_.predicted(memory, time_ns, memory.ship_covariance_n)
 
 
 def memory_residuals(
@@ -153,4 +153,4 @@ def _drift(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
     """Return the covariance added to a state within one second, shape (n, n)."""
     assert state.time_ns is not None
     before = replace(state, time_ns=state.time_ns - SECOND_NS, parts=np.zeros_like(state.parts))
-    return filter_.predicted(before, state.time_ns, state.ship_steady_n).covariance
+    return filter_.predicted(before, state.time_ns, state.ship_covariance_n).covariance

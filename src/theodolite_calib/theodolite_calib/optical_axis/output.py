@@ -88,14 +88,14 @@ class CorrectedAxis:
         self._lasting[SHIP] = filter_.ship_error.lasting(self._errors[SHIP])
         self._time_s = np.concatenate([ship.time_s, deformation.time_s])
         self._steady = np.array([np.diag(ship.sigma**2), np.diag(deformation.sigma**2)])
-        if state.ship_steady_n is not None:
-            self._steady[0] += state.ship_steady_n
+        if state.ship_covariance_n is not None:
+            self._steady[0] += state.ship_covariance_n
         self._sources = tuple(
             model.sources.index(source)
             for source in (SOURCE_SHIP, SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP_NOISE)
         )
         self.rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T.copy()
-        self.disputed = disputed((state.alternatives.mean - state.mean)[:, rows], state.separation)
+        self.disputed = disputed((state.subfilters.mean - state.mean)[:, rows], state.separation)
 
     def axes(self, ship: ShipRun, encoders: EncoderRun) -> AxesAt:
         """Return the main axis at N readings; before the state's time it is not propagated.
@@ -111,7 +111,7 @@ class CorrectedAxis:
         if self.state.time_ns is not None:
             since_ns = encoders.time_ns - self.state.time_ns
         stated_n = ship.slow_covariance_n
-        step = None if stated_n is None else ship_error_steps(self.state.ship_steady_n, stated_n)
+        step = None if stated_n is None else ship_error_steps(self.state.ship_covariance_n, stated_n)
         found = compiled_mounts.pointings(
             since_ns,
             ship.rotation_nd,

@@ -40,7 +40,7 @@ class Between:
         self, filter_: CalibrationFilter, stated_n: Callable[[Sequence[int]], FloatArray | None]
     ) -> None:
         self._model, self._ship, self._stated_n = filter_.model, filter_.ship_error, stated_n
-        self.rows = np.concatenate([chain_rows(self._model), self._model.rows("parallelism")])
+        self.rows = np.concatenate([chain_rows(self._model), self._model.state_indices("parallelism")])
         # The ship's error is the first of all states, and so of the predicted ones.
         assert self._ship.columns == SHIP
 

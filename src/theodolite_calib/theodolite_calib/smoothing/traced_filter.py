@@ -31,7 +31,7 @@ class TracedState(CalibrationState):
     @property
     def given(self) -> FloatArray | None:
         """Stated covariance of the ship's error from this state on, an input of the prediction."""
-        return self.ship_steady_n
+        return self.ship_covariance_n
 
 
 class TracedFilter(CalibrationFilter):
