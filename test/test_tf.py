@@ -36,7 +36,7 @@ def turned(quaternion):
     return Rotation.from_quat([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
 
 
-def apart(one, other):
+def angle_between(one, other):
     """Return the angle between two rotations, rad."""
     return (one.inv() * other).magnitude()
 
@@ -76,8 +76,8 @@ def test_the_deck_is_published_with_each_attitude_at_its_stamp():
         assert (deck.header.frame_id, deck.child_frame_id) == ("horizon", "deck")
         told = turned(deck.transform.rotation)
         # Both forms of ship/attitude: the quaternion, and the angles turned into ROS's.
-        assert apart(told, turned(attitude.orientation)) < BEYOND_ROUNDING
-        assert apart(told, ros_rotation(attitude.heading, attitude.pitch, attitude.roll)) < BEYOND_ROUNDING
+        assert angle_between(told, turned(attitude.orientation)) < BEYOND_ROUNDING
+        assert angle_between(told, ros_rotation(attitude.heading, attitude.pitch, attitude.roll)) < BEYOND_ROUNDING
 
 
 def test_no_transform_is_from_the_future():
@@ -103,8 +103,8 @@ def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
                 angles = np.array([known[f"star.{id_}.{name}"] for name in ("azimuth", "elevation", "roll")])
             # In the deck, azimuth 0 is the bow: x, and not y as North is.
             mounted = Rotation.from_euler("ZYX", [-angles[0], -angles[1], angles[2]])
-            assert apart(turned(transform.transform.rotation), mounted) < BEYOND_ROUNDING
-    assert max(apart(turned(one.transform.rotation), turned(other.transform.rotation))
+            assert angle_between(turned(transform.transform.rotation), mounted) < BEYOND_ROUNDING
+    assert max(angle_between(turned(one.transform.rotation), turned(other.transform.rotation))
                for one, other in zip(first.transforms, last.transforms, strict=True)) > 1e-8  # fmt: skip
 
 
@@ -244,7 +244,7 @@ def test_through_the_deck_as_tf2_interpolates_it_the_main_axis_is_the_pointing(b
             continue
         chain = slerp(ns - min(decks)) * turned(mains[ns].transform.rotation)
         said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
-        assert apart(chain, said) < BEYOND_ROUNDING
+        assert angle_between(chain, said) < BEYOND_ROUNDING
         between[ns in decks] += 1
     assert between[False] > 100
     assert between[True] > 50
@@ -264,7 +264,7 @@ def test_by_the_ins_alone_the_parent_of_the_main_axis_is_the_horizon(tmp_path):
     for main, pointing in zip(mains, pointings.values(), strict=True):
         assert main.header.frame_id == "horizon"
         said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
-        assert apart(turned(main.transform.rotation), said) < BEYOND_ROUNDING
+        assert angle_between(turned(main.transform.rotation), said) < BEYOND_ROUNDING
 
 
 def test_no_transform_is_published_for_an_invalid_pointing():

@@ -290,8 +290,8 @@ def study(exposures: Iterable[int]) -> Results:
 def _judged(scene: Scene, found: Attitude | None) -> tuple[float, float]:
     if found is None:
         return float("nan"), float("nan")
-    apart = wrap_pi(angles_from_rotation(found.rotation_nd) - angles_from_rotation(scene.rotation_nd))
-    worst_arcsec = float(np.max(np.abs(apart))) / ARCSEC
+    differences = wrap_pi(angles_from_rotation(found.rotation_nd) - angles_from_rotation(scene.rotation_nd))
+    worst_arcsec = float(np.max(np.abs(differences))) / ARCSEC
     if found.covariance_n is None:
         return worst_arcsec, float("nan")
     error_n = log_rotation(scene.rotation_nd @ found.rotation_nd.T)

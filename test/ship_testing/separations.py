@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_estimation.protection import Factors, Separation, separation
+from ship_estimation.protection import Factors, SolutionSeparation, solution_separation
 from ship_geometry.rotations import FloatArray
 
 
-def separated(
+def solution_separations(
     distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors, subfilter_indices: Sequence[int] | None = None
-) -> Separation:
+) -> SolutionSeparation:
     """Return the separations of estimates without one source from that by all, and the levels.
 
     Args:
@@ -24,4 +24,4 @@ def separated(
     components, of_all = np.eye(3), np.diag(variance_0)
     left_out = variance[:, :, None] * components
     by_output = components, components, of_all
-    return separation(k, asked, np.arange(3), by_output, np.zeros(3), distance, of_all[None], left_out)
+    return solution_separation(k, asked, np.arange(3), by_output, np.zeros(3), distance, of_all[None], left_out)

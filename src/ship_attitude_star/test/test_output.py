@@ -81,9 +81,9 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
             assert repr(run.one(place)) == repr(alone.one(0))
             assert run.covariance_parts_n[place].tobytes() == alone.covariance_parts_n[0].tobytes()
             assert run.covariance_n[place].tobytes() == alone.covariance_n[0].tobytes()
-            assert run.undisputed_n[place].tobytes() == alone.undisputed_n[0].tobytes()
+            assert run.covariance_without_separation_n[place].tobytes() == alone.covariance_without_separation_n[0].tobytes()
             statuses.add(run.status[place])
-    assert np.all(runs[3].covariance_n != runs[3].undisputed_n, axis=0).diagonal().all()
+    assert np.all(runs[3].covariance_n != runs[3].covariance_without_separation_n, axis=0).diagonal().all()
     assert statuses == {Status.VALID, Status.DEGRADED, Status.COASTING}
 
 

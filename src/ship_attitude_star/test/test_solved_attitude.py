@@ -237,7 +237,7 @@ def read(message: Any, shared: str = "sky") -> AttitudeMeasurement:
     return star_measurement(message, "fore", star, TIME_NS).value
 
 
-def told_apart(message: Any, known: Knowledge = POOR_FIX) -> AttitudeMeasurement:
+def separate_errors(message: Any, known: Knowledge = POOR_FIX) -> AttitudeMeasurement:
     solved = read(message)
     assert isinstance(solved, SolvedAttitude)
     found = in_horizon(solved, told(known))
@@ -251,7 +251,7 @@ def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, nois
     message = one_solution(known)
     if not noise_told:
         message.noise_covariance[:] = 0.0
-    found, total_n = told_apart(message, known), horizon_covariance(message.rotation_covariance.reshape(3, 3))
+    found, total_n = separate_errors(message, known), horizon_covariance(message.rotation_covariance.reshape(3, 3))
     noise_n = found.rotation_nv @ found.noise_v @ found.rotation_nv.T
     np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
     for part in (found.noise_v, found.common_n):
@@ -264,7 +264,7 @@ def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, nois
 def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
     """The solution with a sky that is one sigma further north, and with denser air."""
     exposure = exposure_of(told(POOR_WEATHER), "fore", 8)
-    found = told_apart(one_solution(POOR_WEATHER), POOR_WEATHER)
+    found = separate_errors(one_solution(POOR_WEATHER), POOR_WEATHER)
     config = ship(POOR_WEATHER)
     north = replace(POSITION, latitude=POSITION.latitude + POOR_WEATHER.fix_m / METRES_PER_RADIAN)
     denser = replace(config.sky, pressure_hpa=config.sky.pressure_hpa + 1.0)
@@ -285,7 +285,7 @@ def test_unstated_shared_errors_are_added_to_the_configured_noise() -> None:
     message = one_solution()
     for covariance in (message.covariance, message.rotation_covariance, message.noise_covariance):
         covariance[:] = 0.0
-    found = told_apart(message)
+    found = separate_errors(message)
     assert not found.covariance_known
     assert np.sqrt(np.diagonal(found.noise_v)) / ARCSEC == pytest.approx([100.0, 3.0, 3.0])
     np.testing.assert_array_equal(found.common_n, 0.0)
@@ -295,7 +295,7 @@ def test_unstated_shared_errors_are_added_to_the_configured_noise() -> None:
 
 def test_a_message_that_states_less_than_the_fix_has_errors_is_not_made_negative() -> None:
     message = one_solution(POOR_WEATHER)
-    found = told_apart(message, POOR_FIX)
+    found = separate_errors(message, POOR_FIX)
     assert np.linalg.eigvalsh(found.common_n)[0] > -1e-9 * np.trace(found.common_n)
     assert np.linalg.norm(found.shared_n[:, 2]) / ARCSEC == pytest.approx(3.24, abs=0.02)
 
@@ -304,7 +304,7 @@ def test_a_correlated_error_not_due_to_refraction_is_the_sensor_s_own() -> None:
     message = one_solution()
     more = (20.0 * ARCSEC) ** 2 * np.eye(3).ravel()
     message.rotation_covariance += more
-    found = told_apart(message)
+    found = separate_errors(message)
     assert np.linalg.norm(found.shared_n[:, 0]) < 1.0 * ARCSEC
     assert np.sqrt(np.linalg.eigvalsh(found.common_n)[0]) / ARCSEC == pytest.approx(20.0, rel=0.01)
 
@@ -313,7 +313,7 @@ def test_a_correlated_error_not_due_to_refraction_is_the_sensor_s_own() -> None:
 def test_below_the_refraction_model_the_stated_covariance_is_used(elevation_deg: float) -> None:
     message = one_solution()
     message.elevation = float(np.deg2rad(elevation_deg))
-    found, total_n = told_apart(message), horizon_covariance(message.rotation_covariance.reshape(3, 3))
+    found, total_n = separate_errors(message), horizon_covariance(message.rotation_covariance.reshape(3, 3))
     noise_n = found.rotation_nv @ found.noise_v @ found.rotation_nv.T
     np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
 

@@ -488,8 +488,8 @@ def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> N
     told = [one for one in sailed.estimates if one.status is Status.VALID and one.state.disputed_n is not None]
     assert told
     for one in told[:: max(len(told) // 20, 1)]:
-        assert one.covariance_n - one.undisputed_n == pytest.approx(one.state.disputed_n, rel=1e-6)
-        alone = replace(one, state=replace(one.state, disputed_n=None), covariance_n=one.undisputed_n)
+        assert one.covariance_n - one.covariance_without_separation_n == pytest.approx(one.state.disputed_n, rel=1e-6)
+        alone = replace(one, state=replace(one.state, disputed_n=None), covariance_n=one.covariance_without_separation_n)
         assert sailed.core.integrity(one).level.tolist() == sailed.core.integrity(alone).level.tolist()
 
 
@@ -498,7 +498,7 @@ def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusio
     knock = Lie("star.port", -13.0 * UP * ARCSEC, 120.0)
     sailed = sailed_with(knock, sensors=("bow", "port"), seconds=128.0, seed=2)
     valid = [one for one in sailed.between(120.0, 128.0) if one.status is Status.VALID]
-    undisputed = [replace(one, covariance_n=one.undisputed_n) for one in valid]
+    undisputed = [replace(one, covariance_n=one.covariance_without_separation_n) for one in valid]
     assert max(error_sigmas(one) for one in undisputed) > 5.0
     assert max(error_sigmas(one) for one in valid) < 5.0
 

@@ -48,16 +48,16 @@ class CdrEncoder:
     def encoded(self, type_name: str, fields: Mapping[str, Any]) -> CdrMessage:
         """Return a message; see :meth:`ship_bags.message_factory.MessageFactory.encode`."""
         numbers: list[Any] = []
-        template = self._taken_apart(type_name, fields, numbers, many=False)
+        template = self._flatten(type_name, fields, numbers, many=False)
         return template.message(template.pack(numbers))
 
     def encoded_rows(self, type_name: str, count: int, fields: Mapping[str, Any]) -> CdrRows:
         """Return messages; see :meth:`ship_bags.message_factory.MessageFactory.encode_rows`."""
         columns: list[Any] = []
-        template = self._taken_apart(type_name, fields, columns, many=True)
+        template = self._flatten(type_name, fields, columns, many=True)
         return CdrRows(template, template.encode_many(columns, count))
 
-    def _taken_apart(
+    def _flatten(
         self, type_name: str, fields: Mapping[str, Any], numbers: list[Any], many: bool
     ) -> CdrTemplate:
         """Append the numbers of a message, or of many, and return their layout."""

@@ -18,7 +18,7 @@ import numpy as np
 from ship_estimation import compiled_means
 from ship_estimation.chi_square import normal_value_above
 from ship_estimation.hypotheses import FilterInnovations
-from ship_estimation.protection import Factors, IntegrityConfig, Separation
+from ship_estimation.protection import Factors, IntegrityConfig, SolutionSeparation
 from ship_estimation.running_means import MEASUREMENTS_PER_H
 from ship_geometry.rotations import FloatArray
 
@@ -172,14 +172,14 @@ def common_threshold(config: IntegrityConfig) -> float:
 
 
 def with_common_error(
-    found: Separation,
+    found: SolutionSeparation,
     k: Factors,
     missed: float,
     threshold: float,
     absorbed: Absorbed,
     by_states: FloatArray,
     covariance: FloatArray,
-) -> Separation:
+) -> SolutionSeparation:
     """Return the separations and levels of an output with a common error of all stars as last hypothesis.
 
     If no sum of corrections exceeds its threshold, such an error is at most the threshold. The estimate without the

@@ -35,7 +35,7 @@ def _form(
     return total
 
 
-def separation(
+def solution_separation(
     states: cython.const[cython.Py_ssize_t][:],
     to_components: cython.const[cython.double][:, :],
     by_states: cython.const[cython.double][:, :],

@@ -347,7 +347,7 @@ def _larger(first: cython.double, second: cython.double) -> cython.double:
     return first if first != first or second <= first else second
 
 
-def separations(
+def solution_separations(
     means: cython.const[cython.double][:, ::1],
     stack: cython.const[cython.double][:, :, ::1],
     first: cython.Py_ssize_t,
@@ -378,7 +378,7 @@ def separations(
         for row in range(rows):
             apart[row, i - first] = means[row, i] - means[0, i]
             statistic[row] = _larger(
-                statistic[row], _sigmas_apart(means, stack, row, i, by_all, least_share, least_variance)
+                statistic[row], _separation_sigmas(means, stack, row, i, by_all, least_share, least_variance)
             )
     return of_apart, of_statistic
 
@@ -401,7 +401,7 @@ def separated(
         by_all = _variance_by_all(stack, means.shape[0], i)
         for row in range(means.shape[0]):
             # Written so that NaN exceeds the threshold.
-            if not _sigmas_apart(means, stack, row, i, by_all, least_share, least_variance) <= most_sigmas:
+            if not _separation_sigmas(means, stack, row, i, by_all, least_share, least_variance) <= most_sigmas:
                 return True
     return False
 
@@ -435,7 +435,7 @@ def _variance_by_all(
 @cython.cfunc
 @cython.exceptval(check=False)
 @cython.inline
-def _sigmas_apart(
+def _separation_sigmas(
     means: cython.const[cython.double][:, ::1],
     stack: cython.const[cython.double][:, :, ::1],
     row: cython.Py_ssize_t,

@@ -68,7 +68,7 @@ class Exclusion:
     since_ns: int
     times: int = 1
     agrees_since_ns: int | None = None
-    apart: FloatArray | None = None
+    offset: FloatArray | None = None
     share_left: float = 1.0
     farther_since_ns: int | None = None
     is_shared: bool = False
@@ -96,7 +96,7 @@ _NO_FAULT = Finding(fault=False)
 def find_fault(
     means: Means,
     uses: NDArray[np.bool_],
-    statistic: FloatArray,
+    separations: FloatArray,
     threshold: float,
     candidates: Sequence[int],
     now_ns: int,
@@ -129,7 +129,7 @@ def find_fault(
         Finding(fault=True, row=1, explaining=(1,))
     """
     agrees = _first_row_agrees(means, uses[0], now_ns - HEARD_NS, degraded_after)
-    sigmas = statistic.tolist()
+    sigmas = separations.tolist()
     if agrees and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN is not
         return _NO_FAULT
     heard = means.heard_ns >= now_ns - HEARD_NS
@@ -151,7 +151,7 @@ def find_fault(
     # After a rejection the main filter has used less than the subfilters; the separations do not compare them then.
     if agrees and len(explaining) > 1 and not (means.refused[0] * counts[0]).any():
         both = [*explaining, *(row for row in larger_subfilters if explains[row])]
-        row = _farthest(both, statistic, threshold) or _farthest(explaining, statistic, threshold)
+        row = _farthest(both, separations, threshold) or _farthest(explaining, separations, threshold)
     return Finding(fault=True, subfilter=row, explaining_subfilters=tuple(explaining))
 
 
@@ -217,7 +217,7 @@ def judge_return(
         True
     """
     agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN is inconsistent
-    if exclusion.apart is not None:
+    if exclusion.offset is not None:
         measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
         share_left = exclusion.share_left + (measured_share - exclusion.share_left) * 2.0 / (_MEAN_OVER + 1.0)
         exclusion = replace(exclusion, share_left=share_left)

@@ -81,7 +81,7 @@ def add_error(
     compiled_steps.add_error(stack, filter_count, part, first, covariance, subfilter or 0)
 
 
-def separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[FloatArray, FloatArray]:
+def solution_separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[FloatArray, FloatArray]:
     """Return the solution separations of the filters from the main filter in k states.
 
     The sigmas are those of :func:`ship_estimation.protection_levels.separation_sigma`. A separation that is NaN gives a
@@ -104,7 +104,7 @@ def separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[Fl
         [0. 6.] [0. 2.]
     """
     first, end, _ = states.indices(means.shape[1])
-    found: tuple[FloatArray, FloatArray] = compiled_steps.separations(
+    found: tuple[FloatArray, FloatArray] = compiled_steps.solution_separations(
         means, stack, first, end - first, LEAST_SHARE, LEAST_VARIANCE_RAD2
     )
     return found

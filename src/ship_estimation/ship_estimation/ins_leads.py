@@ -151,8 +151,8 @@ class Leads:
         """
         direct = self.match_by_two_rates(start.sample, end.sample, rates_measured=True)
         by_all = self.match(start, end, rates_measured=True)
-        apart_rad = size(by_all.difference - direct.difference)
-        return direct.led and apart_rad > 2.0 * direct.bound_rad and direct.fits_again(step)
+        difference_rad = size(by_all.difference - direct.difference)
+        return direct.led and difference_rad > 2.0 * direct.bound_rad and direct.fits_again(step)
 
     def match_by_time(self, start: AttitudeSample, end: AttitudeSample) -> Match:
         """Compare two samples by the fastest rotation of a hull in the elapsed time."""

@@ -178,7 +178,7 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
     )
 
 
-class Separation(NamedTuple):
+class SolutionSeparation(NamedTuple):
     """Solution separations and protection levels of an output; h tested hypotheses, three components.
 
     Attributes:
@@ -194,7 +194,7 @@ class Separation(NamedTuple):
     widest: float
 
 
-def separation(
+def solution_separation(
     k: Factors,
     tested_subfilters: NDArray[np.intp],
     states: NDArray[np.intp],
@@ -203,7 +203,7 @@ def separation(
     means: FloatArray,
     parts: FloatArray,
     subfilter_covariances: FloatArray,
-) -> Separation:
+) -> SolutionSeparation:
     """Return the solution separations of the subfilters from the main filter, and the protection levels.
 
     Args:
@@ -226,7 +226,7 @@ def separation(
         >>> print(found.statistic.round(2), found.level.round(1), found.dominant, found.widest)
         [1.67] [18. 18. 18.] 0 3.0
     """
-    found = compiled_integrity.separation(
+    found = compiled_integrity.solution_separation(
         states,
         *by_output,
         mean,
@@ -240,7 +240,7 @@ def separation(
         LEAST_SHARE,
         LEAST_VARIANCE_RAD2,
     )
-    return Separation(*found)
+    return SolutionSeparation(*found)
 
 
 def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray:
@@ -258,7 +258,7 @@ def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray
     return sigma
 
 
-def disputed(distance: FloatArray, statistic: FloatArray) -> FloatArray:
+def separation_inflation(separations: FloatArray, statistic: FloatArray) -> FloatArray:
     """Return the covariance that is added to an output because of its solution separations.
 
     A drifting source separates the main filter from its subfilter long before the separation exceeds the threshold.
@@ -283,10 +283,10 @@ def disputed(distance: FloatArray, statistic: FloatArray) -> FloatArray:
          [ 0. 75.  0.]
          [ 0.  0.  0.]]
     """
-    known = np.all(np.isfinite(distance), axis=-1, keepdims=True)
+    known = np.all(np.isfinite(separations), axis=-1, keepdims=True)
     # fmax returns the limit for NaN.
     weight = 1.0 - (UNDISPUTED_SIGMAS / np.fmax(statistic, UNDISPUTED_SIGMAS)) ** 2
-    apart = np.where(known, distance, 0.0)
+    apart = np.where(known, separations, 0.0)
     added: FloatArray = (weight * apart.T) @ apart
     return added
 
@@ -332,7 +332,7 @@ def integrity_report(
     config: IntegrityConfig,
     k: Factors,
     names: tuple[str, ...],
-    found: Separation,
+    found: SolutionSeparation,
     excluded: tuple[tuple[str, int], ...],
     checked: bool,
 ) -> IntegrityReport:

@@ -10,7 +10,7 @@ from ship_geometry.rotations import FloatArray, log_rotation
 
 RECENT_NS = 2_000_000_000
 """Length of a reference's history with which it is compared, ns; motion is detected within this time."""
-_APART_NS = 250_000_000
+_SPACING_NS = 250_000_000
 """Spacing of a reference's history, ns."""
 _SIGMAS = 5.0
 _TWICE = 2
@@ -91,7 +91,7 @@ class _Record:
             moved = any(_moved(then, now, sigma_rad, resolution_rad) for then in (self._first, *self._recent))
             self._moved = self._moved + 1 if moved else 0
             self._last = now
-            if now.time_ns - self._recent[-1].time_ns >= _APART_NS:
+            if now.time_ns - self._recent[-1].time_ns >= _SPACING_NS:
                 self._recent.append(now)
             while now.time_ns - self._recent[0].time_ns > RECENT_NS:
                 self._recent.popleft()

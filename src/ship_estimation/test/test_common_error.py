@@ -5,7 +5,7 @@ import pytest
 
 from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed, with_common_error
 from ship_estimation.hypotheses import FilterInnovations
-from ship_estimation.protection import Factors, Separation
+from ship_estimation.protection import Factors, SolutionSeparation
 from ship_geometry.rotations import FloatArray
 
 NOISE, WALK, COUNT = 9.0, 0.2, 40
@@ -80,7 +80,7 @@ def test_restart_clears_the_corrections_but_not_their_variance() -> None:
 
 
 def test_without_measurements_the_error_variance_is_infinite() -> None:
-    others = Separation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
+    others = SolutionSeparation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
     k, level_of = Factors(6.0, 5.0, np.array([2.0])), np.eye(3) + 0.1
     assert with_common_error(others, k, 1.0, 6.0, NOTHING_ABSORBED, level_of, np.eye(3)).level.tolist() == [np.inf] * 3
 

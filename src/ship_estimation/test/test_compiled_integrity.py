@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_integrity
-from ship_estimation.protection import Factors, separation, separation_sigma
+from ship_estimation.protection import Factors, solution_separation, separation_sigma
 from ship_geometry.rotations import FloatArray
-from ship_testing.separations import separated
+from ship_testing.separations import solution_separations
 
 STATES = 7
 SOURCES = 3
@@ -45,7 +45,7 @@ def test_separations_and_levels_by_states_equal_numpy(hypotheses: int) -> None:
     means = mean + 1e-6 * rng.standard_normal((hypotheses, STATES))
     k, asked = Factors(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
     by_output = to_components, by_states, covariance
-    found = separation(k, asked, CHOSEN, by_output, mean, means, parts, left_out)
+    found = solution_separation(k, asked, CHOSEN, by_output, mean, means, parts, left_out)
     first, beside = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
     of_all = to_components @ covariance @ to_components.T
     without = np.diagonal(of_all + by_states @ (beside - first) @ by_states.T, axis1=-2, axis2=-1)
@@ -66,7 +66,7 @@ def test_separations_and_levels_equal_numpy(seed: int) -> None:
     variance = variance_0 * rng.choice([0.9, 1.0, 1.0 + 1e-9, 1.3, 4.0], (count, 3))
     distance = 1e-5 * rng.standard_normal((count, 3))
     for rows in ([*range(count)], [*range(count)][::2]):
-        found = separated(distance, variance, variance_0, k, rows)
+        found = solution_separations(distance, variance, variance_0, k, rows)
         in_question = Factors(k.right, k.false_exclusion, k.missed[rows])
         statistic, level, dominant = separation_of_numpy(distance[rows], variance[rows], variance_0, in_question)
         np.testing.assert_allclose(found.statistic, statistic, rtol=1e-13)
@@ -81,7 +81,7 @@ def test_nan_gives_no_level_and_no_separation(place: str) -> None:
     k, numbers = Factors(6.0, 5.0, np.full(2, 2.0)), {"distance": np.ones((2, 3)), "variance": np.full((2, 3), 9.0)}
     numbers["variance_0"] = np.full(3, 4.0)
     numbers[place][..., 1] = np.nan
-    found = separated(numbers["distance"], numbers["variance"], numbers["variance_0"], k)
+    found = solution_separations(numbers["distance"], numbers["variance"], numbers["variance_0"], k)
     assert np.isnan(found.statistic).all()
     assert not (found.statistic <= k.false_exclusion).any()
     assert np.isfinite(found.level).tolist() == [place == "distance"] * 3
@@ -114,11 +114,11 @@ def test_least_eigenvalue_of_equal_and_of_nan_variances() -> None:
 def test_arrays_that_do_not_fit_are_refused() -> None:
     k = Factors(6.0, 5.0, np.full(2, 2.0))
     with pytest.raises(ValueError, match="left_out"):
-        separated(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), Factors(6.0, 5.0, np.full(3, 2.0)))
+        solution_separations(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), Factors(6.0, 5.0, np.full(3, 2.0)))
     with pytest.raises(ValueError, match="means"):
-        separated(np.zeros((2, 4)), np.ones((2, 3)), np.ones(3), k)
+        solution_separations(np.zeros((2, 4)), np.ones((2, 3)), np.ones(3), k)
     with pytest.raises(ValueError, match="rows"):
-        separated(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), k, subfilter_indices=[2])
+        solution_separations(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), k, subfilter_indices=[2])
     with pytest.raises(ValueError, match="matrix"):
         compiled_integrity.least_eigenvalue(np.eye(2))
 

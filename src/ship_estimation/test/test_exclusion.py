@@ -228,7 +228,7 @@ def test_source_is_reinstated_after_an_unbroken_time_of_consistency():
 
 def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanished():
     """60 s after the mean over 20 measurements is below a half, which takes ln(2) 21/2 = 7 of them."""
-    means, exclusion = no_means(1, 1), Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]))
+    means, exclusion = no_means(1, 1), Exclusion(since_ns=0, offset=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
         share = 1.0 if second < 100 else 0.07
         exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0, share)
@@ -240,7 +240,7 @@ def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanishe
 @pytest.mark.parametrize("gross", [np.nan, np.inf, -1e6, 1e6])
 def test_gross_error_delays_a_reinstatement_by_some_measurements_only(gross):
     """After eight of them the mean over 20 is 1.1, and after eight right ones 0.5 again."""
-    exclusion, agreed = Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
+    exclusion, agreed = Exclusion(since_ns=0, offset=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
     for second, share in enumerate([gross] * 8 + [0.0] * 14):
         exclusion, _ = judge_return(exclusion, no_means(1, 1), 0, second * SECOND_NS, 60.0, share)
         agreed.append(exclusion.agrees_since_ns is not None)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_estimation.hypotheses import compare_rows, covariances, promoted, separations, stand_together, update_rows
+from ship_estimation.hypotheses import compare_rows, covariances, promoted, solution_separations, stand_together, update_rows
 from ship_estimation.kalman import LinearMeasurement, innovation, update
 from ship_estimation.protection import separation_sigma
 
@@ -109,14 +109,14 @@ def test_solution_separations_in_their_sigmas(wrong: float) -> None:
     stack, means = roots @ roots.transpose(0, 2, 1), rng.normal(size=(4, 5))
     stack[3] *= 0.1
     means[2, 3] += wrong
-    apart, statistic = separations(means, stack, slice(1, 4))
+    apart, statistic = solution_separations(means, stack, slice(1, 4))
     variance = covariances(stack, 4)[:, range(1, 4), range(1, 4)]
     expected = means[:, 1:4] - means[0, 1:4]
     np.testing.assert_array_equal(apart, expected)
     sigma = separation_sigma(variance, variance[0])
     np.testing.assert_allclose(statistic, np.abs(expected / sigma).max(axis=-1), rtol=1e-13)
     with pytest.raises(ValueError, match="do not fit together"):
-        separations(means[:, :4].copy(), stack, slice(1, 4))
+        solution_separations(means[:, :4].copy(), stack, slice(1, 4))
 
 
 @pytest.mark.parametrize("moved", [0.0, 3.0, 8.0, np.nan])
@@ -124,7 +124,7 @@ def test_filters_are_consistent_up_to_the_threshold(moved: float) -> None:
     rng = np.random.default_rng(7)
     means, stack = rng.standard_normal((4, STATES)), _stack(rng, 4)
     means[2, 3] += moved
-    _, sigmas = separations(means, stack, slice(2, 5))
+    _, sigmas = solution_separations(means, stack, slice(2, 5))
     for most_sigmas in (0.5 * np.max(sigmas), 1.001 * np.max(sigmas)):
         expected = all(one <= most_sigmas for one in sigmas)  # NaN exceeds the threshold
         assert stand_together(means, stack, slice(2, 5), most_sigmas) is expected

@@ -13,13 +13,13 @@ from ship_estimation.protection import (
     Factors,
     IntegrityConfig,
     IntegrityState,
-    disputed,
+    separation_inflation,
     factors,
     integrity_report,
     prior_of_all,
 )
 from ship_geometry.rotations import ARCSEC
-from ship_testing.separations import separated
+from ship_testing.separations import solution_separations
 
 
 def test_sigma_multipliers_keep_the_configured_probabilities():
@@ -45,7 +45,7 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
             measured.mean(axis=0),
             np.array([np.delete(measured, i, 0).mean(axis=0) for i in range(3)]),
         )
-        found = separated(left_out - estimate_0, np.full((3, 3), 4.5), np.full(3, 3.0), k)
+        found = solution_separations(left_out - estimate_0, np.full((3, 3), 4.5), np.full(3, 3.0), k)
         told = found.statistic.max() > k.false_exclusion
         misled += not told and bool(np.any(np.abs(estimate_0) > found.level))
     assert misled == 0
@@ -68,7 +68,7 @@ def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
         measured[:2] += bias
         estimate = measured.mean(axis=0)
         distance = np.array([measured[row].mean(axis=0) for row in uses]) - estimate
-        found = separated(distance, variances, np.full(3, 9.0 / sensors), k)
+        found = solution_separations(distance, variances, np.full(3, 9.0 / sensors), k)
         told = not found.statistic.max() <= k.false_exclusion
         misled += not told and bool(np.any(np.abs(estimate) > found.level))
     return misled / draws
@@ -106,10 +106,10 @@ def test_improbable_fault_adds_nothing_to_the_threshold():
 def test_the_largest_hypothesis_dominates():
     k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0, 2.0]))
     left_out = np.array([[4.0] * 3, [9.0] * 3])
-    found = separated(np.zeros((2, 3)), left_out, np.full(3, 3.0), k)
+    found = solution_separations(np.zeros((2, 3)), left_out, np.full(3, 3.0), k)
     assert found.dominant == 1
     np.testing.assert_allclose(found.level, 5.0 * np.sqrt(6.0) + 2.0 * 3.0)
-    nothing = separated(np.zeros((2, 3)), np.full((2, 3), 3.0), np.full(3, 3.0), k)
+    nothing = solution_separations(np.zeros((2, 3)), np.full((2, 3), 3.0), np.full(3, 3.0), k)
     assert nothing.dominant == -1
 
 
@@ -135,7 +135,7 @@ def test_no_level_with_a_separation_above_its_threshold(statistic):
     for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
         # In the subfilter the sigma is 2 instead of the square root of 3: the separation has a sigma of 1.
         distance = np.array([[0.5] * 3, [beyond] * 3])
-        found = separated(distance, np.full((2, 3), 4.0), np.full(3, 3.0), k)
+        found = solution_separations(distance, np.full((2, 3), 4.0), np.full(3, 3.0), k)
         told = integrity_report(0, IntegrityConfig(), k, ("star.bow", "ins"), found, (), checked=True)
         assert told.state is state
         np.testing.assert_allclose(told.statistic, [0.5, beyond])
@@ -146,7 +146,7 @@ def test_excluded_source_does_not_affect_the_level():
     """Its subfilter is separated by a hundred sigmas, and would give the largest level."""
     k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
     distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
-    found = separated(distance, variance, np.full(3, 3.0), k, subfilter_indices=[1])
+    found = solution_separations(distance, variance, np.full(3, 3.0), k, subfilter_indices=[1])
     told = integrity_report(7, IntegrityConfig(), k, ("ins",), found, (("star.bow", 5),), checked=True)
     assert told.widest == 2.0
     assert (told.hypotheses, told.excluded, told.dominant) == (("ins",), (("star.bow", 5),), "")
@@ -155,7 +155,7 @@ def test_excluded_source_does_not_affect_the_level():
 
 def test_without_tested_hypotheses_there_is_no_level():
     k, nobody = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), []
-    found = separated(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=nobody)
+    found = solution_separations(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=nobody)
     for limit, state in (((), IntegrityState.NO_LIMIT), ((1e6,) * 3, IntegrityState.EXCEEDED)):
         config = IntegrityConfig(alert_limit_arcsec=limit)
         told = integrity_report(0, config, k, (), found, (), checked=True)
@@ -165,11 +165,11 @@ def test_without_tested_hypotheses_there_is_no_level():
 
 def test_separation_inflation_starts_at_three_sigmas_and_ignores_nan():
     distance = ARCSEC * np.array([[10.0, 0.0, 5.0], [np.nan, 1.0, 1.0], [1.0, 1.0, 1.0], [0.0, 8.0, 0.0]])
-    at_the_limit = disputed(distance, np.array([3.0, 9.0, np.nan, 2.0]))
+    at_the_limit = separation_inflation(distance, np.array([3.0, 9.0, np.nan, 2.0]))
     np.testing.assert_array_equal(at_the_limit, np.zeros((3, 3)))
     np.testing.assert_allclose(
-        disputed(distance, np.array([3.001, 9.0, np.nan, 2.0])), np.zeros((3, 3)), atol=1e-3 * (10.0 * ARCSEC) ** 2
+        separation_inflation(distance, np.array([3.001, 9.0, np.nan, 2.0])), np.zeros((3, 3)), atol=1e-3 * (10.0 * ARCSEC) ** 2
     )
-    both = disputed(distance, np.array([6.0, 9.0, np.nan, np.inf]))
+    both = separation_inflation(distance, np.array([6.0, 9.0, np.nan, np.inf]))
     of_each = 0.75 * np.outer(distance[0], distance[0]) + np.outer(distance[3], distance[3])
     np.testing.assert_allclose(both, of_each, rtol=1e-12)

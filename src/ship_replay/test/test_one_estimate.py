@@ -39,8 +39,8 @@ def test_the_ships_attitude_is_that_of_the_main_filter_alone() -> None:
     for one, other in zip(beside, alone, strict=True):
         assert (one.time_ns, one.status, one.sources) == (other.time_ns, other.status, other.sources)
         np.testing.assert_allclose(one.rotation_nd, other.rotation_nd, rtol=0.0, atol=1e-14)
-        np.testing.assert_allclose(one.undisputed_n, other.covariance_n, rtol=1e-9)
-        wider_n = one.covariance_n - one.undisputed_n
+        np.testing.assert_allclose(one.covariance_without_separation_n, other.covariance_n, rtol=1e-9)
+        wider_n = one.covariance_n - one.covariance_without_separation_n
         assert np.linalg.eigvalsh(wider_n).min() >= -1e-12 * np.trace(one.covariance_n)
         assert wider_n.any() == (one.state.disputed_n is not None)
     assert any(one.state.disputed_n is not None for one in beside)

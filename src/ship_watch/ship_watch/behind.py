@@ -14,7 +14,7 @@ FRESH_NS = 5_000_000_000
 """Maximum age of an overload report for the node to count as overloaded, ns. Reports come once a second, and less often
 if the node hardly runs."""
 
-_APART_NS = 2 * FRESH_NS
+_NEW_OVERLOAD_NS = 2 * FRESH_NS
 """Time without a report after which the next report starts a new overload, ns."""
 
 _BEFORE_NS = FRESH_NS
@@ -47,7 +47,7 @@ class BehindBook:
         if node not in _NODES:
             return
         known = self._nodes.get(node)
-        since_ns = now_ns if known is None or now_ns - known.reported_ns > _APART_NS else known.since_ns
+        since_ns = now_ns if known is None or now_ns - known.reported_ns > _NEW_OVERLOAD_NS else known.since_ns
         self._nodes[node] = _Behind(str(message.reason_text), since_ns, now_ns)
 
     def text(self, now_ns: int, is_pointing: bool, by_attitude: bool) -> str:

@@ -125,9 +125,9 @@ class Streak:
             self.refused = 0
         else:
             # With NaN, an unknown period, the rejections count as a run.
-            apart = verdicts and stamp_ns - verdicts[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.is_judged
-            self.refused = 1 if apart else self.refused + 1
-            if apart:
+            is_separate = verdicts and stamp_ns - verdicts[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.is_judged
+            self.refused = 1 if is_separate else self.refused + 1
+            if is_separate:
                 verdicts.clear()
         verdicts.append((stamp_ns, accepted))
         if len(verdicts) > self._kept:

@@ -136,12 +136,12 @@ def _all_alike(departures: Sequence[Departure]) -> bool:
 
 def _alike(first: Departure, second: Departure) -> bool:
     """True if two residuals are equal within half the smaller one or within their noise."""
-    apart = first.turn_n - second.turn_n
+    difference = first.turn_n - second.turn_n
     size = min(float(np.linalg.norm(first.turn_n)), float(np.linalg.norm(second.turn_n)))
-    if float(np.linalg.norm(apart)) <= _ALIKE * size:
+    if float(np.linalg.norm(difference)) <= _ALIKE * size:
         return True
     noise_n = first.noise_n + second.noise_n
-    return bool(noise_n.any()) and bool(normalized_error_squared(apart, noise_n) <= _ALIKE_CHI2)
+    return bool(noise_n.any()) and bool(normalized_error_squared(difference, noise_n) <= _ALIKE_CHI2)
 
 
 def _mounted(source: str) -> str:

@@ -127,7 +127,7 @@ class AttitudeEstimate:
     rotation_nd: FloatArray
     covariance_parts_n: FloatArray
     covariance_n: FloatArray
-    undisputed_n: FloatArray
+    covariance_without_separation_n: FloatArray
     rate_d: FloatArray
     status: Status
     horizon: Horizon
@@ -160,7 +160,7 @@ class AttitudeRun:
     rotation_nd: FloatArray
     covariance_parts_n: FloatArray
     covariance_n: FloatArray
-    undisputed_n: FloatArray
+    covariance_without_separation_n: FloatArray
     rate_d: FloatArray
     status: list[Status]
     horizon: NDArray[np.int64]
@@ -177,7 +177,7 @@ class AttitudeRun:
             rotation_nd=estimate.rotation_nd[None],
             covariance_parts_n=estimate.covariance_parts_n[None],
             covariance_n=estimate.covariance_n[None],
-            undisputed_n=estimate.undisputed_n[None],
+            undisputed_n=estimate.covariance_without_separation_n[None],
             rate_d=estimate.rate_d[None],
             status=[estimate.status],
             horizon=np.array([estimate.horizon]),
@@ -194,7 +194,7 @@ class AttitudeRun:
             rotation_nd=self.rotation_nd[which],
             covariance_parts_n=self.covariance_parts_n[which],
             covariance_n=self.covariance_n[which],
-            undisputed_n=self.undisputed_n[which],
+            covariance_without_separation_n=self.covariance_without_separation_n[which],
             rate_d=self.rate_d[which],
             status=self.status[which],
             horizon=self.horizon[which],
@@ -211,7 +211,7 @@ class AttitudeRun:
             rotation_nd=self.rotation_nd[number],
             covariance_parts_n=self.covariance_parts_n[number],
             covariance_n=self.covariance_n[number],
-            undisputed_n=self.undisputed_n[number],
+            covariance_without_separation_n=self.covariance_without_separation_n[number],
             rate_d=self.rate_d[number],
             status=self.status[number],
             horizon=Horizon(self.horizon[number]),

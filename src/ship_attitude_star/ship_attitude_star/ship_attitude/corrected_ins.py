@@ -244,8 +244,8 @@ def estimates_by(
             parts[some, one.drift_index] += unknown[:, None, None] * np.eye(3)
     covariance_n = undisputed_n = parts.sum(axis=1)
     for one, some in zip(corrected, stretches, strict=True):
-        if one.state.disputed_n is not None:
-            parts[some, one.drift_index] += one.state.disputed_n
+        if one.state.separation_covariance_n is not None:
+            parts[some, one.drift_index] += one.state.separation_covariance_n
             covariance_n = parts.sum(axis=1)
     star_age_s = _star_ages_s(corrected, by, time_ns)
     horizon = _horizons(star_age_s, vertical_known, config)
@@ -257,7 +257,7 @@ def estimates_by(
             rotation_nd=rotation_nd[some],
             covariance_parts_n=parts[some],
             covariance_n=covariance_n[some],
-            undisputed_n=undisputed_n[some],
+            covariance_without_separation_n=undisputed_n[some],
             rate_d=moved.rate_d[some],
             status=status,
             horizon=horizon[some],

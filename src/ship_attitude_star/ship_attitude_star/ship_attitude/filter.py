@@ -301,7 +301,7 @@ class ShipFilter:
         after = self.suspects.learned(state, predicted, measurement, found.compared, innovations, accepted)
         if decision.accepted:
             after = self._used(after, found.measured)
-        elif source in state.excluded and (accepted[0] or state.excluded[source].apart is None):
+        elif source in state.excluded and (accepted[0] or state.excluded[source].offset is None):
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
             after, decision = self._held(after, decision, found)

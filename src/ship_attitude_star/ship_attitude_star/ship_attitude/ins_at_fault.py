@@ -209,7 +209,7 @@ class InsAtFault:
     def _doubted(self, state: FilterState, time_ns: int, text: str) -> FilterState:
         """Return the state with an unresolved fault of the excluded INS, whose consistency starts from this time."""
         names = state.in_use(self._subfilters.sources, time_ns)
-        disputed = [state.apart[name].turn_n for name in names if name in state.apart]
+        disputed = [state.last_innovations[name].turn_n for name in names if name in state.last_innovations]
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in disputed), start=np.zeros((3, 3)))
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
         seen = forgotten(state.seen, slice(None), slice(None))

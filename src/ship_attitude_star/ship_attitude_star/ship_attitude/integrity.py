@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.row_table import ALL_STARS, INS
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.common_error import with_common_error
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityReport, integrity_report, separation
+from ship_estimation.protection import IntegrityReport, integrity_report, solution_separation
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import FloatArray
 
@@ -37,11 +37,11 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     means, stack = against_horizon(filter_, config, state, estimate.time_ns)
     # The levels contain the solution separations already. Errors that an attitude adds to those of the state, such as
     # the INS noise, are the same in every filter.
-    found = separation(
+    found = solution_separation(
         suspects.subfilters.k,
         asked.hypotheses,
         filter_.model.state_indices("ins.attitude"),
-        (to_angles, to_angles, estimate.undisputed_n),
+        (to_angles, to_angles, estimate.covariance_without_separation_n),
         means[0],
         means[1:],
         stack[:parts],
@@ -49,7 +49,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     )
     names = asked.names
     if INS not in state.excluded and asked.check_one_another:
-        table, variance_n = suspects.subfilters, to_angles @ estimate.undisputed_n @ to_angles.T
+        table, variance_n = suspects.subfilters, to_angles @ estimate.covariance_without_separation_n @ to_angles.T
         found = with_common_error(
             found, table.k, table.common_missed, table.common_threshold, state.absorbed, to_angles, variance_n
         )

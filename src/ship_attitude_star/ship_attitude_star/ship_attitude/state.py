@@ -172,7 +172,7 @@ class FilterState:
     excluded: MappingProxyType[str, Exclusion] = field(default_factory=lambda: MappingProxyType({}))
     record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     doubt: Doubt | None = None
-    apart: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
+    last_innovations: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
     lately: MappingProxyType[str, Lately] = field(default_factory=lambda: MappingProxyType({}))
     heard_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
@@ -183,7 +183,7 @@ class FilterState:
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None
     ins_suspected_ns: int | None = None
-    disputed_n: FloatArray | None = None
+    separation_covariance_n: FloatArray | None = None
     vertical: VerticalHere | None = None
     utc: UtcStep | None = None
     absorbed: Absorbed = NOTHING_ABSORBED

@@ -38,12 +38,12 @@ from ship_estimation.hypotheses import (
     FilterInnovations,
     add_error,
     promoted,
-    separations,
+    solution_separations,
     stand_together,
     update_rows,
 )
 from ship_estimation.outcome import Measurement
-from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed
+from ship_estimation.protection import UNDISPUTED_SIGMAS, separation_inflation
 from ship_estimation.running_means import NO_MEANS, averaged, forgotten, no_means, observed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -134,13 +134,13 @@ class Suspects:
         if state.seen.heard_ns[index] < measurement.time_ns - HEARD_NS:
             state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
         last = Apart(innovations.turn[0], innovations.turn_root[0], measured.predicted_nv)
-        apart = with_entry(state.apart, source, last)
+        last_innovations = with_entry(state.last_innovations, source, last)
         exclusion = state.excluded.get(source)
         # A measurement that no filter uses leaves all of them bit-identical. An excluded source may still update its
         # own mounting states.
-        learnt = any((used & accepted).tolist()) if exclusion is None else exclusion.apart is None
+        learnt = any((used & accepted).tolist()) if exclusion is None else exclusion.offset is None
         if not learnt:
-            return changed(state, seen=seen, apart=apart)
+            return changed(state, seen=seen, apart=last_innovations)
         learns = self.ins.learns(state, self._learns(state, source, used) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, innovations, learns)
         lately, absorbed = state.lately, state.absorbed
@@ -151,7 +151,7 @@ class Suspects:
                 absorbed = absorbed.with_correction(innovations, measured.linear.jacobian, self._slow.start)
         means = predicted.means + corrections
         return changed(
-            predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately, absorbed=absorbed
+            predicted, means=means, stack=stack, seen=seen, apart=last_innovations, lately=lately, absorbed=absorbed
         )
 
     def _learns(self, state: FilterState, source: str, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -181,7 +181,7 @@ class Suspects:
             Separations about North, Up and East, rad, shape (h, 3), and their largest values in standard deviations,
             shape (h,).
         """
-        return separations(state.means, state.stack, self._slow)
+        return solution_separations(state.means, state.stack, self._slow)
 
     def judged(
         self, state: FilterState, source: str, innovations: FilterInnovations, ins_vouched: bool, time_ns: int
@@ -209,7 +209,7 @@ class Suspects:
             agrees = not self._contradicts(state, self._sources.index(source))
             return self.ins.watched(state, innovations, agrees, time_ns), ""
         table, uses, in_use = self.subfilters, self.uses(state), state.in_use(self._sources, time_ns)
-        apart_n, statistic = self.separations(state)
+        separations_n, statistic = self.separations(state)
         candidates: Sequence[int] = table.singles
         if state.excluded:
             candidates = [row for row in candidates if table.names[row - 1] not in state.excluded]
@@ -225,7 +225,7 @@ class Suspects:
         # Written so that NaN is shared.
         shared = not state.absorbed.sigmas <= table.common_threshold and INS not in state.excluded
         if not finding.fault and not shared:
-            return self._agreed(state, in_use, apart_n, statistic, time_ns), ""
+            return self._agreed(state, in_use, separations_n, statistic, time_ns), ""
         wrong = self._named(state, finding)
         if state.absorbed.sigmas > SUSPECTED_SIGMAS and not table.stars.isdisjoint(wrong):
             wrong = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
@@ -246,12 +246,12 @@ class Suspects:
             wrong = ()  # Of two sources each explains the contradiction with the other.
         if wrong and not set(in_use).issubset(wrong):
             return self._without(state, wrong, time_ns)
-        doubted = self._in_doubt(state, apart_n, statistic, contradicting)
+        doubted = self._in_doubt(state, separations_n, statistic, contradicting)
         return self._without_stars(doubted, contradicting, shared, time_ns) if contradicting else doubted, ""
 
     def _nothing_disputed(self, state: FilterState) -> bool:
         """True if all sources are consistent, none is excluded, and no earlier inconsistency is still covered."""
-        if state.excluded or state.doubt is not None or state.disputed_n is not None:
+        if state.excluded or state.doubt is not None or state.separation_covariance_n is not None:
             return False
         # Written so that NaN is inconsistent.
         return (
@@ -262,7 +262,7 @@ class Suspects:
         )
 
     def _agreed(
-        self, state: FilterState, in_use: list[str], apart_n: FloatArray, statistic: FloatArray, time_ns: int
+        self, state: FilterState, in_use: list[str], separations_n: FloatArray, statistic: FloatArray, time_ns: int
     ) -> FilterState:
         """Return the state where no fault is detected, with a covariance that covers large solution separations.
 
@@ -279,13 +279,13 @@ class Suspects:
         within = all(sigmas <= UNDISPUTED_SIGMAS for sigmas in statistic.tolist())
         absorbed = state.absorbed.with_suspicion(time_ns, round(self._integrity.return_after_s * SECOND_NS))
         suspicion = absorbed.suspicion
-        if within and state.doubt is None and state.disputed_n is None and suspicion is None:
+        if within and state.doubt is None and state.separation_covariance_n is None and suspicion is None:
             return state
-        disputed_n = None if within else disputed(apart_n, statistic)
+        separation_covariance_n = None if within else separation_inflation(separations_n, statistic)
         if suspicion is not None:
             shared_n = np.diag(suspicion.variance)
-            disputed_n = shared_n if disputed_n is None else disputed_n + shared_n
-        return changed(state, doubt=None, disputed_n=disputed_n, absorbed=absorbed)
+            separation_covariance_n = shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
+        return changed(state, doubt=None, disputed_n=separation_covariance_n, absorbed=absorbed)
 
     def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after the INS reported its own jump: the sources that contradicted it are reset.
@@ -317,7 +317,7 @@ class Suspects:
 
     def _forgiven(self, state: FilterState) -> FilterState:
         """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
-        knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
+        knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
         return changed(
@@ -363,8 +363,8 @@ class Suspects:
             if relearns:
                 self._open_mounting(stack, state, name)
             record[name] = state.record.get(name, 0) + 1
-            apart = None if relearns or name == INS else state.apart[name].turn_v
-            excluded[name] = Exclusion(time_ns, record[name], apart=apart)
+            rotation_v = None if relearns or name == INS else state.last_innovations[name].turn_v
+            excluded[name] = Exclusion(time_ns, record[name], offset=rotation_v)
             used_ns.pop(name, None)
         state = changed(
             state,
@@ -391,7 +391,7 @@ class Suspects:
         Their mountings stay as estimated, because a mounting shift is not known either. All filters restart from the
         main filter, which has rejected the stars. The corrections by an error that the stars share are taken back.
         """
-        turn_n = shared_turn([state.apart[name] for name in stars])
+        turn_n = shared_turn([state.last_innovations[name] for name in stars])
         mean, parts = state.mean, state.parts
         if shared:
             absorbed = state.absorbed
@@ -400,7 +400,7 @@ class Suspects:
             mean[self._slow] -= absorbed.turn_n
             self.ins.open_slow_error(parts, np.diag(absorbed.variance))
         excluded = {
-            name: Exclusion(time_ns, apart=state.apart[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
+            name: Exclusion(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
         }
         means, stack = self.ins.all_filters_at(mean, parts)
         return changed(
@@ -419,7 +419,7 @@ class Suspects:
         Returns:
             The state, in which the source may be reinstated, and a text about the source.
         """
-        state = self._with_distance(state, source, time_ns)
+        state = self._with_offset_growth(state, source, time_ns)
         if self._ins_creeps_on(state, source, time_ns):
             return self.without_ins(state, time_ns), "ins is excluded: it drifts away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
@@ -430,7 +430,7 @@ class Suspects:
         after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
-            if exclusion.apart is None and self._contradicts(state, index):
+            if exclusion.offset is None and self._contradicts(state, index):
                 # Another mounting shift: the mounting estimated since the last one is void.
                 stack = state.stack.copy()
                 self._open_mounting(stack, state, source)
@@ -448,12 +448,12 @@ class Suspects:
         text = f"{' and '.join(together)} {are} reinstated"
         return changed(state, seen=seen, excluded=MappingProxyType(remaining), doubt=None), text
 
-    def _with_distance(self, state: FilterState, source: str, time_ns: int) -> FilterState:
+    def _with_offset_growth(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """Return the state with the time since which an excluded source's offset has grown in the same direction."""
-        exclusion, last = state.excluded[source], state.apart[source]
-        if exclusion.apart is None:
+        exclusion, last = state.excluded[source], state.last_innovations[source]
+        if exclusion.offset is None:
             return state
-        before = np.linalg.pinv(last.root) @ exclusion.apart
+        before = np.linalg.pinv(last.root) @ exclusion.offset
         moved = last.whitened - before
         # Both offsets contain the noise of a measurement.
         is_farther = moved @ moved > 2.0 * self.subfilters.limit and moved @ before > 0.0
@@ -487,13 +487,13 @@ class Suspects:
         distinguished from an INS that has drifted meanwhile.
         """
         own = state.excluded[source]
-        if own.apart is None:
+        if own.offset is None:
             return [source]
         return [
             name
             for name, one in state.excluded.items()
             if name == source
-            or (one.apart is not None and one.since_ns == own.since_ns and one.agrees_since_ns is not None)
+            or (one.offset is not None and one.since_ns == own.since_ns and one.agrees_since_ns is not None)
         ]
 
     def _share_left(self, state: FilterState, source: str, time_ns: int) -> float:
@@ -509,9 +509,9 @@ class Suspects:
             names = [name for name in shared if state.seen.heard_ns[self._indices[name]] >= heard_ns]
         along = square = 0.0
         for name in names:
-            measured, apart = state.apart[name], state.excluded[name].apart
-            if apart is not None:
-                distance = np.linalg.pinv(measured.root) @ apart
+            measured, offset = state.last_innovations[name], state.excluded[name].offset
+            if offset is not None:
+                distance = np.linalg.pinv(measured.root) @ offset
                 along += float(distance @ measured.whitened)
                 square += float(distance @ distance)
         return along / square if square > 0.0 else 0.0
@@ -522,7 +522,7 @@ class Suspects:
         return not (seen.excess[0, index] <= 1.0 and seen.refused[0, index] < self._degraded_after)
 
     def _in_doubt(
-        self, state: FilterState, apart_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
+        self, state: FilterState, separations_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
     ) -> FilterState:
         """Return the state with an unresolved fault; its covariance holds the inconsistent innovations and separations.
 
@@ -532,8 +532,8 @@ class Suspects:
             separation_sigmas: largest solution separation of each filter in standard deviations, shape (h,).
             contradicting: the star sensors, if all of them contradict the INS; else empty.
         """
-        vectors = [apart.turn_n for name, apart in state.apart.items() if state.refusals.get(name, 0)]
-        vectors += [vector for vector, size in zip(apart_n, statistic, strict=True) if size > 1.0]
+        vectors = [innovation.turn_n for name, innovation in state.last_innovations.items() if state.refusals.get(name, 0)]
+        vectors += [vector for vector, size in zip(separations_n, statistic, strict=True) if size > 1.0]
         if state.absorbed.sigmas > SUSPECTED_SIGMAS:
             vectors.append(state.absorbed.error_n)
         covariance_n = sum((np.outer(vector, vector) for vector in vectors), start=np.zeros((3, 3)))
@@ -568,7 +568,7 @@ class Suspects:
         Returns:
             Rotation vector in the device frame, rad, shape (3,); None if it is larger than any mounting shift.
         """
-        knock_v = _KNOCKED_SIGMA * state.apart[source].turn_v
+        knock_v = _KNOCKED_SIGMA * state.last_innovations[source].turn_v
         return knock_v if np.linalg.norm(knock_v) <= _LARGEST_KNOCK_RAD else None
 
     def _open_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
@@ -583,9 +583,9 @@ class Suspects:
 
 def _share_sigma(state: FilterState, source: str, innovations: FilterInnovations) -> float:
     """Return the standard deviation of the remaining offset ratio from the errors of the state alone."""
-    apart = state.excluded[source].apart
-    if apart is None:
+    offset = state.excluded[source].offset
+    if offset is None:
         return 0.0
-    distance = np.linalg.pinv(state.apart[source].root) @ apart
+    distance = np.linalg.pinv(state.last_innovations[source].root) @ offset
     by_state = np.eye(3) - innovations.turn_noise
     return math.sqrt(max(float(distance @ by_state @ distance), 0.0)) / float(distance @ distance)

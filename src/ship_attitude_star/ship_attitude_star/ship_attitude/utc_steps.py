@@ -62,13 +62,13 @@ def with_utc_compared(
         without the step. While undecided, and if UTC differs: the state before the measurement, and a rejection. If the
         measurement is consistent with neither: ``after`` and ``decision``.
     """
-    apart, utc = after.apart.get(decision.measurement.source), state.utc
+    innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc
     assert utc is not None
     if utc.log_ratio < _DECIDES and not _can_tell(predicted, model, utc.step_s):
         return changed(state, utc=None), decision
-    if apart is None or not len(decision.residual):
+    if innovation is None or not len(decision.residual):
         return after, decision
-    ratio, turn_n = _log_ratio(apart, utc.step_s)
+    ratio, turn_n = _log_ratio(innovation, utc.step_s)
     if ratio is None:
         return after, decision
     total = min(utc.log_ratio + ratio, _MOST)
@@ -93,7 +93,7 @@ def _can_tell(state: FilterState, model: ShipStateModel, step_s: float) -> bool:
     return EARTH_ROTATION_RATE * abs(step_s) >= _LEAST_SIGMAS * sigma
 
 
-def _log_ratio(apart: Apart, step_s: float) -> tuple[float | None, FloatArray]:
+def _log_ratio(innovation: Apart, step_s: float) -> tuple[float | None, FloatArray]:
     """Return the log-likelihood ratio of one measurement, and the rotation of the sky by the step.
 
     The pole is in the meridian; the latitude is estimated from the measurement, which costs one degree of freedom.
@@ -101,13 +101,13 @@ def _log_ratio(apart: Apart, step_s: float) -> tuple[float | None, FloatArray]:
     Returns:
         The ratio, None if neither hypothesis is consistent; and a rotation vector, horizon frame, rad, shape (3,).
     """
-    whitened_of_n = np.linalg.solve(apart.root, apart.predicted_nv.T)
+    whitened_of_n = np.linalg.solve(innovation.root, innovation.predicted_nv.T)
     turned = -math.copysign(1.0, step_s)
-    north, up = turned * np.linalg.lstsq(whitened_of_n[:, :2], apart.whitened, rcond=None)[0]
+    north, up = turned * np.linalg.lstsq(whitened_of_n[:, :2], innovation.whitened, rcond=None)[0]
     latitude = math.atan2(up, max(north, 0.0))
     turn_n = -EARTH_ROTATION_RATE * step_s * np.array([math.cos(latitude), math.sin(latitude), 0.0])
     by_sky = whitened_of_n @ turn_n
-    unturned, left = float(apart.whitened @ apart.whitened), apart.whitened - by_sky
+    unturned, left = float(innovation.whitened @ innovation.whitened), innovation.whitened - by_sky
     squares = float(left @ left)
     # Written so that NaN is consistent with neither.
     fits_sky = squares <= _FITS + _FITS_SHARE**2 * float(by_sky @ by_sky)

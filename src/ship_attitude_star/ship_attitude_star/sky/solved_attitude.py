@@ -30,7 +30,7 @@ At boresight elevation 45° the ratio is 1.4 for stars 10° lower, at 25° for s
 """
 
 
-def shared_told_apart(solved: SolvedAttitude, moment: SkyMoment) -> AttitudeMeasurement:
+def separate_shared_errors(solved: SolvedAttitude, moment: SkyMoment) -> AttitudeMeasurement:
     """Return the attitude with ``shared_n``; its noise and common error no longer contain these errors.
 
     Where the message states noise and total error separately, the shared errors are part of the difference. Where it

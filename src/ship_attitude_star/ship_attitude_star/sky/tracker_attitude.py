@@ -15,7 +15,7 @@ import numpy as np
 from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
 from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
-from ship_attitude_star.sky.solved_attitude import shared_told_apart
+from ship_attitude_star.sky.solved_attitude import separate_shared_errors
 from ship_estimation.refusals import Refusal
 from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
@@ -40,7 +40,7 @@ def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> 
     moment = watch.at(attitude.time_ns)
     if isinstance(moment, Refusal):
         return moment
-    return shared_told_apart(attitude, moment) if isinstance(attitude, SolvedAttitude) else _turned(attitude, moment)
+    return separate_shared_errors(attitude, moment) if isinstance(attitude, SolvedAttitude) else _turned(attitude, moment)
 
 
 def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasurement | Refusal:

@@ -45,7 +45,7 @@ class _ToldAtOnce(NamedTuple):
     """
 
     estimate: AttitudeEstimate
-    disputed_n: FloatArray | None
+    separation_covariance_n: FloatArray | None
     is_doubtful: bool
 
 
@@ -211,8 +211,8 @@ class SmoothingCore(ShipAttitudeCore):
         )
         for (told, _, ins), rotation_nd, of_source in zip(again, rotations_nd, parts_n, strict=True):
             undisputed_n = of_source.sum(axis=0)
-            if told.disputed_n is not None:
-                of_source[corrected.drift_index] += told.disputed_n
+            if told.separation_covariance_n is not None:
+                of_source[corrected.drift_index] += told.separation_covariance_n
             estimates.append(
                 replace(
                     told.estimate,

@@ -48,8 +48,8 @@ class TalkerComparison:
             if len(recent) > 1:
                 names = ", ".join(f"{talker} {counts[talker]}" for talker in recent)
                 largest = self._largest.get(kind)
-                apart = "" if largest is None else f", up to {_quantity(kind, largest)} apart"
-                found.append(f"{kind} of several talkers ({names}){apart}")
+                difference = "" if largest is None else f", up to {_quantity(kind, largest)} apart"
+                found.append(f"{kind} of several talkers ({names}){difference}")
         return found
 
     def _compare(self, line: InstrumentLine, value: FloatArray, other: str) -> None:

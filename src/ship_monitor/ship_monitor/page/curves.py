@@ -70,7 +70,7 @@ def fixed_step(largest: float, steps: Sequence[float] = STEPS_ARCSEC) -> float:
     return next((step for step in steps if not largest > step), steps[-1])
 
 
-def placed(wanted: Sequence[float], apart: float, low: float, high: float) -> list[float]:
+def placed(wanted: Sequence[float], spacing: float, low: float, high: float) -> list[float]:
     """Return positions of labels near the wanted ones without overlap, in the given order.
 
     Args:
@@ -81,15 +81,15 @@ def placed(wanted: Sequence[float], apart: float, low: float, high: float) -> li
     """
     if not wanted:
         return []
-    apart = min(apart, (high - low) / max(len(wanted) - 1, 1))
+    spacing = min(spacing, (high - low) / max(len(wanted) - 1, 1))
     order = sorted(range(len(wanted)), key=lambda index: wanted[index])
     places = [0.0] * len(wanted)
-    below = low - apart
+    below = low - spacing
     for index in order:
-        places[index] = below = max(min(wanted[index], high), below + apart)
-    above = high + apart
+        places[index] = below = max(min(wanted[index], high), below + spacing)
+    above = high + spacing
     for index in reversed(order):
-        places[index] = above = min(places[index], above - apart)
+        places[index] = above = min(places[index], above - spacing)
     return places
 
 

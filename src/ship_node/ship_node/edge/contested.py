@@ -21,7 +21,7 @@ _SILENT_NS = 30 * SECOND_NS
 """Timeout after which the two streams found by their values count as one again, ns."""
 
 
-class Continuous(NamedTuple):
+class StreamQuantity(NamedTuple):
     """Quantity of an input that is continuous within one stream.
 
     Attributes:
@@ -43,7 +43,7 @@ def _metres(distance_m: float) -> str:
     return f"{distance_m:.3g} m apart"
 
 
-ATTITUDE = Continuous(
+ATTITUDE = StreamQuantity(
     lambda sample: sample.rotation_nd.ravel(),
     30.0 * ARCSEC * _ROTATION,
     lambda distance: _degrees(2.0 * np.arcsin(min(distance / (2.0 * _ROTATION), 1.0))),
@@ -56,20 +56,20 @@ def _in_sigmas(decision: Any) -> FloatArray:
     return in_sigmas
 
 
-INNOVATION = Continuous(
+INNOVATION = StreamQuantity(
     _in_sigmas,
     10.0,
     lambda distance: f"{distance:.0f} sigma of their noise apart",
 )
 """Innovation of an attitude in standard deviations of its own noise; independent of the ship's motion."""
 
-POSITION = Continuous(lambda fix: ecef_from_geodetic(fix.position), 5.0, _metres)
+POSITION = StreamQuantity(lambda fix: ecef_from_geodetic(fix.position), 5.0, _metres)
 """Position fix; 5 m correspond to 0.2″."""
 
-BASELINE = Continuous(lambda sample: sample.vector, 0.05, _metres)
+BASELINE = StreamQuantity(lambda sample: sample.vector, 0.05, _metres)
 """Baseline to a drone."""
 
-ENCODERS = Continuous(
+ENCODERS = StreamQuantity(
     lambda sample: np.concatenate([np.cos(sample.vector), np.sin(sample.vector)]), 10.0 * ARCSEC, _degrees
 )
 """Both encoder angles, modulo a full turn."""
@@ -82,7 +82,7 @@ class ContestedInputs:
         continuous: topic → continuous quantity, of the inputs that are checked by their values.
     """
 
-    def __init__(self, continuous: dict[str, Continuous]) -> None:
+    def __init__(self, continuous: dict[str, StreamQuantity]) -> None:
         self._continuous = continuous
         self.restart()
         self._named: dict[str, str] = {}
@@ -125,8 +125,8 @@ class ContestedInputs:
         streams = self._streams.get(topic)
         if topic in self._named or streams is None or not streams.distance:
             return self._named.get(topic, "")
-        apart = self._continuous[topic].words(streams.distance)
-        return f"two streams alternate on {topic}, {apart}: stop one of its two publishers"
+        distance = self._continuous[topic].words(streams.distance)
+        return f"two streams alternate on {topic}, {distance}: stop one of its two publishers"
 
     def see(self, topic: str, time_ns: int, value: Any) -> bool:
         """Add a value of a topic; return True if the text may have changed."""

@@ -25,7 +25,7 @@ from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.blocks import BlockFeed, StampArray
-from ship_node.edge.contested import ContestedInputs, Continuous
+from ship_node.edge.contested import ContestedInputs, StreamQuantity
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
@@ -86,7 +86,7 @@ class Feed:
     measured_by: str = ""
     block: BlockFeed | None = None
     read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
-    continuous: Continuous | None = None
+    continuous: StreamQuantity | None = None
 
 
 def untimed(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:

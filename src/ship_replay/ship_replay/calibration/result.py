@@ -103,10 +103,10 @@ def combinations(
         shares = variances / variances.sum()
         found.append(JointTurn(axis, run_s, float(np.sqrt(before[number, number])), sigma, shares))
     across = np.linalg.qr(turned, mode="complete")[0][:, len(DECK_AXES) :]
-    return found + _apart(whitened, scale, across)
+    return found + _relative_rotations(whitened, scale, across)
 
 
-def _apart(whitened: FloatArray, scale: FloatArray, basis: FloatArray) -> list[JointTurn]:
+def _relative_rotations(whitened: FloatArray, scale: FloatArray, basis: FloatArray) -> list[JointTurn]:
     """Return the relative rotations of the sensors that were not well observed."""
     _, vectors = np.linalg.eigh(basis.T @ whitened.sum(axis=0) @ basis)
     found = []

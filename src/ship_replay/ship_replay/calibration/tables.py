@@ -25,7 +25,7 @@ _AZIMUTH_REMEDY = (
     "add a reference of known heading, or record longer in a swell that rolls the ship by degrees; turning the ship in "
     "calm water does not help: the INS's heading error turns with it"
 )
-_APART_REMEDY = "record longer, or observe more stars"
+_RELATIVE_REMEDY = "record longer, or observe more stars"
 
 
 def print_calibration(calibration: InstallationCalibration, console: Console) -> None:
@@ -157,7 +157,7 @@ def combination_words(combination: JointTurn, sensors: tuple[str, ...]) -> str:
 def remedy(combination: JointTurn) -> str:
     """Return the advice for observing a combination."""
     if combination.axis is None:
-        return _APART_REMEDY
+        return _RELATIVE_REMEDY
     return _AZIMUTH_REMEDY if combination.axis == "up" else _TILT_REMEDY
 
 

@@ -84,14 +84,14 @@ def difference_svg(difference: OutputDifference, span_ns: tuple[int, int]) -> st
         drawn = np.hstack([difference.difference_arcsec, *difference.sigma_arcsec])
         kept = np.flatnonzero(thinned(drawn, 4 * MOST_POINTS))
         columns = difference.difference_arcsec[kept], *(sigma[kept] for sigma in difference.sigma_arcsec)
-        time_ns, (apart, *sigmas) = interrupted(difference.time_ns[kept], gap_times(difference.time_ns), *columns)
+        time_ns, (differences, *sigmas) = interrupted(difference.time_ns[kept], gap_times(difference.time_ns), *columns)
         time_s = (time_ns - start_ns) / NS_PER_S
         for channel, axes in enumerate(grid[:, 0]):
             band_a, band_b = (NORMAL_95 * sigma[:, channel] for sigma in sigmas)
             axes.fill_between(time_s, -band_a, band_a, color=_PALE, lw=0, label="±1.96σ of A")
             for sign in (-1.0, 1.0):
                 axes.plot(time_s, sign * band_b, color=_B[0], ls=_B[1], lw=0.8, label="±1.96σ of B" if sign > 0 else "")
-            values = apart[:, channel]
+            values = differences[:, channel]
             axes.plot(time_s, values, color="#1b2430", lw=0.9, label="B − A")
             _limit(axes, [values, band_a, band_b])
             axes.set_ylabel(f"{channel_name(channels[channel])}\n[arcsec]", fontsize=8)

@@ -24,7 +24,7 @@ from ship_watch.orientations import channel_name
 SAME_MOMENT_NS = 2 * NS_PER_S
 """Maximum time difference of events that count as the same, ns."""
 
-FAR_APART_SIGMAS = 3.0
+DIFFERENT_SIGMAS = 3.0
 """Difference of two estimates, in their common sigma, above which it is marked."""
 
 _DIGITS = re.compile(r"[\d.]+")
@@ -255,13 +255,13 @@ def _alignment_row(
         row[side] = "–" if shown is None else placed(told_value(shown) / scale, shown.sigma / scale)
         row[f"{side}_sigma"] = "" if shown is None else number(shown.sigma / scale)
     if a is not None and b is not None:
-        apart = float(wrap_pi(b.value - a.value)) if a.unit == "rad" else b.value - a.value
+        difference = float(wrap_pi(b.value - a.value)) if a.unit == "rad" else b.value - a.value
         sigma = math.hypot(a.sigma, b.sigma)
-        if apart == 0.0:
+        if difference == 0.0:
             row["apart"] = "equal"
         elif sigma > 0.0:
-            row["apart"] = f"{apart / sigma:+.2f} σ".replace("-", "−")
-            row["differs"] = "differs" if abs(apart) > FAR_APART_SIGMAS * sigma else ""
+            row["apart"] = f"{difference / sigma:+.2f} σ".replace("-", "−")
+            row["differs"] = "differs" if abs(difference) > DIFFERENT_SIGMAS * sigma else ""
         unseen = [letter for letter, shown in (("A", a), ("B", b)) if not shown.is_observable]
         row["note"] = f"not observable in {' and '.join(unseen)}" if unseen else ""
     return row

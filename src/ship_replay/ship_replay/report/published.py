@@ -139,14 +139,14 @@ def _difference(orientation: Orientation, a: Claims, b: Claims) -> OutputDiffere
     if not len(time_ns):
         return None
     angles_a, angles_b = a.angles[in_a], b.angles[in_b]
-    scale, apart = orientation.scale(angles_a), angles_b - angles_a
+    scale, difference = orientation.scale(angles_a), angles_b - angles_a
     # Only differences beyond pi are wrapped: wrapping rounds to the last bit of pi, coarser than that of a small angle.
-    apart = np.where(np.abs(apart) > np.pi, wrap_pi(apart), apart)
+    difference = np.where(np.abs(difference) > np.pi, wrap_pi(difference), difference)
     equal = np.all(angles_a.view(np.int64) == angles_b.view(np.int64), axis=0).tolist()
     return OutputDifference(
         orientation,
         time_ns,
-        scale * apart / ARCSEC,
+        scale * difference / ARCSEC,
         np.stack([scale * a.sigma[in_a], orientation.scale(angles_b) * b.sigma[in_b]]) / ARCSEC,
         (equal[0], equal[1], equal[2]),
         int(np.sum(a.digests[in_a] == b.digests[in_b])),

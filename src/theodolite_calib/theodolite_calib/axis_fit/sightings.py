@@ -58,12 +58,12 @@ def slow_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, count: 
 
 def _covariance(fading: list[SharedError], time_s: FloatArray) -> FloatArray:
     """Return the covariance of the sightings by errors correlated in time, right and up in turn, (2 n, 2 n), rad²."""
-    apart_s = np.abs(np.subtract.outer(time_s, time_s))
+    interval_s = np.abs(np.subtract.outer(time_s, time_s))
     covariance = np.zeros((2 * len(time_s), 2 * len(time_s)))
     for correlation_s, errors in groupby(fading, key=lambda error: error.time_s):
         effects = np.stack([error.effect.ravel() for error in errors], axis=-1)
         # A correlation time of zero is white: each time has its own error.
-        kept = np.exp(-apart_s / correlation_s) if correlation_s > 0.0 else (apart_s == 0.0).astype(float)
+        kept = np.exp(-interval_s / correlation_s) if correlation_s > 0.0 else (interval_s == 0.0).astype(float)
         covariance += (effects @ effects.T) * np.repeat(np.repeat(kept, 2, axis=0), 2, axis=1)
     return covariance
 

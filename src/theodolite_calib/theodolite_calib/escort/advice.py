@@ -114,7 +114,7 @@ class _Search:
     def value(self, box: FloatArray) -> float:
         """Return the standard deviation at box coordinates; infinite if the drones are too close together."""
         places_n = self._allowed.places_n(box)
-        if not np.all(self._allowed.apart_m(places_n) >= self._allowed.limits.separation_min_m):
+        if not np.all(self._allowed.separations_m(places_n) >= self._allowed.limits.separation_min_m):
             return float("inf")
         return self._remembered(box, places_n)
 
@@ -131,13 +131,13 @@ class _Search:
         def value(flat: FloatArray) -> float:
             box = np.clip(flat.reshape(shape), 0.0, 1.0)
             places_n = self._allowed.places_n(box)
-            if np.all(self._allowed.apart_m(places_n) >= least_m):
+            if np.all(self._allowed.separations_m(places_n) >= least_m):
                 return self._remembered(box, places_n) / scale
             return self._accuracy.sigma(self._names, places_n) / scale
 
         def room(flat: FloatArray) -> FloatArray:
-            apart_m = self._allowed.apart_m(self._allowed.places_n(flat.reshape(shape)))
-            return apart_m / max(least_m, 1.0) - least_m / max(least_m, 1.0) * (1.0 + 1e-6)
+            separations_m = self._allowed.separations_m(self._allowed.places_n(flat.reshape(shape)))
+            return separations_m / max(least_m, 1.0) - least_m / max(least_m, 1.0) * (1.0 + 1e-6)
 
         constraints = [{"type": "ineq", "fun": room}] if len(begun) > 1 and least_m > 0.0 else []
         minimize(

@@ -108,11 +108,11 @@ class AllowedPlaces:
             return False
         return bool(self._off_axis(place_n[None])[0] <= np.deg2rad(self.limits.field_deg))
 
-    def apart_m(self, places_n: FloatArray) -> FloatArray:
+    def separations_m(self, places_n: FloatArray) -> FloatArray:
         """Return the distance between each two drones, m, shape (N (N - 1) / 2,)."""
         first, second = np.triu_indices(len(places_n), k=1)
-        apart_m: FloatArray = np.linalg.norm(places_n[first] - places_n[second], axis=-1)
-        return apart_m
+        separations_m: FloatArray = np.linalg.norm(places_n[first] - places_n[second], axis=-1)
+        return separations_m
 
     def limits_reached(self, names: tuple[str, ...], places_n: FloatArray) -> list[str]:
         """Return the limits that positions reach: ``name: parameter``; for separations ``name, name: parameter``."""
@@ -129,7 +129,7 @@ class AllowedPlaces:
                 "field_deg": off[number] > field * (1.0 - _AT_LIMIT),
             }
             reached += [f"{name}: {limit}" for limit, is_at in at.items() if is_at]
-        close = self.apart_m(places_n) < limits.separation_min_m * (1.0 + _AT_LIMIT)
+        close = self.separations_m(places_n) < limits.separation_min_m * (1.0 + _AT_LIMIT)
         for first, second, is_at in zip(*np.triu_indices(len(names), k=1), close, strict=True):
             if is_at:
                 reached.append(f"{names[first]}, {names[second]}: separation_min_m")

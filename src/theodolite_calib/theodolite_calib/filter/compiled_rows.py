@@ -125,7 +125,7 @@ def _light(
 
 
 def beacon_innovations(
-    distance: cython.const[cython.double][:, ::1],
+    separation: cython.const[cython.double][:, ::1],
     parts: cython.const[cython.double][:, :, ::1],
     residual: cython.const[cython.double][::1],
     jacobian: cython.const[cython.double][:, ::1],
@@ -155,8 +155,8 @@ def beacon_innovations(
     Raises:
         numpy.linalg.LinAlgError: A covariance is not positive definite.
     """
-    subfilters: cython.Py_ssize_t = distance.shape[0]
-    n: cython.Py_ssize_t = distance.shape[1]
+    subfilters: cython.Py_ssize_t = separation.shape[0]
+    n: cython.Py_ssize_t = separation.shape[1]
     m: cython.Py_ssize_t = residual.shape[0]
     lights: cython.Py_ssize_t = known.shape[0]
     check("rows", parts.shape[0] == sees.shape[0] == subfilters and known.shape[1] == subfilters + 1)
@@ -200,7 +200,7 @@ def beacon_innovations(
                 total = jacobian[i, j]
                 if total == 0.0:
                     continue
-                subfilter_residual[i] -= total * distance[subfilter, j]
+                subfilter_residual[i] -= total * separation[subfilter, j]
                 for k in range(n):
                     cross[i * n + k] += total * parts[subfilter, j, k]
             for j in range(m):

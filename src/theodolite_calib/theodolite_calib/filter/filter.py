@@ -139,9 +139,9 @@ class CalibrationFilter:
     def started(self, mean: FloatArray, parts: FloatArray) -> CalibrationState:
         """Return the state before any sighting, with given errors; shapes (n,), (n_sources, n, n)."""
         alternatives = self.subfilters.start(mean, parts.sum(axis=0))
-        apart = np.zeros(len(self.subfilters.sources))
+        solution_separation = np.zeros(len(self.subfilters.sources))
         return CalibrationState(
-            None, mean, parts, self.observability.start(), alternatives, no_doubt(self.subfilters), apart
+            None, mean, parts, self.observability.start(), alternatives, no_doubt(self.subfilters), solution_separation
         )
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:

@@ -243,10 +243,10 @@ class SightingStep:
 
     def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
         """Return the largest separation of a subfilter's pointing from the main filter, as a covariance in n, rad²."""
-        apart_n = (state.subfilters.mean - state.mean)[:, self._turning] @ (
+        separation_n = (state.subfilters.mean - state.mean)[:, self._turning] @ (
             compared.prediction.turn_n[:, self._turning].T
         )
-        farthest = apart_n[np.argmax(np.sum(apart_n**2, axis=1))]
+        farthest = separation_n[np.argmax(np.sum(separation_n**2, axis=1))]
         return np.outer(farthest, farthest)
 
     def _watched_turn(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
@@ -333,12 +333,12 @@ def separations(
         turn_n: its rotation vector in n per state, shape (3, n).
     """
     to_axes = rotation_nc.T @ turn_n[:, turning]
-    apart = (subfilters.mean - state.mean)[:, turning] @ to_axes.T
+    separation = (subfilters.mean - state.mean)[:, turning] @ to_axes.T
     covariance = np.concatenate(
         [state.parts[:, turning[:, None], turning].sum(axis=0)[None], subfilters.parts[:, 0, turning[:, None], turning]]
     )
     variance = (to_axes @ covariance * to_axes).sum(axis=-1)
-    statistic: FloatArray = np.abs(apart / separation_sigma(variance[1:], variance[0])).max(axis=-1)
+    statistic: FloatArray = np.abs(separation / separation_sigma(variance[1:], variance[0])).max(axis=-1)
     return statistic
 
 

@@ -195,7 +195,7 @@ class Referee:
         means = observed(trust.means, beacons, innovations.light_turn, accepted, time_ns, self._limit)
         return replace(trust, means=means)
 
-    def fault(self, trust: Trust, statistic: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
+    def fault(self, trust: Trust, separations: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
         """Return True if a source is faulty, the isolated source or None, and all sources that explain the fault.
 
         Args:
@@ -206,11 +206,11 @@ class Referee:
         sources, excluded = self._subfilters.sources, trust.excluded
         gone = np.array([BEACON + id_ in excluded for id_ in self._subfilters.beacons], dtype=bool)
         uses = ~(self._leaves_out | gone)
-        distance = np.concatenate([[0.0], statistic])
+        all_separations = np.concatenate([[0.0], separations])
 
         def found(names: list[str]) -> Finding:
             rows = [1 + sources.index(name) for name in names]
-            return find_fault(trust.means, uses, distance, self._threshold, rows, time_ns, self._degraded_after)
+            return find_fault(trust.means, uses, all_separations, self._threshold, rows, time_ns, self._degraded_after)
 
         candidates = [name for name in sources if name not in excluded]
         finding = found(candidates)

@@ -137,14 +137,14 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
     rotation_nd, rate_d = _attitudes(told)
     left_n = _left_by_rates(rotation_nd, rate_d, seconds)
     means_n = np.stack([np.bincount(places, axis_n) for axis_n in left_n.T], axis=1) / count[:, None]
-    apart_rad = float(np.max(np.ptp(means_n, axis=0)))
+    spread_rad = float(np.max(np.ptp(means_n, axis=0)))
     stated_n = np.array([one.slow_covariance_n for one in told if one.slow_covariance_n is not None])
     may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
     coarse_n = _left_by_rates(rotation_nd[::2], rate_d[::2], seconds[::2])
     may_rad += _BY_TRAPEZOIDS * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
-    if apart_rad > _CREPT_SIGMAS * sigma_rad + may_rad:
+    if spread_rad > _CREPT_SIGMAS * sigma_rad + may_rad:
         return True
-    return False if apart_rad < _STEADY_SIGMAS * sigma_rad else None  # NaN is neither
+    return False if spread_rad < _STEADY_SIGMAS * sigma_rad else None  # NaN is neither
 
 
 def _attitudes(ship: list[ShipSample]) -> tuple[FloatArray, FloatArray]:

@@ -251,6 +251,6 @@ def _reason_against_camera(
         off = abs(one.beyond(prior.values[place]))
         if not off <= _MOVED * sigma:
             angle = one.name.rpartition(".")[2]
-            apart = f"{off / ARCSEC:.1f} arcsec from the configured one, more than {_MOVED:g} sigma"
-            return f"its {angle} is {apart}: remounted?"
+            distance_text = f"{off / ARCSEC:.1f} arcsec from the configured one, more than {_MOVED:g} sigma"
+            return f"its {angle} is {distance_text}: remounted?"
     return ""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityReport, above_limit, disputed
+from ship_estimation.protection import IntegrityReport, above_limit, separation_inflation
 from ship_estimation.refusals import Refusal, failure
 from ship_geometry import compiled_mounts
 from ship_geometry.frames import rotation_from_angles
@@ -95,7 +95,7 @@ class CorrectedAxis:
             for source in (SOURCE_SHIP, SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP_NOISE)
         )
         self.rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T.copy()
-        self.disputed = disputed((state.subfilters.mean - state.mean)[:, rows], state.separation)
+        self.separation_inflation = separation_inflation((state.subfilters.mean - state.mean)[:, rows], state.separation)
 
     def axes(self, ship: ShipRun, encoders: EncoderRun) -> AxesAt:
         """Return the main axis at N readings; before the state's time it is not propagated.
@@ -214,7 +214,7 @@ class PointingOutput:
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
         undisputed_n, covariance_n = compiled_mounts.totals(
-            axes.parts_n, axes.by_error_n, self._corrected.disputed, recent.view(np.uint8), self._disagreement
+            axes.parts_n, axes.by_error_n, self._corrected.separation_inflation, recent.view(np.uint8), self._disagreement
         )
         mode = np.where(lights, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
         mode = np.where(stars, np.where(lights, _STARS_AND_LIGHTS, _STARS), mode)

@@ -167,8 +167,8 @@ class TargetAnswers:
         after = [due for due in self._put_out if due.time_ns >= time_ns]
         if not (before and after):
             return None
-        apart_ns = after[0].time_ns - before[-1].time_ns
-        return (before[-1], after[0]) if apart_ns <= self._tracks.encoder.max_gap_ns else None
+        gap_ns = after[0].time_ns - before[-1].time_ns
+        return (before[-1], after[0]) if gap_ns <= self._tracks.encoder.max_gap_ns else None
 
 
 class TargetOutput:
