@@ -594,7 +594,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
     for name in ("means", "stack"):
         assert getattr(states[0], name).tobytes() == getattr(states[1], name).tobytes()
     for name in ("running", "excess", "refused"):
-        assert getattr(states[0].seen, name).tobytes() == getattr(states[1].seen, name).tobytes()
+        assert getattr(states[0].innovation_means, name).tobytes() == getattr(states[1].innovation_means, name).tobytes()
 
 
 def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:

@@ -50,7 +50,7 @@ def _whiten(matrix: cython.double[:, ::1], size: cython.Py_ssize_t) -> cython.bi
     return True
 
 
-def innovation(
+def innovation_statistics(
     residual: cython.const[cython.double][:],
     covariance: cython.const[cython.double][:, :],
     noise: cython.const[cython.double][:, :],

@@ -27,7 +27,7 @@ _LEAST_VARIANCE = cython.declare(cython.double, 1e-24)
 @cython.cfunc
 @cython.exceptval(check=False)
 def _average(
-    mean: cython.p_double, turn: cython.p_double, weights: cython.const[cython.double][::1]
+    mean: cython.p_double, innovation: cython.p_double, weights: cython.const[cython.double][::1]
 ) -> cython.void:
     """Update the means with one innovation, in place, shape (w, 5)."""
     k: cython.Py_ssize_t
@@ -36,7 +36,7 @@ def _average(
     for k in range(weights.shape[0]):
         weight = weights[k]
         for i in range(3):
-            mean[i] = (1.0 - weight) * mean[i] + weight * turn[i]
+            mean[i] = (1.0 - weight) * mean[i] + weight * innovation[i]
         mean[3] = (1.0 - weight) * mean[3] + weight
         mean[4] = (1.0 - weight) * (1.0 - weight) * mean[4] + weight * weight
         mean += _COLUMNS
@@ -88,16 +88,16 @@ def _chi2_beside(mean: cython.p_double, turn_noise: cython.const[cython.double][
 def observed(
     running: cython.const[cython.double][:, :, :, ::1],
     excess: cython.const[cython.double][:, ::1],
-    refused: cython.const[cython.longlong][:, ::1],
-    heard_ns: cython.const[cython.longlong][::1],
-    contradicts_ns: cython.const[cython.longlong][::1],
+    rejection_counts: cython.const[cython.longlong][:, ::1],
+    last_measured_ns: cython.const[cython.longlong][::1],
+    inconsistent_since_ns: cython.const[cython.longlong][::1],
     sources: tuple,
-    turn: cython.const[cython.double][:, :, :],
+    innovation: cython.const[cython.double][:, :, :],
     accepted: cython.const[cython.uchar][:, :],
     time_ns: cython.longlong,
     weights: cython.const[cython.double][::1],
     limit: cython.double,
-    largest: cython.double,
+    max_innovation: cython.double,
     well: cython.double,
     long_ago_ns: cython.longlong,
     beside: cython.bint,
@@ -129,10 +129,10 @@ def observed(
     rows: cython.Py_ssize_t = running.shape[0]
     count: cython.Py_ssize_t = running.shape[1]
     check("running", running.shape[2] == weights.shape[0] and running.shape[3] == _COLUMNS)
-    check("excess", excess.shape[0] == refused.shape[0] == rows and excess.shape[1] == refused.shape[1] == count)
-    check("heard_ns", heard_ns.shape[0] == contradicts_ns.shape[0] == count)
-    check("turn", turn.shape[0] == accepted.shape[0] == rows and turn.shape[2] == 3)
-    check("sources", turn.shape[1] == accepted.shape[1] == len(sources))
+    check("excess", excess.shape[0] == rejection_counts.shape[0] == rows and excess.shape[1] == rejection_counts.shape[1] == count)
+    check("heard_ns", last_measured_ns.shape[0] == inconsistent_since_ns.shape[0] == count)
+    check("turn", innovation.shape[0] == accepted.shape[0] == rows and innovation.shape[2] == 3)
+    check("sources", innovation.shape[1] == accepted.shape[1] == len(sources))
     check("turn_noise", turn_noise.shape[0] == turn_noise.shape[1] == 3)
     of_running, of_excess = np.empty((rows, count, weights.shape[0], _COLUMNS)), np.empty((rows, count))
     of_refused = np.empty((rows, count), dtype=np.int64)
@@ -157,18 +157,18 @@ def observed(
         of_means: cython.size_t = weights.shape[0] * _COLUMNS * of_numbers
         memcpy(cython.address(means[0, 0, 0, 0]), cython.address(running[0, 0, 0, 0]), of_means)
         memcpy(cython.address(excesses[0, 0]), cython.address(excess[0, 0]), of_numbers)
-        memcpy(cython.address(refusals[0, 0]), cython.address(refused[0, 0]), rows * of_stamps)
-        memcpy(cython.address(heard[0]), cython.address(heard_ns[0]), of_stamps)
-        memcpy(cython.address(contradicts[0]), cython.address(contradicts_ns[0]), of_stamps)
-    for one in range(turn.shape[1]):
+        memcpy(cython.address(refusals[0, 0]), cython.address(rejection_counts[0, 0]), rows * of_stamps)
+        memcpy(cython.address(heard[0]), cython.address(last_measured_ns[0]), of_stamps)
+        memcpy(cython.address(contradicts[0]), cython.address(inconsistent_since_ns[0]), of_stamps)
+    for one in range(innovation.shape[1]):
         s = sources[one]
         check("sources", 0 <= s < count)
         for row in range(rows):
-            size = sqrt(turn[row, one, 0] ** 2 + turn[row, one, 1] ** 2 + turn[row, one, 2] ** 2)
+            size = sqrt(innovation[row, one, 0] ** 2 + innovation[row, one, 1] ** 2 + innovation[row, one, 2] ** 2)
             if not size < float("inf"):
                 return None
             for i in range(3):
-                seen[i] = turn[row, one, i] * (largest / max(size, largest))
+                seen[i] = innovation[row, one, i] * (max_innovation / max(size, max_innovation))
             mean = cython.address(means[row, s, 0, 0])
             _average(mean, seen, weights)
             worst = 0.0
@@ -190,14 +190,14 @@ def observed(
 
 def averaged(
     running: cython.const[cython.double][:, ::1],
-    turn: cython.const[cython.double][:],
+    innovation: cython.const[cython.double][:],
     weights: cython.const[cython.double][::1],
 ):
     """Return the means of one filter and source after one more innovation, shape (w, 5), and their largest component.
 
     The largest component is given in its own sigmas; NaN if one of them is NaN.
     """
-    check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and turn.shape[0] == 3)
+    check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and innovation.shape[0] == 3)
     result = np.empty((weights.shape[0], _COLUMNS))
     means: cython.double[:, ::1] = result
     if weights.shape[0]:
@@ -207,7 +207,7 @@ def averaged(
             weights.shape[0] * _COLUMNS * cython.sizeof(cython.double),
         )
     seen = cython.declare(cython.double[3])
-    seen[0], seen[1], seen[2] = turn[0], turn[1], turn[2]
+    seen[0], seen[1], seen[2] = innovation[0], innovation[1], innovation[2]
     _average(cython.address(means[0, 0]), seen, weights)
     worst: cython.double = 0.0
     k: cython.Py_ssize_t

@@ -554,7 +554,7 @@ def compared(
     innovation: cython.double[:, :, ::1] = of_covariance
     nis: cython.double[::1] = of_nis
     gain: cython.double[:, :, ::1] = of_gain
-    turn: cython.double[:, ::1] = of_turn
+    whitened_innovation: cython.double[:, ::1] = of_turn
     root: cython.double[:, :, ::1] = of_root
     share: cython.double[:, ::1] = of_noise
     # Contiguous: transposed Jacobian, right-hand side, cross covariance, Cholesky factor, solution, its product with
@@ -611,7 +611,7 @@ def compared(
         _product(solved, 4, m, turning, 3, seen)
         memcpy(information, seen + 3, 9 * cython.sizeof(cython.double))
         _inverse_root(information, cython.address(root[row, 0, 0]))
-        _product(seen, 1, 3, cython.address(root[row, 0, 0]), 3, cython.address(turn[row, 0]))
+        _product(seen, 1, 3, cython.address(root[row, 0, 0]), 3, cython.address(whitened_innovation[row, 0]))
         if row == 0:
             _share_of_noise(cython.address(root[0, 0, 0]), solved + m, noise, cython.address(share[0, 0]))
     return of_residual, of_covariance, of_nis, of_gain, of_turn, of_noise, of_root

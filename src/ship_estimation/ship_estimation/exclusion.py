@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.running_means import LONG_AGO_NS, WELL, Means
+from ship_estimation.running_means import LONG_AGO_NS, WELL, InnovationMeans
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -94,7 +94,7 @@ _NO_FAULT = Finding(fault=False)
 
 
 def find_fault(
-    means: Means,
+    means: InnovationMeans,
     uses: NDArray[np.bool_],
     separations: FloatArray,
     threshold: float,
@@ -155,7 +155,7 @@ def find_fault(
     return Finding(fault=True, subfilter=row, explaining_subfilters=tuple(explaining))
 
 
-def agrees_with_all(means: Means, degraded_after: int) -> bool:
+def agrees_with_all(means: InnovationMeans, degraded_after: int) -> bool:
     """True if the main filter is consistent with every source, by the criterion of :func:`isolate_fault`.
 
     Example:
@@ -167,7 +167,7 @@ def agrees_with_all(means: Means, degraded_after: int) -> bool:
     return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN is inconsistent
 
 
-def _first_row_agrees(means: Means, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
+def _first_row_agrees(means: InnovationMeans, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
     """True if the main filter is consistent with all sources that it uses and that were measured since a stamp."""
     by_source = zip(
         means.excess[0].tolist(), means.refused[0].tolist(), means.heard_ns.tolist(), uses.tolist(), strict=True
@@ -189,7 +189,7 @@ def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> i
 
 def judge_return(
     exclusion: Exclusion,
-    means: Means,
+    means: InnovationMeans,
     source: int,
     time_ns: int,
     return_after_s: float,

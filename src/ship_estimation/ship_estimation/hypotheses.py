@@ -40,9 +40,9 @@ class FilterInnovations(NamedTuple):
     covariance: FloatArray
     nis: FloatArray
     gain: FloatArray
-    turn: FloatArray
-    turn_noise: FloatArray
-    turn_root: FloatArray
+    whitened_innovation: FloatArray
+    whitened_noise: FloatArray
+    whitening_root: FloatArray
 
 
 def covariances(stack: FloatArray, filter_count: int) -> FloatArray:

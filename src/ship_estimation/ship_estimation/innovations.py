@@ -25,7 +25,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 LEAST_COUNT = 30
 """Minimum number of measurements for a diagnosis."""
 
-FALSE_VERDICT = 1e-7
+FALSE_DIAGNOSIS_PROBABILITY = 1e-7
 """Probability of a false alarm of one test, for a source that is as stated."""
 
 TOLERATED_FACTOR = 1.25
@@ -48,7 +48,7 @@ _STEADY = 0.25
 _MISFIT = (Reason.MISIDENTIFIED, Reason.LIGHT_CONFLICT)
 _MOST_CORRELATED = 0.95
 _CLIPPED_AT = 3.0
-_SIGMAS = normal_value_above(0.5 * FALSE_VERDICT)
+_SIGMAS = normal_value_above(0.5 * FALSE_DIAGNOSIS_PROBABILITY)
 _MEDIAN_SIGMA = math.sqrt(0.5 * math.pi)
 """Sigma of the median of n normal values of sigma 1, times √n."""
 _SIGMA_OF_SPREAD = 1.4826
@@ -102,7 +102,7 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
     if len(decision.covariance) != len(decision.residual):
         return None  # unknown covariance
     groups = _grouped(decision.components)
-    found = compiled_innovations.innovation(decision.residual, decision.covariance, decision.noise, *groups[:4])
+    found = compiled_innovations.innovation_statistics(decision.residual, decision.covariance, decision.noise, *groups[:4])
     if found is None:
         return None  # NaN, or a covariance that is not positive definite
     squares, own_share, along = found

@@ -18,7 +18,7 @@ from ship_estimation.gates import chi_square_gate
 from ship_estimation.protection import IntegrityConfig
 from ship_geometry.rotations import FloatArray
 
-MEANS_OVER = (3, 30, 300)
+WINDOW_LENGTHS = (3, 30, 300)
 """Window lengths of the means of whitened innovations, measurements."""
 
 MEASUREMENTS_PER_H = 18_000
@@ -33,22 +33,22 @@ LONG_AGO_NS = -(2**62)
 FIELDS_BY_SUBFILTER = ("running", "excess", "refused")
 """Fields of :class:`InnovationMeans` with one row for each filter."""
 
-_LARGEST_TURN = math.sqrt(0.5)
+_MAX_INNOVATION_RATIO = math.sqrt(0.5)
 """Bound of a whitened innovation, as a share of the square root of the chi² limit.
 
 Two successive gross errors keep the mean over three measurements below the limit, the third does not."""
 
-_WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])
+_WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])
 """Weight of a measurement in each mean, shape (w,)."""
 
 _NO_NOISE = np.zeros((3, 3))
 
-NO_MEANS = np.zeros((len(MEANS_OVER), 5))
+NO_MEANS = np.zeros((len(WINDOW_LENGTHS), 5))
 """Columns of :attr:`InnovationMeans.running` before any measurement, shape (w, 5)."""
 
 
 @dataclass(frozen=True)
-class Means:
+class InnovationMeans:
     """Windowed means of whitened innovations; h filters, s sources, w window lengths.
 
     Attributes:
@@ -69,15 +69,15 @@ class Means:
     contradicts_ns: NDArray[np.int64]
 
 
-def no_means(subfilters: int, sources: int) -> Means:
+def no_means(subfilters: int, sources: int) -> InnovationMeans:
     """Return the innovation means before any measurement.
 
     Example:
         >>> no_means(rows=3, sources=2).running.shape
         (3, 2, 3, 5)
     """
-    return Means(
-        running=np.zeros((subfilters, sources, len(MEANS_OVER), 5)),
+    return InnovationMeans(
+        running=np.zeros((subfilters, sources, len(WINDOW_LENGTHS), 5)),
         excess=np.zeros((subfilters, sources)),
         refused=np.zeros((subfilters, sources), dtype=np.int64),
         heard_ns=np.full(sources, LONG_AGO_NS),
@@ -94,19 +94,19 @@ def excess_limit(config: IntegrityConfig, sources: int) -> float:
         >>> print(round(excess_limit(IntegrityConfig(), sources=2), 1))
         37.4
     """
-    tests_per_h = sources * MEASUREMENTS_PER_H * sum(1.0 / count for count in MEANS_OVER)
+    tests_per_h = sources * MEASUREMENTS_PER_H * sum(1.0 / count for count in WINDOW_LENGTHS)
     return chi_square_gate(1.0 - 0.5 * config.false_exclusions_per_h / tests_per_h, 3)
 
 
 def observed(
-    means: Means,
+    means: InnovationMeans,
     source: int | Sequence[int],
-    turn: FloatArray,
+    innovation: FloatArray,
     accepted: NDArray[np.bool_],
     time_ns: int,
     limit: float,
     turn_noise: FloatArray | None = None,
-) -> Means:
+) -> InnovationMeans:
     """Return the means after a measurement, or after simultaneous measurements of several sources.
 
     Args:
@@ -130,7 +130,7 @@ def observed(
         4
     """
     if isinstance(source, int):
-        source, turn, accepted = (source,), turn[:, None], accepted[:, None]
+        source, innovation, accepted = (source,), innovation[:, None], accepted[:, None]
     after = compiled_means.observed(
         means.running,
         means.excess,
@@ -138,26 +138,26 @@ def observed(
         means.heard_ns,
         means.contradicts_ns,
         tuple(source),
-        turn,
+        innovation,
         accepted.view(np.uint8),
         time_ns,
         _WEIGHTS,
         limit,
-        _LARGEST_TURN * math.sqrt(limit),
+        _MAX_INNOVATION_RATIO * math.sqrt(limit),
         WELL,
         LONG_AGO_NS,
         turn_noise is not None,
         _NO_NOISE if turn_noise is None else turn_noise,
     )
     if after is not None:
-        return Means(*after)
+        return InnovationMeans(*after)
     # A NaN does not enter the means; it counts as a rejection.
     refused = means.refused.copy()
     refused[:, list(source)] += 1
     return replace(means, refused=refused)
 
 
-def averaged(running: FloatArray, turn: FloatArray) -> tuple[FloatArray, float]:
+def averaged(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
     """Return the windowed means of one filter and source after one more innovation, and their largest component.
 
     The largest component of all window lengths is given in its own sigmas.
@@ -171,11 +171,11 @@ def averaged(running: FloatArray, turn: FloatArray) -> tuple[FloatArray, float]:
         >>> print(running[0], round(sigmas, 6))
         [0.   2.   0.5  0.5  0.25] 4.0
     """
-    after: tuple[FloatArray, float] = compiled_means.averaged(running, turn, _WEIGHTS)
+    after: tuple[FloatArray, float] = compiled_means.averaged(running, innovation, _WEIGHTS)
     return after
 
 
-def forgotten(means: Means, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:
+def forgotten(means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice) -> InnovationMeans:
     """Return the means with those of some filters and sources cleared.
 
     Example:

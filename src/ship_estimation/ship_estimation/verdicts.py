@@ -25,7 +25,7 @@ from typing import Any
 
 from ship_estimation.gates import mean_nees_band
 from ship_estimation.innovations import (
-    FALSE_VERDICT,
+    FALSE_DIAGNOSIS_PROBABILITY,
     LEAST_COUNT,
     Axis,
     Innovation,
@@ -49,7 +49,7 @@ _MOST_KEPT = 6000
 _LEAST_TOLD = 0.1
 
 
-class VerdictKind(enum.Enum):
+class DiagnosisKind(enum.Enum):
     """Kind of a diagnosis."""
 
     UNKNOWN = "not assessed"
@@ -62,7 +62,7 @@ class VerdictKind(enum.Enum):
 
 
 @dataclass(frozen=True)
-class SourceVerdict:
+class InnovationDiagnosis:
     """Diagnosis of a source.
 
     Attributes:
@@ -78,7 +78,7 @@ class SourceVerdict:
         correlation: correlation of successive innovations, by axis.
     """
 
-    kind: VerdictKind
+    kind: DiagnosisKind
     text: str
     count: int
     nis: float = math.nan
@@ -127,7 +127,7 @@ class VerdictBook:
             self._fresh.setdefault(source, []).append(innovation)
             self._newest_ns = max(self._newest_ns, innovation.time_ns)
 
-    def verdicts(self) -> dict[str, SourceVerdict]:
+    def diagnoses(self) -> dict[str, InnovationDiagnosis]:
         """Return the diagnosis of each source, in the order of their names."""
         for source, innovations in self._fresh.items():
             if source not in self._tables:
@@ -137,11 +137,11 @@ class VerdictBook:
         until_ns, verdicts = self._newest_ns - round(WINDOW_S * SECOND_NS), {}
         for source, table in sorted(self._tables.items()):
             table.forget(until_ns, _MOST_KEPT)
-            verdicts[source] = _verdict(table)
+            verdicts[source] = _diagnosis(table)
         return verdicts
 
 
-def clock_verdicts(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> list[str]:
+def clock_diagnoses(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> list[str]:
     """Return one line for each clock whose estimated offset exceeds :data:`CLOCK_SIGMAS` of its configured sigma.
 
     Args:
@@ -171,19 +171,19 @@ def clock_verdicts(model: StateModel, mean: FloatArray, groups: Mapping[str, str
     return told
 
 
-def _verdict(table: InnovationTable) -> SourceVerdict:
+def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
     """Return the diagnosis of a source from its innovations."""
     count = len(table)
     if count < LEAST_COUNT:
-        return SourceVerdict(VerdictKind.UNKNOWN, f"too few measurements: {count} of {LEAST_COUNT}", count)
+        return InnovationDiagnosis(DiagnosisKind.UNKNOWN, f"too few measurements: {count} of {LEAST_COUNT}", count)
     parts, axes = Parts(table), axes_of(table)
     kind, text = _finding(table, parts, axes)
-    return SourceVerdict(
+    return InnovationDiagnosis(
         kind=kind,
         text=f"{text}; {count} measurements",
         count=count,
         nis=parts.nis,
-        nis_band=mean_nees_band(parts.components, 1, 1.0 - FALSE_VERDICT) if parts.components else None,
+        nis_band=mean_nees_band(parts.components, 1, 1.0 - FALSE_DIAGNOSIS_PROBABILITY) if parts.components else None,
         factor=parts.factor,
         far_share=parts.far_share,
         bias_sigma={axis.name: axis.bias_sigma for axis in axes},
@@ -191,22 +191,22 @@ def _verdict(table: InnovationTable) -> SourceVerdict:
     )
 
 
-def _finding(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tuple[VerdictKind, str]:
+def _finding(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tuple[DiagnosisKind, str]:
     """Return kind and text of the most important result: a bias affects the sigma test, a wrong sigma the outliers."""
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:
-        return VerdictKind.BIASED, biased.bias_text(table.along(biased.name)[:, 1])
+        return DiagnosisKind.BIASED, biased.bias_text(table.along(biased.name)[:, 1])
     if parts.is_optimistic:
-        return VerdictKind.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
+        return DiagnosisKind.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
     if parts.is_misidentified:
         others = ", the others are as stated" if math.isfinite(parts.factor) else ""
-        return VerdictKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % are outliers{others}"
+        return DiagnosisKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % are outliers{others}"
     if parts.is_conservative:
         times = f"{1.0 / parts.factor:.1f}" if parts.factor > _LEAST_TOLD else f"more than {1.0 / _LEAST_TOLD:.0f}"
-        return VerdictKind.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
+        return DiagnosisKind.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
     lasting = max((axis for axis in axes if axis.is_lasting), key=lambda axis: abs(axis.correlation), default=None)
     if lasting is not None:
-        return VerdictKind.CORRELATED, lasting.correlation_text
+        return DiagnosisKind.CORRELATED, lasting.correlation_text
     if math.isnan(parts.factor):
-        return VerdictKind.UNKNOWN, "sigma not assessed: the prediction is less certain than the measurements"
-    return VerdictKind.AS_STATED, f"as stated, to a factor of {parts.factor:.2f} in its sigma"
+        return DiagnosisKind.UNKNOWN, "sigma not assessed: the prediction is less certain than the measurements"
+    return DiagnosisKind.AS_STATED, f"as stated, to a factor of {parts.factor:.2f} in its sigma"

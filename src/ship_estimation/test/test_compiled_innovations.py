@@ -21,7 +21,7 @@ def test_innovation_statistics_equal_numpy(parts: int, axes: int) -> None:
     noise = covariances(rng, size)
     covariance, residual = noise + covariances(rng, size), 1e-5 * rng.standard_normal(size)
     part_of, axis_of = np.divmod(np.arange(size), axes)
-    squares, own_share, along = compiled_innovations.innovation(
+    squares, own_share, along = compiled_innovations.innovation_statistics(
         residual, covariance, noise, part_of, axis_of, parts, axes
     )
     for part in range(parts):
@@ -41,7 +41,7 @@ def test_well_conditioned_innovation_statistics_equal_numpy_to_rounding() -> Non
     rng = np.random.default_rng(7)
     noise = np.diag(rng.uniform(1.0, 4.0, 6))
     covariance, residual, every = noise + 0.1, rng.standard_normal(6), np.arange(6)
-    squares, own_share, _ = compiled_innovations.innovation(residual, covariance, noise, 0 * every, every, 1, 6)
+    squares, own_share, _ = compiled_innovations.innovation_statistics(residual, covariance, noise, 0 * every, every, 1, 6)
     assert squares[0] == pytest.approx(residual @ np.linalg.solve(covariance, residual), rel=1e-13)
     assert own_share == pytest.approx(np.trace(np.linalg.solve(covariance, noise)) / 6.0, rel=1e-13)
 
@@ -49,16 +49,16 @@ def test_well_conditioned_innovation_statistics_equal_numpy_to_rounding() -> Non
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
 def test_invalid_covariance_or_nan_gives_no_innovation(bad: float) -> None:
     one, every = np.array([0]), np.eye(1)
-    assert compiled_innovations.innovation(np.ones(1), bad * every, every, one, one, 1, 1) is None
+    assert compiled_innovations.innovation_statistics(np.ones(1), bad * every, every, one, one, 1, 1) is None
     if not np.isfinite(bad):
-        assert compiled_innovations.innovation(np.array([bad]), every, every, one, one, 1, 1) is None
+        assert compiled_innovations.innovation_statistics(np.array([bad]), every, every, one, one, 1, 1) is None
 
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
     one = np.array([0])
     for covariance, noise in ((np.eye(2), np.eye(1)), (np.eye(1), np.eye(2))):
         with pytest.raises(ValueError, match="shapes"):
-            compiled_innovations.innovation(np.ones(1), covariance, noise, one, one, 1, 1)
+            compiled_innovations.innovation_statistics(np.ones(1), covariance, noise, one, one, 1, 1)
     with pytest.raises(ValueError, match="columns"):
         compiled_innovations.sizes(np.zeros((2, 7)), 8, 0.5)
     with pytest.raises(ValueError, match="columns"):

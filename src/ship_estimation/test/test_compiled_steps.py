@@ -150,9 +150,9 @@ def test_unobserved_rotation_has_no_whitened_innovation() -> None:
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     by_turn[:, 2] = 0.0
     found = compare_rows(means, stack, measured, means[0], by_turn)
-    np.testing.assert_array_equal(found.turn[:, 2], 0.0)
-    np.testing.assert_array_equal(found.turn_root[:, 2], 0.0)
-    equal(found.turn, numpy_innovations(means, covariances(stack, 2), measured, means[0], by_turn).turn)
+    np.testing.assert_array_equal(found.whitened_innovation[:, 2], 0.0)
+    np.testing.assert_array_equal(found.whitening_root[:, 2], 0.0)
+    equal(found.whitened_innovation, numpy_innovations(means, covariances(stack, 2), measured, means[0], by_turn).whitened_innovation)
 
 
 @pytest.mark.parametrize("wrong", [-1e6, np.nan])

@@ -45,7 +45,7 @@ class Bank:
         learns = np.where(left[:, None], own, True) & accepted[:, None] & np.any(accepted & ~left)
         correction, self.stack = update_rows(self.stack, measured, compared, learns)
         self.means = self.means + correction
-        self.seen = observed(self.seen, sensor, compared.turn, accepted, time_ns, self.limit)
+        self.seen = observed(self.seen, sensor, compared.whitened_innovation, accepted, time_ns, self.limit)
 
     def finding(self, time_ns):
         apart = self.means[1:, :3] - self.means[0, :3]

@@ -89,10 +89,10 @@ def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():
         for found, residual in ((turns, measured.jacobian @ error + noise), (by_noise, noise)):
             drawn = LinearMeasurement(residual, measured.jacobian, measured.noise_by_source)
             compared = compare_rows(np.zeros((1, STATES)), covariances(stack, 1), drawn, np.zeros(STATES), by_turn)
-            found.append(compared.turn[0])
+            found.append(compared.whitened_innovation[0])
     # The sampling error of a variance of 2000 draws is 3 %; 0.12 is 3.8 of it.
     np.testing.assert_allclose(np.cov(np.array(turns).T), np.eye(3), atol=0.12)
-    np.testing.assert_allclose(np.cov(np.array(by_noise).T), compared.turn_noise, atol=0.12)
+    np.testing.assert_allclose(np.cov(np.array(by_noise).T), compared.whitened_noise, atol=0.12)
 
 
 def test_invalid_innovation_covariance_raises():

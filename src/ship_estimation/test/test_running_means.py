@@ -7,17 +7,17 @@ import pytest
 
 from ship_estimation.running_means import (
     LONG_AGO_NS,
-    MEANS_OVER,
+    WINDOW_LENGTHS,
     NO_MEANS,
     WELL,
-    Means,
+    InnovationMeans,
     averaged,
     no_means,
     observed,
 )
 
 ROWS, SOURCES, LIMIT = 4, 3, 37.4
-WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])[:, None]
+WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])[:, None]
 
 
 def numpy_averaged(running: np.ndarray, turn: np.ndarray) -> np.ndarray:
@@ -34,8 +34,8 @@ def numpy_beside(running: np.ndarray, turn_noise: np.ndarray) -> np.ndarray:
 
 
 def numpy_observed(
-    means: Means, sources: list[int], turn: np.ndarray, accepted: np.ndarray, time_ns: int, noise: np.ndarray | None
-) -> Means:
+    means: InnovationMeans, sources: list[int], turn: np.ndarray, accepted: np.ndarray, time_ns: int, noise: np.ndarray | None
+) -> InnovationMeans:
     largest, size = np.sqrt(0.5 * LIMIT), np.linalg.norm(turn, axis=-1)
     running, excess, refused = means.running.copy(), means.excess.copy(), means.refused.copy()
     heard_ns, contradicts_ns = means.heard_ns.copy(), means.contradicts_ns.copy()
@@ -49,10 +49,10 @@ def numpy_observed(
     well = (excess[0, sources] <= WELL) & (refused[0, sources] == 0)
     since_ns = np.where(contradicts_ns[sources] == LONG_AGO_NS, time_ns, contradicts_ns[sources])
     contradicts_ns[sources] = np.where(well, LONG_AGO_NS, since_ns)
-    return Means(running, excess, refused, heard_ns, contradicts_ns)
+    return InnovationMeans(running, excess, refused, heard_ns, contradicts_ns)
 
 
-def equal(found: Means, expected: Means) -> None:
+def equal(found: InnovationMeans, expected: InnovationMeans) -> None:
     for name in ("refused", "heard_ns", "contradicts_ns"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     np.testing.assert_allclose(found.running, expected.running, rtol=1e-13, atol=1e-15)

@@ -9,7 +9,7 @@ from ship_estimation.innovations import LEAST_COUNT
 from ship_estimation.kalman import StateModel, block
 from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.verdicts import WINDOW_S, SourceVerdict, VerdictBook, VerdictKind, clock_verdicts
+from ship_estimation.verdicts import WINDOW_S, InnovationDiagnosis, VerdictBook, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample
@@ -74,15 +74,15 @@ def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
     )
 
 
-def verdict(decisions: list[Decision[VectorSample]]) -> SourceVerdict:
+def diagnosis(decisions: list[Decision[VectorSample]]) -> InnovationDiagnosis:
     book = VerdictBook()
     for decision in decisions:
         book.add("star.bow", decision)
-    return book.verdicts()["star.bow"]
+    return book.diagnoses()["star.bow"]
 
 
-def of_attitudes(noise: FloatArray) -> SourceVerdict:
-    return verdict([attitude(k, row) for k, row in enumerate(noise)])
+def of_attitudes(noise: FloatArray) -> InnovationDiagnosis:
+    return diagnosis([attitude(k, row) for k, row in enumerate(noise)])
 
 
 def white(seed: int, count: int = MINUTE, shape: tuple[int, ...] = (3,)) -> FloatArray:
@@ -94,7 +94,7 @@ def white(seed: int, count: int = MINUTE, shape: tuple[int, ...] = (3,)) -> Floa
 def test_consistent_attitudes_are_as_stated(count: int) -> None:
     """120 windows: the stated probability of another result is one in a million."""
     found = [of_attitudes(white(seed, count)) for seed in range(40)]
-    assert {one.kind for one in found} == {VerdictKind.AS_STATED}
+    assert {one.kind for one in found} == {DiagnosisKind.AS_STATED}
     # The median of n values of chi² with 3 degrees has a relative sigma of 1.05 / √n: 3.3 of them, halved for sigma.
     assert all(abs(one.factor - 1.0) < 0.5 * 3.5 * 1.05 / np.sqrt(count) + 0.02 for one in found)
     inside = [one.nis_band[0] < one.nis < one.nis_band[1] for one in found if one.nis_band]
@@ -103,8 +103,8 @@ def test_consistent_attitudes_are_as_stated(count: int) -> None:
 
 
 def test_consistent_stars_are_as_stated() -> None:
-    found = [verdict([exposure(k, noise) for k, noise in enumerate(white(seed, 60, (8, 2)))]) for seed in range(40)]
-    assert {one.kind for one in found} == {VerdictKind.AS_STATED}
+    found = [diagnosis([exposure(k, noise) for k, noise in enumerate(white(seed, 60, (8, 2)))]) for seed in range(40)]
+    assert {one.kind for one in found} == {DiagnosisKind.AS_STATED}
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_understated_attitude_noise_is_reported_with_its_factor_in_spite_of_reje
 ) -> None:
     for seed in range(10):
         found = of_attitudes(factor * white(seed))
-        assert found.kind is VerdictKind.OPTIMISTIC
+        assert found.kind is DiagnosisKind.OPTIMISTIC
         assert found.factor == pytest.approx(factor, rel=0.2)
     assert f"optimistic by {found.factor:.1f}" in found.text
 
@@ -124,16 +124,16 @@ def test_understated_attitude_noise_is_reported_with_its_factor_in_spite_of_reje
 def test_understated_star_noise_is_distinguished_from_misidentification(factor: float) -> None:
     """Many stars with slightly large innovations, of which the selection rejects the worst."""
     for seed in range(5):
-        found = verdict([exposure(k, factor * noise) for k, noise in enumerate(white(seed, shape=(8, 2)))])
-        assert found.kind is VerdictKind.OPTIMISTIC
+        found = diagnosis([exposure(k, factor * noise) for k, noise in enumerate(white(seed, shape=(8, 2)))])
+        assert found.kind is DiagnosisKind.OPTIMISTIC
         assert found.factor == pytest.approx(factor, rel=0.2)
 
 
 def test_one_outlier_star_in_each_exposure_is_misidentified() -> None:
     noise = white(3, shape=(8, 2))
     noise[:, 5] += 30.0
-    found = verdict([exposure(k, one) for k, one in enumerate(noise)])
-    assert found.kind is VerdictKind.MISIDENTIFIED
+    found = diagnosis([exposure(k, one) for k, one in enumerate(noise)])
+    assert found.kind is DiagnosisKind.MISIDENTIFIED
     assert found.far_share == pytest.approx(1 / 8, abs=0.01)
     assert found.factor == pytest.approx(1.0, abs=0.1)
     assert found.text.startswith("misidentified: 13 % are outliers, the others are as stated")
@@ -144,19 +144,19 @@ def test_some_outlier_attitudes_are_misidentified() -> None:
     rng = np.random.default_rng(5)
     wrong = rng.random(MINUTE) < 0.2
     noise[wrong] = 50.0 * rng.standard_normal((int(wrong.sum()), 3))
-    assert of_attitudes(noise).kind is VerdictKind.MISIDENTIFIED
+    assert of_attitudes(noise).kind is DiagnosisKind.MISIDENTIFIED
 
 
 def test_exposures_without_a_usable_star_are_misidentified() -> None:
-    found = verdict([exposure(k, one) for k, one in enumerate(1000.0 * white(6, shape=(8, 2)))])
-    assert found.kind is VerdictKind.MISIDENTIFIED
+    found = diagnosis([exposure(k, one) for k, one in enumerate(1000.0 * white(6, shape=(8, 2)))])
+    assert found.kind is DiagnosisKind.MISIDENTIFIED
     assert "100 % are outliers; " in found.text
 
 
 @pytest.mark.parametrize("factor", [1.5, 2.0, 4.0])
 def test_an_overstated_noise_is_conservative(factor: float) -> None:
     found = of_attitudes(white(7) / factor)
-    assert found.kind is VerdictKind.CONSERVATIVE
+    assert found.kind is DiagnosisKind.CONSERVATIVE
     # The prediction error, 1″ of the stated 3″, is as stated and limits the detection of a smaller noise.
     assert found.factor == pytest.approx(1.0 / factor, abs=0.1)
 
@@ -166,8 +166,8 @@ def test_shifted_sensor_with_all_measurements_rejected_is_biased() -> None:
     noise[:, 1] += 50.0 / 3.0  # 50″ about up, stated 3″
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
     assert not any(decision.accepted for decision in decisions)
-    found = verdict(decisions)
-    assert found.kind is VerdictKind.BIASED
+    found = diagnosis(decisions)
+    assert found.kind is DiagnosisKind.BIASED
     assert found.text.startswith("bias of +50.")
     assert "arcsec in up" in found.text
     assert "steady: look at installation and alignment" in found.text
@@ -178,19 +178,19 @@ def test_common_prediction_error_of_an_excluded_source_is_no_bias() -> None:
     noise = white(16)
     noise[:, 1] += 2.0 / 3.0
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
-    assert verdict(decisions).kind is VerdictKind.BIASED
+    assert diagnosis(decisions).kind is DiagnosisKind.BIASED
     excluded = [replace(decision, accepted=False, reason=Reason.EXCLUDED) for decision in decisions]
-    assert verdict(excluded).kind is VerdictKind.AS_STATED
+    assert diagnosis(excluded).kind is DiagnosisKind.AS_STATED
     noise[:, 1] += 10.0
     knocked = [replace(attitude(k, row), accepted=False, reason=Reason.EXCLUDED) for k, row in enumerate(noise)]
-    assert verdict(knocked).kind is VerdictKind.BIASED
+    assert diagnosis(knocked).kind is DiagnosisKind.BIASED
 
 
 def test_a_bias_that_grows_is_not_steady() -> None:
     noise = white(9)
     noise[:, 2] += np.linspace(0.0, 8.0, MINUTE)
     found = of_attitudes(noise)
-    assert found.kind is VerdictKind.BIASED
+    assert found.kind is DiagnosisKind.BIASED
     assert "a drift" in found.text
 
 
@@ -199,24 +199,24 @@ def test_correlated_errors_are_reported() -> None:
     for k in range(1, MINUTE):
         noise[k] = rho * noise[k - 1] + np.sqrt(1.0 - rho**2) * noise[k]
     found = of_attitudes(noise)
-    assert found.kind is VerdictKind.CORRELATED
+    assert found.kind is DiagnosisKind.CORRELATED
     assert found.correlation["forward"] == pytest.approx(rho, abs=0.15)
 
 
 def test_alternating_innovations_are_reported() -> None:
     noise = white(11, MINUTE + 1)
     found = of_attitudes((noise[1:] - noise[:-1]) / np.sqrt(2.0))  # correlation -0.5
-    assert found.kind is VerdictKind.CORRELATED
+    assert found.kind is DiagnosisKind.CORRELATED
     assert "too closely" in found.text
 
 
 def test_too_few_measurements_in_the_window_give_no_diagnosis() -> None:
     wrong = [attitude(k, 5.0 * row) for k, row in enumerate(white(12, LEAST_COUNT - 1))]
-    found = verdict(wrong)
-    assert (found.kind, found.count) == (VerdictKind.UNKNOWN, LEAST_COUNT - 1)
+    found = diagnosis(wrong)
+    assert (found.kind, found.count) == (DiagnosisKind.UNKNOWN, LEAST_COUNT - 1)
     later = round(WINDOW_S * SECOND_NS) // PERIOD_NS + LEAST_COUNT
     good = [attitude(later + k, row) for k, row in enumerate(white(13))]
-    assert verdict([*wrong, *wrong, *good]).kind is VerdictKind.AS_STATED
+    assert diagnosis([*wrong, *wrong, *good]).kind is DiagnosisKind.AS_STATED
 
 
 def test_sigma_is_not_assessed_by_an_uncertain_prediction() -> None:
@@ -229,8 +229,8 @@ def test_sigma_is_not_assessed_by_an_uncertain_prediction() -> None:
             noise=0.01 * covariance, nis=float(np.sum(residual**2)) / (10.0 * ARCSEC) ** 2,
         )  # fmt: skip
         decisions.append(decision)
-    found = verdict(decisions)
-    assert found.kind is VerdictKind.UNKNOWN
+    found = diagnosis(decisions)
+    assert found.kind is DiagnosisKind.UNKNOWN
     assert "less certain than the measurements" in found.text
 
 
@@ -240,29 +240,29 @@ def test_measurements_without_innovation_are_ignored() -> None:
     book.add("star.bow", Decision(sample, Reason.GAP))
     book.add("star.bow", Decision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3)))
     book.add("star.bow", Decision(sample, Reason.NONE, True, ATTITUDE, np.zeros(3)))  # without a covariance
-    assert book.verdicts() == {}
+    assert book.diagnoses() == {}
 
 
 def test_repeated_decision_replaces_the_earlier_one_in_any_order() -> None:
     noise = white(15)
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
     wrong = [attitude(k, row + 100.0) for k, row in enumerate(noise)]
-    expected = verdict(decisions)
-    assert verdict([*wrong, *decisions]) == expected
-    assert verdict(decisions[::-1]) == expected
+    expected = diagnosis(decisions)
+    assert diagnosis([*wrong, *decisions]) == expected
+    assert diagnosis(decisions[::-1]) == expected
 
 
 def test_cleared_history_is_empty() -> None:
     book = VerdictBook()
     book.add("star.bow", attitude(0, np.zeros(3)))
     book.clear()
-    assert book.verdicts() == {}
+    assert book.diagnoses() == {}
 
 
 def test_constant_values_are_assessed_without_a_division_by_zero() -> None:
     sample = [Decision(VectorSample(k, np.zeros(3)), Reason.NONE, True, ATTITUDE, np.zeros(3), covariance=np.eye(3),
                        noise=np.eye(3), nis=0.0) for k in range(40)]  # fmt: skip
-    assert verdict(sample).kind is VerdictKind.CONSERVATIVE
+    assert diagnosis(sample).kind is DiagnosisKind.CONSERVATIVE
 
 
 def test_clock_offset_is_reported_above_four_configured_sigmas() -> None:
@@ -274,9 +274,9 @@ def test_clock_offset_is_reported_above_four_configured_sigmas() -> None:
     ]
     model = StateModel(blocks, noise_sources=[])
     mean = np.array([9.0, 9.0, 9.0, 0.012, -0.0039, 1.0])
-    assert clock_verdicts(model, mean, {"star": "star_sensors"}) == [
+    assert clock_diagnoses(model, mean, {"star": "star_sensors"}) == [
         "ins clock off by 12 ms, 8 sigma of ins.time_offset_sigma_s"
     ]
     mean[4] = -0.0041
-    told = clock_verdicts(model, mean, {"star": "star_sensors"})
+    told = clock_diagnoses(model, mean, {"star": "star_sensors"})
     assert told[1:] == ["star.bow clock off by -4.1 ms, 4 sigma of star_sensors.bow.time_offset_sigma_s"]

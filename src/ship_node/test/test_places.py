@@ -40,7 +40,7 @@ def can_have_both(kind, one, other):
 )
 def test_ports_conflict_as_in_the_kernel(kind, one, other):
     places = held_port("a", kind, 10110, one), held_port("b", kind, 10110, other)
-    assert places[0].excludes(places[1]) is not can_have_both(kind, one, other)
+    assert places[0].conflicts_with(places[1]) is not can_have_both(kind, one, other)
 
 
 def test_resources_of_different_kind_or_name_do_not_conflict():

@@ -165,7 +165,7 @@ def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdap
     )
     adapter.core.next = Outcome(decisions=[used, refused])
     told = [m for _, m in adapter.handle(JUDGED, message(), NOW_NS)]
-    assert list(adapter.verdicts.pending) == [("device", used), ("device", refused)]
+    assert list(adapter.innovation_report.pending) == [("device", used), ("device", refused)]
     assert [(m.source, m.accepted, m.reason_text) for m in told] == [("device", True, ""), ("device", False, "too far")]
     assert health(adapter, JUDGED) == (1, 1, 1, {"gate": 1})
 

@@ -125,7 +125,7 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits)
             yield Condition(
                 f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
                 f"{topic} never received" if never else _lost_first(silent, f"no data on {topic}"),
-                becomes_alarm=never, needs_start=never, is_blind=never,
+                becomes_alarm=never, may_be_startup=never, is_blind=never,
                 under=above[:1] if never else (), lost=_lost(silent),
             )
             continue
@@ -136,7 +136,7 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits)
             yield Condition(
                 f"{output}.degraded", priority, "", _lost_first(members, worst.reason), worst.accuracy_arcsec,
                 worst.limit_arcsec, "arcsec", becomes_alarm=priority is Priority.WARNING,
-                needs_start=True, under=(*above, *outs), lost=_lost(members),
+                may_be_startup=True, under=(*above, *outs), lost=_lost(members),
             )
 
 

@@ -42,7 +42,7 @@ class Condition:
     limit: float = math.nan
     unit: str = ""
     becomes_alarm: bool = False
-    needs_start: bool = False
+    may_be_startup: bool = False
     is_blind: bool = False
     under: tuple[str, ...] = ()
     lost: frozenset[str] = frozenset()

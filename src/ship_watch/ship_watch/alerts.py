@@ -173,7 +173,7 @@ class AlertBook:
             return [self._happens(kept, AlertEvent.EXPLAINED, utc_ns, "covered by another alert")]
         if kept is None or kept.alert.state not in ACTIVE:
             has_lasted = self._has_lasted(condition.id, now_ns)
-            starting = condition.needs_start and now_ns - self._start_ns < _ns(self._times.start_s)
+            starting = condition.may_be_startup and now_ns - self._start_ns < _ns(self._times.start_s)
             if starting or not has_lasted:
                 return []
             del self._pending[condition.id]

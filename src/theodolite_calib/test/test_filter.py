@@ -95,7 +95,7 @@ def test_the_jacobian_is_that_of_finite_differences(seed: int) -> None:
         # changes its refraction.
         assert found.jacobian[:, column] == pytest.approx(numeric, abs=1e-3 * np.max(np.abs(numeric)) + 1e-12 / one)
         turned = log_rotation(ahead.rotation_nt @ behind.rotation_nt.T) / (2.0 * step[column])
-        assert found.turn_n[:, column] == pytest.approx(turned, abs=1e-6 * np.max(np.abs(turned)) + 1e-12)
+        assert found.by_state_n[:, column] == pytest.approx(turned, abs=1e-6 * np.max(np.abs(turned)) + 1e-12)
 
 
 def test_the_optimum_is_that_of_a_batch_least_squares() -> None:

@@ -23,12 +23,12 @@ def agreeing(heard_ns: dict[str, int]) -> Trust:
     beacon.
     """
     trust = no_doubt(ROWS)
-    seen_ns = trust.means.heard_ns.copy()
+    seen_ns = trust.innovation_means.heard_ns.copy()
     for name, time_ns in heard_ns.items():
         seen_ns[ROWS.beacons.index(name)] = time_ns
     left_out = {name: LeftOut(Exclusion(0, agrees_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
-    conflict = Conflict(0.0 * trust.means.running[0, 0, :, :3], lasting=True, agrees_since_ns=AGREED_NS)
-    return replace(trust, means=replace(trust.means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
+    conflict = Conflict(0.0 * trust.innovation_means.running[0, 0, :, :3], lasting=True, agrees_since_ns=AGREED_NS)
+    return replace(trust, means=replace(trust.innovation_means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
 
 
 def since_ns(trust: Trust) -> list[int | None]:
@@ -61,9 +61,9 @@ def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
     returned = []
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
         trust = REFEREE.heard_again(trust, (SECOND,), time_ns)
-        heard_ns = trust.means.heard_ns.copy()
+        heard_ns = trust.innovation_means.heard_ns.copy()
         heard_ns[ROWS.beacons.index(SECOND)] = time_ns
-        trust = replace(trust, means=replace(trust.means, heard_ns=heard_ns))
+        trust = replace(trust, means=replace(trust.innovation_means, heard_ns=heard_ns))
         if ENCODER in trust.left_out:
             trust = REFEREE.watched_turn(trust, ENCODER, True, time_ns)
             returned += [] if ENCODER in trust.left_out else [(time_ns - back_ns) / SECOND_NS]

@@ -359,7 +359,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             *self._observability_statuses(),
             *self.integrity_statuses(),
             *self.conflict_statuses(),
-            *self.verdicts.statuses(),
+            *self.innovation_report.statuses(),
             clock_status(self.core.filter.model, self.core.state.mean, _GROUPS),
         ]
 

@@ -65,13 +65,13 @@ class InsAhead:
     followed: Followed
     before: RecentRates
     extra: ExtraNoise | None = None
-    taken: int = 0
+    committed_count: int = 0
     told: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
     _stretches: list[_Stretch] = field(default_factory=list)
 
-    def had_turn(self, state: FilterState, stop: int, doubts: list[str] | None) -> None:
+    def commit(self, state: FilterState, stop: int, doubts: list[str] | None) -> None:
         """Commit the samples before index ``stop``; arguments as the attributes of a segment."""
-        start, self.taken = self.taken, stop
+        start, self.committed_count = self.committed_count, stop
         last = self._stretches[-1] if self._stretches else None
         if last is not None and last.state is state and last.doubts is None and doubts is None:
             start = self._stretches.pop().start
@@ -111,7 +111,7 @@ class InsAhead:
 
     @property
     def _times_ns(self) -> StampArray:
-        return self.block.times_ns[: self.taken]
+        return self.block.times_ns[: self.committed_count]
 
     def _attitudes_of(
         self, corrected: CorrectedIns, stretch: _Stretch, moved: MovedBlock, config: ShipAttitudeConfig

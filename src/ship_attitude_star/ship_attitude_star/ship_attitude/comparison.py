@@ -202,10 +202,10 @@ def _baseline_compared(
     if not seen_v[0] > 0.0:
         return Refusal(Reason.GATE, "the baseline points in the opposite direction: are base and rover exchanged?")
     noise_v = to_device @ noise_n @ to_device.T / length_m**2
-    turn_v = np.array([0.0, -seen_v[2], seen_v[1]]) / seen_v[0]
+    rotation_v = np.array([0.0, -seen_v[2], seen_v[1]]) / seen_v[0]
     return Compared(
         linear=LinearMeasurement(
-            _ACROSS @ turn_v,
+            _ACROSS @ rotation_v,
             _ACROSS @ predicted.jacobian_v,
             {
                 model.source_indices[device.noise_source]: noise_v[1:, 1:],
@@ -214,7 +214,7 @@ def _baseline_compared(
         ),
         rotation_jacobian=_ACROSS,
         components=BASELINE_COMPONENTS,
-        rotation_nv=predicted.rotation_nv @ exp_rotation(turn_v),
+        rotation_nv=predicted.rotation_nv @ exp_rotation(rotation_v),
         predicted_nv=predicted.rotation_nv,
         attitude_noise_v=np.zeros((3, 3)),
     )
@@ -232,10 +232,10 @@ def _attitude_residual(
     rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
     if measurement.shared_n is not None:
         rows = model.shared_rows[measurement.shared_by]
-        turn = -measurement.shared_n @ mean[rows]
-        rotation_nv = exp_rotation(turn) @ rotation_nv
+        rotation = -measurement.shared_n @ mean[rows]
+        rotation_nv = exp_rotation(rotation) @ rotation_nv
         jacobian_v = jacobian_v.copy()
-        jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(turn) @ measurement.shared_n
+        jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(rotation) @ measurement.shared_n
     residual = compiled_rotations.turn_between(rotation_nv, measurement.rotation_nv)
     if math.hypot(*residual.tolist()) > _HALF_TURN_RAD:
         slow = model.slices["ins.attitude"]

@@ -227,21 +227,21 @@ class ShipAttitudeCore:
 
     def take_ahead(self, ahead: InsAhead, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
-        while ahead.taken < stop:
+        while ahead.committed_count < stop:
             if self._shell.is_idle:
                 end = stop
-                self._track.extend(ahead.samples[ahead.taken : end])
+                self._track.extend(ahead.samples[ahead.committed_count : end])
                 self._shell.move_to(ahead.samples[end - 1].time_ns)
             else:
                 # A pending measurement may need this sample.
-                end, outcome = ahead.taken + 1, AttitudeOutcome()
-                self._shell.add_sample(INS, self._track, ahead.samples[ahead.taken], outcome)
+                end, outcome = ahead.committed_count + 1, AttitudeOutcome()
+                self._shell.add_sample(INS, self._track, ahead.samples[ahead.committed_count], outcome)
                 if outcome.decisions or outcome.failures:
-                    ahead.told.append((ahead.taken, outcome))
+                    ahead.told.append((ahead.committed_count, outcome))
             doubts = None
             if self._shell.contradictions:
-                doubts = [self._doubt(sample.time_ns) for sample in ahead.samples[ahead.taken : end]]
-            ahead.had_turn(self._shell.state_now, end, doubts)
+                doubts = [self._doubt(sample.time_ns) for sample in ahead.samples[ahead.committed_count : end]]
+            ahead.commit(self._shell.state_now, end, doubts)
             self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
             self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._silence_ns)
             self._guards.ins.by_rates = ahead.followed.by_rates(end - 1)

@@ -339,16 +339,16 @@ class ShipFilter:
         Returns:
             The state, with inflated covariances where needed, and the innovations.
         """
-        linear, by_turn, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
-        innovations = compare_rows(predicted.means, predicted.stack, linear, at_mean, by_turn)
+        linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
+        innovations = compare_rows(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
         opened, wrong = self.suspects.ins.opened_against(predicted, source, innovations, compared.predicted_nv, gate)
         if not wrong:
             return predicted, innovations
-        wider = compare_rows(predicted.means, opened, linear, at_mean, by_turn)
+        wider = compare_rows(predicted.means, opened, linear, at_mean, rotation_jacobian)
         # Fault detection uses the innovations from before the inflation.
-        turn, turn_root = wider.turn.copy(), wider.turn_root.copy()
-        turn[wrong], turn_root[wrong] = innovations.turn[wrong], innovations.turn_root[wrong]
-        return changed(predicted, stack=opened), wider._replace(turn=turn, turn_root=turn_root)
+        whitened, root = wider.whitened_innovation.copy(), wider.whitening_root.copy()
+        whitened[wrong], root[wrong] = innovations.whitened_innovation[wrong], innovations.whitening_root[wrong]
+        return changed(predicted, stack=opened), wider._replace(turn=whitened, turn_root=root)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """Return the decision with the text of fault detection, rejected if the measurement excluded its source."""
@@ -425,8 +425,8 @@ class ShipFilter:
         source, ins, compared = decision.measurement.source, found.ins, found.compared
         # Deck attitude by the measurement: the INS deck attitude with the rotation from predicted to measured device.
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
-        turn_n = log_rotation(measured_nd @ ins.rotation_nd.T)
-        departure = Departure(decision.measurement.time_ns, turn_n, compared.attitude_noise_n)
+        rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
+        departure = Departure(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
         state = changed(self._counted(state, source), departures=with_entry(state.departures, source, departure))
         run = state.refusals[source]
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"

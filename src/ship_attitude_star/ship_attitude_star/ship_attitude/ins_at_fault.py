@@ -118,8 +118,8 @@ class InsAtFault:
             return state.stack, []
         stack: FloatArray = state.stack.copy()
         for row in wrong:
-            turn_n = predicted_nv @ innovations.turn_root[row] @ innovations.turn[row]
-            covariance_n = np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3)
+            rotation_n = predicted_nv @ innovations.whitening_root[row] @ innovations.whitened_innovation[row]
+            covariance_n = np.outer(rotation_n, rotation_n) + 0.01 * (rotation_n @ rotation_n) * np.eye(3)
             self._open(stack, len(state.means), covariance_n, None if everywhere else row)
         return stack, list(range(len(state.means))) if everywhere else wrong
 
@@ -174,9 +174,9 @@ class InsAtFault:
             is_consistent: True if the source's recent innovations are consistent with the main filter.
             time_ns: stamp of the measurement.
         """
-        turn = innovations.turn[0]
+        innovation = innovations.whitened_innovation[0]
         # Written so that NaN is inconsistent.
-        return state if agrees and turn @ turn <= self._agreed else self.contradicted_now(state, time_ns)
+        return state if agrees and innovation @ innovation <= self._agreed else self.contradicted_now(state, time_ns)
 
     def believed_again(self, state: FilterState, time_ns: int) -> FilterState:
         """Reinstate an excluded INS when its time has come.
@@ -209,10 +209,10 @@ class InsAtFault:
     def _doubted(self, state: FilterState, time_ns: int, text: str) -> FilterState:
         """Return the state with an unresolved fault of the excluded INS, whose consistency starts from this time."""
         names = state.in_use(self._subfilters.sources, time_ns)
-        disputed = [state.last_innovations[name].turn_n for name in names if name in state.last_innovations]
+        disputed = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in disputed), start=np.zeros((3, 3)))
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
-        seen = forgotten(state.seen, slice(None), slice(None))
+        seen = forgotten(state.innovation_means, slice(None), slice(None))
         return changed(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))
 
     def _contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
@@ -220,7 +220,7 @@ class InsAtFault:
         index = self._subfilters.sources.index(source)
         if source in state.excluded or not self._subfilters.uses[subfilter, index]:
             return False
-        return bool(state.seen.refused[subfilter, index] >= self._degraded_after - 1)
+        return bool(state.innovation_means.refused[subfilter, index] >= self._degraded_after - 1)
 
     def _open(self, stack: FloatArray, count: int, covariance_n: FloatArray, subfilter: int | None) -> None:
         add_error(stack, count, self._part, self._slow, covariance_n, subfilter)

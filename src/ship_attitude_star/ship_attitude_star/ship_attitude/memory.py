@@ -61,17 +61,17 @@ def memory_residual(
     found = filter_.linearisation.of(measurement, state.mean, state.covariance, {}, track, watch)
     if found is None or isinstance(found, NotCompared):
         return None
-    linear, by_turn = found.compared.linear, found.compared.rotation_jacobian
-    weighted = np.linalg.solve(linear.noise, by_turn)
-    information = by_turn.T @ weighted
+    linear, rotation_jacobian = found.compared.linear, found.compared.rotation_jacobian
+    weighted = np.linalg.solve(linear.noise, rotation_jacobian)
+    information = rotation_jacobian.T @ weighted
     if not np.linalg.eigvalsh(information)[0] >= _SEEN_RAD**-2:
         return None
     noise_v = np.linalg.inv(information)
-    to_turn = found.compared.predicted_nv @ noise_v @ weighted.T
-    by_state = to_turn @ linear.jacobian
+    to_rotation = found.compared.predicted_nv @ noise_v @ weighted.T
+    by_state = to_rotation @ linear.jacobian
     noise_n = found.compared.predicted_nv @ noise_v @ found.compared.predicted_nv.T
     expected, drift = by_state @ state.covariance @ by_state.T, by_state @ _drift(filter_, state) @ by_state.T
-    return MemoryResidual(to_turn @ linear.residual, noise_n, expected, drift)
+    return MemoryResidual(to_rotation @ linear.residual, noise_n, expected, drift)
 
 
 def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:

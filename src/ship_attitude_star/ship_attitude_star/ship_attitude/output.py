@@ -84,9 +84,9 @@ def estimate_from_star(
     to_gravity = horizon == GRAVITY and filter_.vertical is not None
     if to_gravity:
         assert filter_.vertical is not None
-        turn, deflection = filter_.vertical.at(measurement.time_ns).turn, model.state_indices("gravity.deflection")
-        rotation_nd = exp_rotation(-turn @ state.mean[deflection]) @ rotation_nd
-        rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -turn])
+        by_deflection, deflection = filter_.vertical.at(measurement.time_ns).turn, model.state_indices("gravity.deflection")
+        rotation_nd = exp_rotation(-by_deflection @ state.mean[deflection]) @ rotation_nd
+        rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -by_deflection])
     parts = jacobian @ state.parts[:, rows[:, None], rows] @ jacobian.T
     parts[model.sources.index(device.noise_source)] += to_horizon @ measurement.noise_v @ to_horizon.T
     common = model.blocks[f"{device.name}.common"].source

@@ -16,7 +16,7 @@ from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation import compiled_steps
 from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed
 from ship_estimation.exclusion import HEARD_NS, Exclusion
-from ship_estimation.running_means import Means
+from ship_estimation.running_means import InnovationMeans
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
 
@@ -28,7 +28,7 @@ __all__ = [
     "Lately",
     "UtcStep",
     "changed",
-    "shared_turn",
+    "shared_rotation",
     "with_entry",
     "without",
 ]
@@ -78,19 +78,19 @@ class Apart(NamedTuple):
     predicted_nv: FloatArray
 
     @property
-    def turn_v(self) -> FloatArray:
+    def rotation_v(self) -> FloatArray:
         """Rotation vector in the device frame, rad, shape (3,)."""
         turn_v: FloatArray = self.root @ self.whitened
         return turn_v
 
     @property
-    def turn_n(self) -> FloatArray:
+    def rotation_n(self) -> FloatArray:
         """Rotation vector in the horizon frame, rad, shape (3,)."""
-        turn_n: FloatArray = self.predicted_nv @ self.turn_v
+        turn_n: FloatArray = self.predicted_nv @ self.rotation_v
         return turn_n
 
 
-def shared_turn(measured: Sequence[Apart]) -> FloatArray:
+def shared_rotation(measured: Sequence[Apart]) -> FloatArray:
     """Return the rotation common to several innovations by least squares.
 
     Returns:
@@ -124,7 +124,7 @@ class Lately(NamedTuple):
         largest_sigmas: largest deviation of a mean from zero, in its own standard deviations.
     """
 
-    running: FloatArray
+    windowed_means: FloatArray
     sigmas: float
 
 
@@ -168,7 +168,7 @@ class FilterState:
     time_ns: int | None
     means: FloatArray
     stack: FloatArray
-    seen: Means
+    innovation_means: InnovationMeans
     excluded: MappingProxyType[str, Exclusion] = field(default_factory=lambda: MappingProxyType({}))
     record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     doubt: Doubt | None = None
@@ -206,7 +206,7 @@ class FilterState:
 
     def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
         """Return the sources, in the given order, that are not excluded and have measured recently."""
-        heard, since_ns = zip(sources, self.seen.heard_ns.tolist(), strict=True), time_ns - HEARD_NS
+        heard, since_ns = zip(sources, self.innovation_means.heard_ns.tolist(), strict=True), time_ns - HEARD_NS
         return [name for name, heard_ns in heard if heard_ns >= since_ns and name not in self.excluded]
 
     @property

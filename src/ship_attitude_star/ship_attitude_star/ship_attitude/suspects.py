@@ -23,7 +23,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, shared_turn, with_entry
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, shared_rotation, with_entry
 from ship_estimation.common_error import SUSPECTED_SIGMAS
 from ship_estimation.exclusion import (
     HEARD_NS,
@@ -127,13 +127,13 @@ class Suspects:
         """
         source, index = measurement.source, self._indices[measurement.source]
         used = self.subfilters.users[source] if not state.excluded else self.uses(state)[:, index]
-        noise = None if used[0] else innovations.turn_noise
+        noise = None if used[0] else innovations.whitened_noise
         seen = observed(
-            state.seen, index, innovations.turn, accepted, measurement.time_ns, self.subfilters.limit, noise
+            state.innovation_means, index, innovations.whitened_innovation, accepted, measurement.time_ns, self.subfilters.limit, noise
         )
-        if state.seen.heard_ns[index] < measurement.time_ns - HEARD_NS:
+        if state.innovation_means.heard_ns[index] < measurement.time_ns - HEARD_NS:
             state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
-        last = Apart(innovations.turn[0], innovations.turn_root[0], measured.predicted_nv)
+        last = Apart(innovations.whitened_innovation[0], innovations.whitening_root[0], measured.predicted_nv)
         last_innovations = with_entry(state.last_innovations, source, last)
         exclusion = state.excluded.get(source)
         # A measurement that no filter uses leaves all of them bit-identical. An excluded source may still update its
@@ -145,8 +145,8 @@ class Suspects:
         corrections, stack = update_rows(predicted.stack, measured.linear, innovations, learns)
         lately, absorbed = state.lately, state.absorbed
         if used[0] and accepted[0]:
-            running = lately[source].running if source in lately else NO_MEANS
-            lately = with_entry(lately, source, Lately(*averaged(running, innovations.turn[0])))
+            running = lately[source].windowed_means if source in lately else NO_MEANS
+            lately = with_entry(lately, source, Lately(*averaged(running, innovations.whitened_innovation[0])))
             if source in self.subfilters.stars and INS not in state.excluded:
                 absorbed = absorbed.with_correction(innovations, measured.linear.jacobian, self._slow.start)
         means = predicted.means + corrections
@@ -169,7 +169,7 @@ class Suspects:
         excluded = dict(state.excluded)
         if source in excluded:
             excluded[source] = replace(excluded[source], agrees_since_ns=None)
-        if distrusted(state) and state.seen.heard_ns.max() < time_ns - HEARD_NS:
+        if distrusted(state) and state.innovation_means.heard_ns.max() < time_ns - HEARD_NS:
             excluded[INS] = replace(excluded[INS], agrees_since_ns=time_ns)
         heard_since_ns = with_entry(state.heard_since_ns, source, time_ns)
         return changed(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
@@ -215,13 +215,13 @@ class Suspects:
             candidates = [row for row in candidates if table.names[row - 1] not in state.excluded]
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
         # The rates show a step of the INS, but not a drift.
-        stepped = any(state.seen.refused[0].tolist())
+        stepped = any(state.innovation_means.refused[0].tolist())
         if ins_vouched and stepped:
             candidates, pairs = ([row for row in rows if row not in table.ins_subfilters] for rows in (candidates, pairs))
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
             pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
         threshold, after = table.k.false_exclusion, self._degraded_after
-        finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after, pairs)
+        finding = find_fault(state.innovation_means, uses, statistic, threshold, candidates, time_ns, after, pairs)
         # Written so that NaN is shared.
         shared = not state.absorbed.sigmas <= table.common_threshold and INS not in state.excluded
         if not finding.fault and not shared:
@@ -256,7 +256,7 @@ class Suspects:
         # Written so that NaN is inconsistent.
         return (
             state.absorbed.sigmas <= SUSPECTED_SIGMAS
-            and agrees_with_all(state.seen, self._degraded_after)
+            and agrees_with_all(state.innovation_means, self._degraded_after)
             and all(one.sigmas <= UNDISPUTED_SIGMAS for one in state.lately.values())
             and stand_together(state.means, state.stack, self._slow, self._undisputed)
         )
@@ -318,7 +318,7 @@ class Suspects:
     def _forgiven(self, state: FilterState) -> FilterState:
         """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
-        seen = forgotten(state.seen, slice(None), slice(None))
+        seen = forgotten(state.innovation_means, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
         return changed(
             state,
@@ -363,14 +363,14 @@ class Suspects:
             if relearns:
                 self._open_mounting(stack, state, name)
             record[name] = state.record.get(name, 0) + 1
-            rotation_v = None if relearns or name == INS else state.last_innovations[name].turn_v
+            rotation_v = None if relearns or name == INS else state.last_innovations[name].rotation_v
             excluded[name] = Exclusion(time_ns, record[name], offset=rotation_v)
             used_ns.pop(name, None)
         state = changed(
             state,
             means=means,
             stack=stack,
-            seen=forgotten(state.seen, slice(None), slice(None)),
+            seen=forgotten(state.innovation_means, slice(None), slice(None)),
             lately=MappingProxyType({}),
             absorbed=state.absorbed.without_corrections(),
             excluded=MappingProxyType(excluded),
@@ -391,7 +391,7 @@ class Suspects:
         Their mountings stay as estimated, because a mounting shift is not known either. All filters restart from the
         main filter, which has rejected the stars. The corrections by an error that the stars share are taken back.
         """
-        turn_n = shared_turn([state.last_innovations[name] for name in stars])
+        turn_n = shared_rotation([state.last_innovations[name] for name in stars])
         mean, parts = state.mean, state.parts
         if shared:
             absorbed = state.absorbed
@@ -426,7 +426,7 @@ class Suspects:
         after_s = self._integrity.return_after_s
         share = self._share_left(state, source, time_ns)
         sigma = _share_sigma(state, source, innovations)
-        exclusion, back = judge_return(exclusion, state.seen, index, time_ns, after_s, share, sigma)
+        exclusion, back = judge_return(exclusion, state.innovation_means, index, time_ns, after_s, share, sigma)
         after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
@@ -434,7 +434,7 @@ class Suspects:
                 # Another mounting shift: the mounting estimated since the last one is void.
                 stack = state.stack.copy()
                 self._open_mounting(stack, state, source)
-                state = changed(state, stack=stack, seen=forgotten(state.seen, slice(None), [index]))
+                state = changed(state, stack=stack, seen=forgotten(state.innovation_means, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             agrees = "not consistent with the others"
             if exclusion.agrees_since_ns is not None:
@@ -442,7 +442,7 @@ class Suspects:
                 agrees = f"consistent with the others for {agreed_s:.0f} s of {after_s:g} s"
             return state, f"{source} is excluded since {since_s:.0f} s: {agrees}"
         together = self._excluded_with(state, source)
-        seen = forgotten(state.seen, slice(None), [self._indices[name] for name in together])
+        seen = forgotten(state.innovation_means, slice(None), [self._indices[name] for name in together])
         remaining = {name: one for name, one in state.excluded.items() if name not in together}
         are = "is" if len(together) == 1 else "are"
         text = f"{' and '.join(together)} {are} reinstated"
@@ -506,7 +506,7 @@ class Suspects:
         names = [source]
         if own.is_shared:
             shared = [name for name, one in state.excluded.items() if one.is_shared and one.since_ns == own.since_ns]
-            names = [name for name in shared if state.seen.heard_ns[self._indices[name]] >= heard_ns]
+            names = [name for name in shared if state.innovation_means.heard_ns[self._indices[name]] >= heard_ns]
         along = square = 0.0
         for name in names:
             measured, offset = state.last_innovations[name], state.excluded[name].offset
@@ -518,7 +518,7 @@ class Suspects:
 
     def _contradicts(self, state: FilterState, index: int) -> bool:
         """True if the main filter's innovations of a source are inconsistent."""
-        seen = state.seen
+        seen = state.innovation_means
         return not (seen.excess[0, index] <= 1.0 and seen.refused[0, index] < self._degraded_after)
 
     def _in_doubt(
@@ -532,7 +532,7 @@ class Suspects:
             separation_sigmas: largest solution separation of each filter in standard deviations, shape (h,).
             contradicting: the star sensors, if all of them contradict the INS; else empty.
         """
-        vectors = [innovation.turn_n for name, innovation in state.last_innovations.items() if state.refusals.get(name, 0)]
+        vectors = [innovation.rotation_n for name, innovation in state.last_innovations.items() if state.refusals.get(name, 0)]
         vectors += [vector for vector, size in zip(separations_n, statistic, strict=True) if size > 1.0]
         if state.absorbed.sigmas > SUSPECTED_SIGMAS:
             vectors.append(state.absorbed.error_n)
@@ -558,7 +558,7 @@ class Suspects:
         heard = [name for name in in_use if name in self.subfilters.stars]
         if shared:
             return tuple(heard)
-        long_refused = state.seen.refused[0] >= self._degraded_after
+        long_refused = state.innovation_means.refused[0] >= self._degraded_after
         against = [name for name in heard if name in wrong or long_refused[self._sources.index(name)]]
         return tuple(heard) if heard and len(against) == len(heard) else ()
 
@@ -568,7 +568,7 @@ class Suspects:
         Returns:
             Rotation vector in the device frame, rad, shape (3,); None if it is larger than any mounting shift.
         """
-        knock_v = _KNOCKED_SIGMA * state.last_innovations[source].turn_v
+        knock_v = _KNOCKED_SIGMA * state.last_innovations[source].rotation_v
         return knock_v if np.linalg.norm(knock_v) <= _LARGEST_KNOCK_RAD else None
 
     def _open_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
@@ -587,5 +587,5 @@ def _share_sigma(state: FilterState, source: str, innovations: FilterInnovations
     if offset is None:
         return 0.0
     distance = np.linalg.pinv(state.last_innovations[source].root) @ offset
-    by_state = np.eye(3) - innovations.turn_noise
+    by_state = np.eye(3) - innovations.whitened_noise
     return math.sqrt(max(float(distance @ by_state @ distance), 0.0)) / float(distance @ distance)

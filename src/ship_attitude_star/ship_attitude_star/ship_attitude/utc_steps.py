@@ -68,7 +68,7 @@ def with_utc_compared(
         return changed(state, utc=None), decision
     if innovation is None or not len(decision.residual):
         return after, decision
-    ratio, turn_n = _log_ratio(innovation, utc.step_s)
+    ratio, rotation_n = _log_ratio(innovation, utc.step_s)
     if ratio is None:
         return after, decision
     total = min(utc.log_ratio + ratio, _MOST)
@@ -82,7 +82,7 @@ def with_utc_compared(
         f"UTC differs by {utc.step_s:+.1f} s: since the clock step the stars are rotated about the pole by "
         "15.04″ per second of the step; set the clocks right, or call ~/reset if they were wrong before"
     )
-    state = changed(state, doubt=Doubt(text, np.outer(turn_n, turn_n)))
+    state = changed(state, doubt=Doubt(text, np.outer(rotation_n, rotation_n)))
     return state, replace(decision, accepted=False, reason=Reason.ATTITUDE_CONFLICT, text=text)
 
 
@@ -105,13 +105,13 @@ def _log_ratio(innovation: Apart, step_s: float) -> tuple[float | None, FloatArr
     turned = -math.copysign(1.0, step_s)
     north, up = turned * np.linalg.lstsq(whitened_of_n[:, :2], innovation.whitened, rcond=None)[0]
     latitude = math.atan2(up, max(north, 0.0))
-    turn_n = -EARTH_ROTATION_RATE * step_s * np.array([math.cos(latitude), math.sin(latitude), 0.0])
-    by_sky = whitened_of_n @ turn_n
+    rotation_n = -EARTH_ROTATION_RATE * step_s * np.array([math.cos(latitude), math.sin(latitude), 0.0])
+    by_sky = whitened_of_n @ rotation_n
     unturned, left = float(innovation.whitened @ innovation.whitened), innovation.whitened - by_sky
     squares = float(left @ left)
     # Written so that NaN is consistent with neither.
     fits_sky = squares <= _FITS + _FITS_SHARE**2 * float(by_sky @ by_sky)
     if not (fits_sky or unturned <= _FITS):
-        return None, turn_n
+        return None, rotation_n
     ratio = 0.5 * (unturned - squares - 1.0)
-    return min(max(ratio, -_MOST_AT_ONCE), _MOST_AT_ONCE), turn_n
+    return min(max(ratio, -_MOST_AT_ONCE), _MOST_AT_ONCE), rotation_n

@@ -197,10 +197,10 @@ class StarCore:
 
     def take_ahead(self, turns: InsTurns, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
-        while turns.taken < stop:
+        while turns.committed_count < stop:
             # A pending exposure may need this sample. Pending groups wait for exposures only.
-            end, outcome = turns.taken + 1 if self._waiting else stop, StarOutcome()
-            self._ins.take(turns, end)
+            end, outcome = turns.committed_count + 1 if self._waiting else stop, StarOutcome()
+            self._ins.commit_batch(turns, end)
             self._arrivals.move_to(turns.samples[end - 1].time_ns)
             self._advance(outcome)
             if outcome.solved or outcome.not_joined:

@@ -77,7 +77,7 @@ class InsTurns:
     samples: list[AttitudeSample]
     values: FloatArray
     followed: Followed
-    taken: int = 0
+    committed_count: int = 0
     told: list[tuple[int, StarOutcome]] = field(default_factory=list)
 
 
@@ -141,10 +141,10 @@ class InsMotion:
             return None
         return InsTurns(samples[: followed.usual], block.rotations_nd[: followed.count], followed)
 
-    def take(self, turns: InsTurns, stop: int) -> None:
+    def commit_batch(self, turns: InsTurns, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
-        self.track.extend(turns.samples[turns.taken : stop])
-        turns.taken, self._guards.ins.by_rates = stop, turns.followed.by_rates(stop - 1)
+        self.track.extend(turns.samples[turns.committed_count : stop])
+        turns.committed_count, self._guards.ins.by_rates = stop, turns.followed.by_rates(stop - 1)
 
     def end(self, turns: InsTurns) -> Refusal | None:
         """Finish a batch; use a last sample that needs separate handling and return its rejection, if any."""

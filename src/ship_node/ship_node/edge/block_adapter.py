@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.refusals import Refusal
-from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray, parts_with_levels
+from ship_node.edge.blocks import BatchOutput, BlockTurn, PublishedRows, StampArray, parts_with_levels
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_node.edge.topics import Published
@@ -81,37 +81,37 @@ class BlockAdapter(ReportingAdapter):
         self.time_base.add_block(topic, stamps_ns[count - 1], int(receive_ns[count - 1]), count)
         return BlockTurn(topic, reading, receive_ns[:count], ahead)
 
-    def take_ahead(self, turn: BlockTurn, stop: int) -> list[BlockPart]:
+    def commit_batch(self, pending: BlockTurn, stop: int) -> list[BatchOutput]:
         """Commit the messages of a batch before index ``stop``; return what must be published at once."""
-        block = self.feeds[turn.topic].block
+        block = self.feeds[pending.topic].block
         assert block is not None
-        block.core.take_ahead(turn.ahead, min(stop, turn.ahead.followed.usual))
-        told, turn.ahead.told[:] = list(turn.ahead.told), []
+        block.core.commit_batch(pending.ahead, min(stop, pending.ahead.followed.usual))
+        told, pending.ahead.told[:] = list(pending.ahead.told), []
         parts = []
         for place, outcome in told:
-            now_ns = int(turn.receive_ns[place])
-            parts.append(BlockPart(place, self.published(outcome, now_ns, now_ns)))
+            now_ns = int(pending.receive_ns[place])
+            parts.append(BatchOutput(place, self.published(outcome, now_ns, now_ns)))
         return parts
 
-    def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
+    def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:
         """Finish a batch whose messages are all committed; return its remaining outputs."""
-        feed, usual, known = self.feeds[turn.topic], turn.ahead.followed.usual, turn.reading.covariance_known
+        feed, usual, known = self.feeds[pending.topic], pending.ahead.followed.usual, pending.reading.covariance_known
         assert feed.block is not None
-        samples = turn.reading.samples.some(slice(len(turn.receive_ns)))
-        self._contested.see_block(turn.topic, samples.times_ns, samples.rotations_nd)
+        samples = pending.reading.samples.some(slice(len(pending.receive_ns)))
+        self._contested.see_block(pending.topic, samples.times_ns, samples.rotations_nd)
         if usual:
-            times_ns = turn.reading.samples.times_ns[:usual]
-            self.health.took_block(turn.topic, turn.receive_ns[:usual], times_ns, known)
-        parts: list[BlockPart] = []
-        for some, found in feed.block.core.estimates_ahead(turn.ahead):
-            parts += self.parts(some, found, turn.reading.samples.times_ns)
-        last = feed.block.core.end_ahead(turn.ahead)
+            times_ns = pending.reading.samples.times_ns[:usual]
+            self.health.took_block(pending.topic, pending.receive_ns[:usual], times_ns, known)
+        parts: list[BatchOutput] = []
+        for some, found in feed.block.core.estimates_ahead(pending.ahead):
+            parts += self.parts(some, found, pending.reading.samples.times_ns)
+        last = feed.block.core.end_ahead(pending.ahead)
         if last is not None:
-            reading, now_ns = ReadMessage(turn.reading.samples.one(usual), known), int(turn.receive_ns[usual])
-            parts.append(BlockPart(usual, self.told(feed, reading, last, now_ns, now_ns)))
+            reading, now_ns = ReadMessage(pending.reading.samples.one(usual), known), int(pending.receive_ns[usual])
+            parts.append(BatchOutput(usual, self.told(feed, reading, last, now_ns, now_ns)))
         return parts
 
-    def parts(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BlockPart]:
+    def parts(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BatchOutput]:
         """Yield the outputs of estimates, with the protection levels to be published before some of them.
 
         Args:
@@ -121,14 +121,14 @@ class BlockAdapter(ReportingAdapter):
         """
         if isinstance(found, Refusal):
             for place in range(some.start, some.stop):
-                yield BlockPart(place, [self.failed(self.main_topic, int(times_ns[place]), found)])
+                yield BatchOutput(place, [self.failed(self.main_topic, int(times_ns[place]), found)])
             return
         if self.integrity_topic:
             checked_by = list(zip(*self.checked_by(found), strict=True))
             directions, levels_before = self.directions(found), self.levels_before
             yield from parts_with_levels(some.start, found, self.told_levels, checked_by, directions, levels_before)
         else:
-            yield BlockPart(some.start, [], found)
+            yield BatchOutput(some.start, [], found)
         self.latest = self.budget_due = found.one(len(found.time_ns) - 1)
 
     @abstractmethod

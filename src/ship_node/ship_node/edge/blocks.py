@@ -55,7 +55,7 @@ class AheadCore(Protocol[SamplesAhead]):
         """Evaluate the leading samples that need no special treatment; None if the first one does."""
         ...
 
-    def take_ahead(self, ahead: SamplesAhead, stop: int) -> None:
+    def commit_batch(self, ahead: SamplesAhead, stop: int) -> None:
         """Commit the evaluated samples before index ``stop``."""
         ...
 
@@ -96,7 +96,7 @@ class BlockTurn(NamedTuple):
     ahead: Ahead
 
 
-class BlockPart(NamedTuple):
+class BatchOutput(NamedTuple):
     """Part of the outputs of a batch.
 
     Attributes:
@@ -132,7 +132,7 @@ def parts_with_levels(
     checked_by: list[tuple[Any, ...]],
     directions: FloatArray,
     levels_before: Callable[[Any], list[Published]],
-) -> Iterator[BlockPart]:
+) -> Iterator[BatchOutput]:
     """Yield a run of outputs, split where protection levels are published before one of them.
 
     Args:
@@ -145,9 +145,9 @@ def parts_with_levels(
     """
     start, count = 0, len(run.time_ns)
     while start < count:
-        yield BlockPart(place + start, levels_before(run.one(start)))
+        yield BatchOutput(place + start, levels_before(run.one(start)))
         rest = slice(start + 1, count)
         end = start + 1 + told.covered(run.time_ns[rest], run.covariance_n[rest], directions[rest])
         end = next((other for other in range(start + 1, end) if checked_by[other] != told.redundancy_key), end)
-        yield BlockPart(place + start, [], run if end - start == count else run.some(slice(start, end)))
+        yield BatchOutput(place + start, [], run if end - start == count else run.some(slice(start, end)))
         start = end

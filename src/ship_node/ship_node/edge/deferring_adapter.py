@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from ship_estimation.refusals import Refusal
 from ship_node.edge.block_adapter import BlockAdapter
-from ship_node.edge.blocks import BlockPart
+from ship_node.edge.blocks import BatchOutput
 from ship_node.edge.topics import Published
 
 
@@ -33,7 +33,7 @@ class DeferringAdapter(BlockAdapter):
     def defer(self) -> None:
         """Leave the outputs out of the results from now on: :meth:`take_outputs` returns them."""
         self.core.due = []
-        self._parts_made: list[BlockPart] = []
+        self._parts_made: list[BatchOutput] = []
         self._made = 0
 
     @property
@@ -41,7 +41,7 @@ class DeferringAdapter(BlockAdapter):
         """Number of outputs pending since :meth:`defer_outputs` or :meth:`take_outputs`."""
         return self._made + len(self.core.due)
 
-    def take_parts(self) -> list[BlockPart]:
+    def take_parts(self) -> list[BatchOutput]:
         """Compute and return all pending outputs by their indices, with the messages published before some of them."""
         self._make_due()
         parts, self._parts_made, self._made = self._parts_made, [], 0

@@ -18,7 +18,7 @@ from ship_estimation.told_levels import ToldLevels
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.block_adapter import BlockAdapter
-from ship_node.edge.blocks import BlockPart, BlockTurn
+from ship_node.edge.blocks import BatchOutput, BlockTurn
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.reporting_adapter import Feed
@@ -113,10 +113,10 @@ class RecoveringAdapter(BlockAdapter):
             self._arrived_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
         return super().told(feed, reading, outcome, receive_ns, waiting_ns)
 
-    def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
+    def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:
         """See :class:`BatchAdapter`."""
-        self._arrived_ns[self.feeds[turn.topic].source] = int(turn.receive_ns[-1])
-        return super().end_ahead(turn)
+        self._arrived_ns[self.feeds[pending.topic].source] = int(pending.receive_ns[-1])
+        return super().end_ahead(pending)
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :class:`ReportingAdapter`; a compared measurement shows that its source is present."""
@@ -214,7 +214,7 @@ class RecoveringAdapter(BlockAdapter):
         # The published levels, conflicts and diagnoses belong to the replaced estimator.
         self.told_levels = ToldLevels()
         self.conflicts.clear()
-        self.verdicts.clear()
+        self.innovation_report.clear()
         self.notices.append(f"recovered after {self.recovery.took_s:.0f} s: a second estimator was adopted")
         return published
 

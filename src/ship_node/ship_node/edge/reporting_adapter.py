@@ -168,7 +168,7 @@ class ReportingAdapter(ABC):
         self.latest: Any = None
         self.budget_due: Any = None
         self.conflicts: dict[str, str] = {}
-        self.verdicts = VerdictReport()
+        self.innovation_report = VerdictReport()
         self.slow_due_ns: int | None = None
         self.told_levels = ToldLevels()
         self.behind: Overload | None = None
@@ -366,7 +366,7 @@ class ReportingAdapter(ABC):
             return ServiceResult(False, str(error))
         self.health.restart()
         self.conflicts.clear()
-        self.verdicts.clear()
+        self.innovation_report.clear()
         return ServiceResult(True, told)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
@@ -399,7 +399,7 @@ class ReportingAdapter(ABC):
             if is_attitude and self._contested.see(topic, decision.measurement.time_ns, decision):
                 self._pass_on_contested(topic)
             judged.append((feed.source, decision))
-        self.verdicts.pending += judged
+        self.innovation_report.pending += judged
         published: list[Published] = []
         for source, decision in judged:
             time_ns = decision.measurement.time_ns
@@ -583,4 +583,4 @@ class ReportingAdapter(ABC):
         self.latest, self.budget_due, self.slow_due_ns = None, None, None
         self.told_levels = ToldLevels()
         self.conflicts.clear()
-        self.verdicts.clear()
+        self.innovation_report.clear()

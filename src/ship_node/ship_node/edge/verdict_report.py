@@ -10,14 +10,14 @@ from typing import Any
 
 from ship_estimation.kalman import StateModel
 from ship_estimation.outcome import Decision
-from ship_estimation.verdicts import SourceVerdict, VerdictBook, VerdictKind, clock_verdicts
+from ship_estimation.verdicts import InnovationDiagnosis, VerdictBook, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 _MOST_PENDING = 5000
 """Maximum number of pending decisions; of more the newest are evaluated."""
 
-_GOOD = (VerdictKind.AS_STATED, VerdictKind.UNKNOWN)
+_GOOD = (DiagnosisKind.AS_STATED, DiagnosisKind.UNKNOWN)
 
 
 class VerdictReport:
@@ -29,18 +29,18 @@ class VerdictReport:
 
     def __init__(self) -> None:
         self.pending: deque[tuple[str, Decision[Any]]] = deque(maxlen=_MOST_PENDING)
-        self._book = VerdictBook()
+        self._history = VerdictBook()
 
     def clear(self) -> None:
         """Discard all decisions, as after a reset of the estimator."""
         self.pending.clear()
-        self._book.clear()
+        self._history.clear()
 
-    def verdicts(self) -> dict[str, SourceVerdict]:
+    def verdicts(self) -> dict[str, InnovationDiagnosis]:
         """Return the diagnosis of each source whose measurements were compared with a prediction."""
         while self.pending:
-            self._book.add(*self.pending.popleft())
-        return self._book.verdicts()
+            self._history.add(*self.pending.popleft())
+        return self._history.diagnoses()
 
     def statuses(self) -> list[DiagnosticStatus]:
         """Return one diagnostic status per diagnosis."""
@@ -55,11 +55,11 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
         mean: its state.
         groups: see :func:`ship_estimation.verdicts.clock_diagnoses`.
     """
-    told = clock_verdicts(model, mean, groups)
+    told = clock_diagnoses(model, mean, groups)
     return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within configured limits")
 
 
-def _status(source: str, verdict: SourceVerdict) -> DiagnosticStatus:
+def _status(source: str, verdict: InnovationDiagnosis) -> DiagnosticStatus:
     level = Level.OK if verdict.kind in _GOOD else Level.WARN
     values = {"measurements": str(verdict.count)}
     if verdict.nis_band is not None:

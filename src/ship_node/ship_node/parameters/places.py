@@ -53,7 +53,7 @@ class HeldPlace:
         except ValueError:
             return False
 
-    def excludes(self, other: "HeldPlace") -> bool:
+    def conflicts_with(self, other: "HeldPlace") -> bool:
         """Return True if only one of the two resources can be used."""
         if (self.kind, self.name) != (other.kind, other.name):
             return False
@@ -89,7 +89,7 @@ def held_path(parameter: str, path: str) -> HeldPlace:
 
 def clashes(places: Iterable[HeldPlace]) -> Iterator[tuple[HeldPlace, HeldPlace]]:
     """Yield pairs of resources of which only one can be used, in their order."""
-    return ((one, other) for one, other in combinations(places, 2) if one.excludes(other))
+    return ((one, other) for one, other in combinations(places, 2) if one.conflicts_with(other))
 
 
 def refuse_clashes(places: Iterable[HeldPlace]) -> None:

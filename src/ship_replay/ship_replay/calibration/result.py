@@ -42,7 +42,7 @@ DECK_AXES = ("bow", "up", "starboard")
 
 
 @dataclass(frozen=True)
-class JointTurn:
+class JointRotation:
     """A simultaneous rotation of several sensors: one way in which all installations may be wrong together.
 
     Attributes:
@@ -73,7 +73,7 @@ class JointTurn:
 
 def combinations(
     prior_sigma: FloatArray, parts: FloatArray, rotations_ds: FloatArray, ins_sigma_d: FloatArray
-) -> list[JointTurn]:
+) -> list[JointRotation]:
     """Return the three common rotations of all sensors, then the relative ones that were not well observed.
 
     The latter come worst first.
@@ -101,12 +101,12 @@ def combinations(
         sigma = float(np.sqrt(variances.sum()))
         run_s = (sigma * turn[:, number]).reshape(-1, 3)
         shares = variances / variances.sum()
-        found.append(JointTurn(axis, run_s, float(np.sqrt(before[number, number])), sigma, shares))
+        found.append(JointRotation(axis, run_s, float(np.sqrt(before[number, number])), sigma, shares))
     across = np.linalg.qr(turned, mode="complete")[0][:, len(DECK_AXES) :]
     return found + _relative_rotations(whitened, scale, across)
 
 
-def _relative_rotations(whitened: FloatArray, scale: FloatArray, basis: FloatArray) -> list[JointTurn]:
+def _relative_rotations(whitened: FloatArray, scale: FloatArray, basis: FloatArray) -> list[JointRotation]:
     """Return the relative rotations of the sensors that were not well observed."""
     _, vectors = np.linalg.eigh(basis.T @ whitened.sum(axis=0) @ basis)
     found = []
@@ -116,7 +116,7 @@ def _relative_rotations(whitened: FloatArray, scale: FloatArray, basis: FloatArr
         if ratio > WELL_OBSERVED:
             run = ratio * scale * vector * np.sign(vector[np.argmax(np.abs(scale * vector))])
             sigma = float(np.linalg.norm(run))
-            found.append(JointTurn(None, run.reshape(-1, 3), sigma / ratio, sigma, variances / variances.sum()))
+            found.append(JointRotation(None, run.reshape(-1, 3), sigma / ratio, sigma, variances / variances.sum()))
     return found
 
 
@@ -186,7 +186,7 @@ class InstallationCalibration:
     """
 
     angles: list[InstalledAngle]
-    combinations: dict[str, JointTurn]
+    combinations: dict[str, JointRotation]
     sensors: tuple[str, ...]
     sources: tuple[str, ...]
     covariance: FloatArray
@@ -247,7 +247,7 @@ def _installation_parts(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> Flo
 
 
 def _installed_angles(
-    before: Alignment, after: Alignment, index: list[int], labelled: dict[str, JointTurn], sensors: tuple[str, ...]
+    before: Alignment, after: Alignment, index: list[int], labelled: dict[str, JointRotation], sensors: tuple[str, ...]
 ) -> list[InstalledAngle]:
     configured, installed = before.values[index], after.values[index]
     sigma_before, sigma = (np.sqrt(np.diagonal(alignment.covariance)[index]) for alignment in (before, after))
@@ -272,7 +272,7 @@ def _installed_angles(
     ]
 
 
-def _angle_changes(combination: JointTurn, angles: FloatArray) -> FloatArray:
+def _angle_changes(combination: JointRotation, angles: FloatArray) -> FloatArray:
     """Return the change of all angles by one sigma of a combination, rad, shape (3 N,)."""
     changes = []
     for run_s, (azimuth, elevation, roll) in zip(combination.run_s, angles.reshape(-1, 3), strict=True):

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_replay.calibration.result import InstallationCalibration, JointTurn
+from ship_replay.calibration.result import InstallationCalibration, JointRotation
 
 _TOGETHER = {
     "bow": "rotated together in roll (about the deck's bow axis)",
@@ -139,7 +139,7 @@ def _text(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
-def combination_words(combination: JointTurn, sensors: tuple[str, ...]) -> str:
+def combination_words(combination: JointRotation, sensors: tuple[str, ...]) -> str:
     """Return a description of a combination."""
     if combination.axis is not None:
         who = sensors[0] if len(sensors) == 1 else "all sensors"
@@ -154,14 +154,14 @@ def combination_words(combination: JointTurn, sensors: tuple[str, ...]) -> str:
     return f"relative rotation: {', '.join(parts)}"
 
 
-def remedy(combination: JointTurn) -> str:
+def remedy(combination: JointRotation) -> str:
     """Return the advice for observing a combination."""
     if combination.axis is None:
         return _RELATIVE_REMEDY
     return _AZIMUTH_REMEDY if combination.axis == "up" else _TILT_REMEDY
 
 
-def limit_words(calibration: InstallationCalibration, combination: JointTurn) -> str:
+def limit_words(calibration: InstallationCalibration, combination: JointRotation) -> str:
     """Return the source of error with the largest share in the remaining variance."""
     largest = int(np.argmax(combination.shares))
     return f"{calibration.sources[largest].replace('_', ' ')} {combination.shares[largest]:.0%}"

@@ -14,7 +14,7 @@ import numpy as np
 from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
 from ship_node.edge.block_adapter import BlockAdapter
-from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray
+from ship_node.edge.blocks import BatchOutput, BlockTurn, PublishedRows, StampArray
 from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import Published
@@ -122,8 +122,8 @@ class NodePass:
         }
         # The same node if it processes blocks; else None.
         self._ahead = adapter if isinstance(adapter, BlockAdapter) else None
-        self._turn: BlockTurn | None = None
-        self._turn_places: StampArray = np.empty(0, dtype=np.int64)
+        self._batch: BlockTurn | None = None
+        self._batch_indices: StampArray = np.empty(0, dtype=np.int64)
         self._arrived = self._patience = self._order = 0
         # The same node if it publishes outputs later, and the event index and order of each pending output.
         self._deferring = adapter if isinstance(adapter, DeferringAdapter) else None
@@ -158,16 +158,16 @@ class NodePass:
 
     def _tick(self, place: int, now_ns: int) -> None:
         # Within a block a tick has no effect on the node, or the block would end before it.
-        if self._turn is not None and self._ahead is not None and self._ahead.quiet_ticks:
+        if self._batch is not None and self._ahead is not None and self._ahead.quiet_ticks:
             return
         self._take_arrived()
         self._publish(place, self._adapter.tick(now_ns))
 
     def _take_arrived(self) -> None:
         """Commit the messages of the block that arrived so far, before another input is processed."""
-        if self._turn is not None:
+        if self._batch is not None:
             assert self._ahead is not None
-            self._publish_parts(self._ahead.take_ahead(self._turn, self._arrived))
+            self._publish_parts(self._ahead.commit_batch(self._batch, self._arrived))
 
     def _handle(self, place: int, topic: str, message: Any) -> None:
         self._take_arrived()
@@ -182,34 +182,34 @@ class NodePass:
         """Process a message of a topic block."""
         number = self._next[moment.topic]
         self._next[moment.topic] += 1
-        if self._turn is None and self._ahead is not None and self._ahead.takes_blocks(moment.topic):
-            self._turn = self._begin(self._ahead, moment.topic, number)
-        if self._ahead is None or self._turn is None or self._turn.topic != moment.topic:
+        if self._batch is None and self._ahead is not None and self._ahead.takes_blocks(moment.topic):
+            self._batch = self._start_batch(self._ahead, moment.topic, number)
+        if self._ahead is None or self._batch is None or self._batch.topic != moment.topic:
             reading = self._read[moment.topic][number]
             message = self._rows[moment.topic].messages.message(number) if reading is None else reading
             self._handle(place, moment.topic, message)
             return
         self._arrived += 1
-        if self._arrived == self._turn.ahead.followed.count:
-            turn, self._turn = self._turn, None
-            self._publish_parts(self._ahead.take_ahead(turn, self._arrived))
-            self._publish_parts(self._ahead.end_ahead(turn))
+        if self._arrived == self._batch.ahead.followed.count:
+            batch, self._batch = self._batch, None
+            self._publish_parts(self._ahead.commit_batch(batch, self._arrived))
+            self._publish_parts(self._ahead.end_ahead(batch))
 
-    def _begin(self, adapter: BlockAdapter, topic: str, number: int) -> BlockTurn | None:
+    def _start_batch(self, adapter: BlockAdapter, topic: str, number: int) -> BlockTurn | None:
         """Start a block with a message, if possible."""
         if self._patience:
             self._patience -= 1
             return None
-        rows, turn = self._rows[topic], None
+        rows, batch = self._rows[topic], None
         # The first tick with an effect comes before the message logged at the same time.
         tick_ns = -(-adapter.quiet_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
         some = slice(number, int(np.searchsorted(rows.times_ns, tick_ns)))
         if some.stop > some.start:
-            turn = adapter.look_ahead(topic, rows.messages.some(some), rows.times_ns[some])
-        if turn is None:
+            batch = adapter.look_ahead(topic, rows.messages.some(some), rows.times_ns[some])
+        if batch is None:
             self._patience = _PATIENCE
-        self._turn_places, self._arrived = rows.places[some], 0
-        return turn
+        self._batch_indices, self._arrived = rows.places[some], 0
+        return batch
 
     def _publish(self, place: int, published: list[Published]) -> None:
         if published:
@@ -231,12 +231,12 @@ class NodePass:
                 run = EstimatesOfMoments(adapter.main_topic, places[some], orders[some] + 1, part.estimates)
                 self.passed.runs.append(run)
 
-    def _publish_parts(self, parts: list[BlockPart]) -> None:
+    def _publish_parts(self, parts: list[BatchOutput]) -> None:
         assert self._ahead is not None
         for part in parts:
-            self._publish(int(self._turn_places[part.place]), part.published)
+            self._publish(int(self._batch_indices[part.place]), part.published)
             if part.estimates is not None:
-                places = self._turn_places[part.place : part.place + len(part.estimates.time_ns)]
+                places = self._batch_indices[part.place : part.place + len(part.estimates.time_ns)]
                 orders = np.full(len(places), self._order)
                 self.passed.runs.append(EstimatesOfMoments(self._ahead.main_topic, places, orders, part.estimates))
                 self._order += 1

@@ -210,7 +210,7 @@ def _held_places(
 def _held_twice(path: Path, held: Sequence[tuple[str, ParameterFile, HeldPlace]]) -> Iterator[str]:
     """Yield errors for exclusive resources of the machine that two nodes use."""
     for (node, file, place), (other_node, other_file, other) in itertools.combinations(held, 2):
-        if node != other_node and place.excludes(other):
+        if node != other_node and place.conflicts_with(other):
             reason = f"parameter '{other.parameter}' = {other.name!r} of {other_node}"
             reason += f": '{place.parameter}' of {node}, line {file.line_of(place.parameter)}, has {place} already"
             line = other_file.line_of(other.parameter)

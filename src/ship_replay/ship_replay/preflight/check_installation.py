@@ -90,7 +90,7 @@ def _contradictions(
         if len(mounting.rotations_dv) >= _FEWEST:
             residuals.append(_residual(mounting, config))
     far = [residual for residual in residuals if np.linalg.norm(residual.turn_d) > _TOO_FAR]
-    common = _common_turn(far) if len(far) == len(residuals) else None
+    common = _common_rotation(far) if len(far) == len(residuals) else None
     if common is not None:
         yield True, "ins", _words_of_ins(common, far, bag)
         return
@@ -133,7 +133,7 @@ def _configured(device: Any) -> tuple[FloatArray, FloatArray]:
     return device.rotation_ds, device.installation_sigma_s
 
 
-def _common_turn(far: Sequence[_Residual]) -> FloatArray | None:
+def _common_rotation(far: Sequence[_Residual]) -> FloatArray | None:
     """Return the common rotation of the deck in two or more devices, rad, shape (3,); None if there is none."""
     if len(far) < 2:
         return None

@@ -10,7 +10,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_estimation.refusals import Reason
-from ship_estimation.verdicts import SourceVerdict, VerdictKind
+from ship_estimation.verdicts import InnovationDiagnosis, DiagnosisKind
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import Refused
@@ -52,17 +52,17 @@ def check_sigmas(check: BagCheck, until_ns: int) -> None:
         if rests_on_ins and _contradicts_ins(check, node, until_ns):
             continue
         if isinstance(node.adapter, ReportingAdapter):
-            for source, verdict in node.adapter.verdicts.verdicts().items():
-                _check_source(check, node, node.adapter, source, verdict)
+            for source, diagnosis in node.adapter.innovation_report.verdicts().items():
+                _check_source(check, node, node.adapter, source, diagnosis)
 
 
 def _check_source(
-    check: BagCheck, node: CheckedNode, adapter: ReportingAdapter, source: str, verdict: SourceVerdict
+    check: BagCheck, node: CheckedNode, adapter: ReportingAdapter, source: str, diagnosis: InnovationDiagnosis
 ) -> None:
     """Compare the innovation diagnosis of one source with its sigmas."""
-    if verdict.kind not in (VerdictKind.OPTIMISTIC, VerdictKind.CONSERVATIVE):
+    if diagnosis.kind not in (DiagnosisKind.OPTIMISTIC, DiagnosisKind.CONSERVATIVE):
         return
-    factor = verdict.factor
+    factor = diagnosis.factor
     # Data without any noise are artificial: no conclusion.
     if not (factor >= CONTRADICTED_FACTOR or _LEAST_FACTOR <= factor <= 1.0 / CONTRADICTED_FACTOR):
         return
@@ -71,13 +71,13 @@ def _check_source(
     said = f"the innovations of {source} in {check.bag.path} fit {factor:.2g} times this noise"
     names = list(_parameters(node.config, source))
     if not names or 2 * record.noted[Reason.COVARIANCE_UNKNOWN] < record.received:
-        text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {said} ({verdict.count} measurements)"
+        text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {said} ({diagnosis.count} measurements)"
         check.say(False, f"{text}: {factor**2:.2g} times its variance fits")
         return
     for name in names:
         value = _value(node.config, name)
         text = f"{node.place(check.path, name)}: parameter '{name}' = {value:.3g}, but {said}"
-        check.say(False, f"{text} ({verdict.count} measurements): {factor * value:.2g} fits")
+        check.say(False, f"{text} ({diagnosis.count} measurements): {factor * value:.2g} fits")
 
 
 def _parameters(config: Any, source: str) -> Iterator[str]:

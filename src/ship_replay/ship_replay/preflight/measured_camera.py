@@ -87,15 +87,15 @@ class _Reading:
         """Exposures in which the stars verify one another."""
         return [entry for entry in self.solved if entry[1].star_count >= FEWEST_VERIFIED]
 
-    def turn(self, record: CameraRecord) -> float:
+    def median_rotation(self, record: CameraRecord) -> float:
         """Return the median angle between the attitudes and the predicted ones, rad; NaN without predictions."""
         pairs = [(record.prior_at(placed.time_ns), solution.rotation_nb) for placed, solution in self.verified]
-        turns = [
+        angles = [
             float(np.linalg.norm(log_rotation(prior.rotation_nb.T @ rotation_ns)))
             for prior, rotation_ns in pairs
             if prior is not None
         ]
-        return float(np.median(turns)) if turns else np.nan
+        return float(np.median(angles)) if angles else np.nan
 
 
 def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
@@ -121,8 +121,8 @@ def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
 def _mirrored(record: CameraRecord, expected: _Reading, watch: SkyWatch) -> _Reading:
     """Return the hypothesis of mirrored axes that fits the stars; the expected axes if none does."""
     found = [reading for axes in MIRRORED if _explains(reading := _read(record, axes, watch), expected)]
-    nearest = min(found, key=lambda reading: reading.turn(record), default=expected)
-    if found and np.isnan(nearest.turn(record)):
+    nearest = min(found, key=lambda reading: reading.median_rotation(record), default=expected)
+    if found and np.isnan(nearest.median_rotation(record)):
         return replace(nearest, axes=nearest.axes._replace(text=_WHICH_IS_OPEN))
     return nearest
 

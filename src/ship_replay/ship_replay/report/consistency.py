@@ -117,32 +117,32 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
     nis = np.array([one.nis for one in judged])
     degrees = np.array([int(np.isfinite(one.residual).sum()) for one in judged])
     number = (stamps - stamps[0]) // WINDOW_NS
-    verdicts: list[NisVerdict] = []
+    diagnoses: list[NisVerdict] = []
     for minute in np.unique(number):
         window, rows = NisWindow(), np.flatnonzero(number == minute)
         for row in rows:
             window.add(int(stamps[row]), float(nis[row]), int(degrees[row]))
-        verdicts.append(window.verdict(int(stamps[rows[-1]])))
-    verdicts = [verdict for verdict in verdicts if verdict.text]  # too few innovations in the others
+        diagnoses.append(window.verdict(int(stamps[rows[-1]])))
+    diagnoses = [verdict for verdict in diagnoses if verdict.text]  # too few innovations in the others
     outside = {
-        "optimistic": [verdict for verdict in verdicts if not verdict.is_as_stated and verdict.ratio > 1.0],
-        "pessimistic": [verdict for verdict in verdicts if not verdict.is_as_stated and verdict.ratio < 1.0],
+        "optimistic": [verdict for verdict in diagnoses if not verdict.is_as_stated and verdict.ratio > 1.0],
+        "pessimistic": [verdict for verdict in diagnoses if not verdict.is_as_stated and verdict.ratio < 1.0],
     }
     minutes = {word: len(found) for word, found in outside.items()}
-    told = {"as stated": len(verdicts) - sum(minutes.values()), **minutes}
+    told = {"as stated": len(diagnoses) - sum(minutes.values()), **minutes}
     known = np.isfinite(nis) & (degrees > 0)
     mean, freedom = (float(np.mean(values[known])) if known.any() else math.nan for values in (nis, degrees))
-    if not verdicts:
+    if not diagnoses:
         words = TOO_FEW
-    elif sum(minutes.values()) <= binom.ppf(_BAND, len(verdicts), _MINUTE_OUTSIDE):
+    elif sum(minutes.values()) <= binom.ppf(_BAND, len(diagnoses), _MINUTE_OUTSIDE):
         words = f"σ {as_stated(math.sqrt(mean / freedom))}"
     else:
         parts = [f"{misfit(_together(found))} in {len(found)}" for found in outside.values() if found]
-        words = f"σ {', '.join(parts)} of {len(verdicts)} minutes"
+        words = f"σ {', '.join(parts)} of {len(diagnoses)} minutes"
     return SigmaFit("NIS", name, mean, freedom, int(known.sum()), math.nan, told, words)
 
 
-def _together(verdicts: list[NisVerdict]) -> float:
+def _together(diagnoses: list[NisVerdict]) -> float:
     """Return the actual over stated sigma of several minutes together."""
-    degrees = sum(verdict.degrees for verdict in verdicts)
-    return math.sqrt(sum(verdict.ratio**2 * verdict.degrees for verdict in verdicts) / degrees)
+    degrees = sum(verdict.degrees for verdict in diagnoses)
+    return math.sqrt(sum(verdict.ratio**2 * verdict.degrees for verdict in diagnoses) / degrees)

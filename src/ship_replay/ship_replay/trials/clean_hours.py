@@ -44,7 +44,7 @@ BEYOND_SIGMAS = 5.0
 
 _SLOW_INS_HZ = 20.0
 _AZIMUTHS_DEG = {"fore": 0.0, "starboard": 120.0, "port": 240.0}
-_TURN = 10
+_KINDS_PERIOD = 10
 """Number of voyages after which the kinds repeat: eight of the ship, one with the INS's full rate, one theodolite."""
 
 
@@ -67,9 +67,9 @@ def clean_voyages(count: int) -> list[CleanVoyage]:
     """Return voyages of all kinds in turn."""
     found = []
     for number in range(count):
-        turn, place = divmod(number, _TURN)
-        kind = THEODOLITE if place == _TURN - 1 else (TWO, THREE)[(place + turn) % 2]
-        found.append(CleanVoyage(number, kind, full_rate=place == _TURN - 2))
+        turn, place = divmod(number, _KINDS_PERIOD)
+        kind = THEODOLITE if place == _KINDS_PERIOD - 1 else (TWO, THREE)[(place + turn) % 2]
+        found.append(CleanVoyage(number, kind, full_rate=place == _KINDS_PERIOD - 2))
     return found
 
 

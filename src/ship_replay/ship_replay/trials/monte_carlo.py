@@ -122,12 +122,12 @@ def attitude_outcomes(
     core: ShipAttitudeCore, run: SimulatedRun, wanted_ns: Container[int]
 ) -> Iterator[AttitudeOutcome]:
     """Yield the outcome of each arrival of a run; attitudes are requested only at the wanted stamps of INS samples."""
-    ins = _InsTurns(core, run, wanted_ns)
+    ins = _InsBatches(core, run, wanted_ns)
     for _, source, index in run.arrivals():
         if source == "ins":
             yield from ins.arrive(index)
             continue
-        yield from ins.take_turns()
+        yield from ins.commit()
         if source in SKY_SOURCES:
             yield core.add_sky_input(sky_input(run, source, index))
         elif source == DEFLECTION_SOURCE:
@@ -138,7 +138,7 @@ def attitude_outcomes(
             yield core.add_measurement(measurement_of(run, source, index))
 
 
-class _InsTurns:
+class _InsBatches:
     """INS samples, checked in batches as in a replay, up to the next wanted stamp.
 
     Args:
@@ -168,12 +168,12 @@ class _InsTurns:
                 return
         self._arrived += 1
         if self._arrived == self._ahead.followed.count:
-            yield from self.take_turns()
+            yield from self.commit()
             last, self._ahead = self._core.end_ahead(self._ahead), None
             if last is not None:
                 yield last
 
-    def take_turns(self) -> Iterator[AttitudeOutcome]:
+    def commit(self) -> Iterator[AttitudeOutcome]:
         """Commit the samples that have arrived."""
         if self._ahead is not None:
             self._core.take_ahead(self._ahead, min(self._arrived, self._ahead.followed.usual))

@@ -94,7 +94,7 @@ def _slow_error_of_ins(scenario: Scenario, stretch: Stretch, draws: Draws, defle
         return draws.lasting("ins.schuler", make).at(since_start_s)
     time_s = np.array([config.tilt_time_s, config.heading_time_s, config.tilt_time_s])
     slow_n = draws.gauss_markov("ins.attitude_error", time_ns.size, 1.0 / config.rate_hz, sigma, time_s)
-    return slow_n if gravity is None else slow_n + gravity.turn_n(since_start_s)
+    return slow_n if gravity is None else slow_n + gravity.horizon_rotation_n(since_start_s)
 
 
 def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> FloatArray:
@@ -267,7 +267,7 @@ def simulate_reference(
     valid_s = (time_ns - stretch.start_ns) / SECOND_NS - truth.time_offset_s + ins_time_offset_s
     clean_nv = carrier.attitude(valid_s) @ truth.rotation_dv
     if not scenario.gravity.is_level:
-        clean_nv = exp_rotation(-deflection.turn_n(np.maximum(valid_s, 0.0))) @ clean_nv
+        clean_nv = exp_rotation(-deflection.horizon_rotation_n(np.maximum(valid_s, 0.0))) @ clean_nv
     return _samples(f"reference.{name}", draws, time_ns, clean_nv, sigma_v, 0.0, config), truth
 
 

@@ -39,7 +39,7 @@ class Deflection:
         time_s = gravity.correlation_length_m / speed
         return known + self._draws.slow_error(_UNKNOWN, self._duration_s, sigma, time_s).at(since_start_s)
 
-    def turn_n(self, since_start_s: FloatArray) -> FloatArray:
+    def horizon_rotation_n(self, since_start_s: FloatArray) -> FloatArray:
         """Return the rotation vector of the geodetic horizon against gravity's, (North, Up, East), rad, (n, 3)."""
         xi, eta = self.at(since_start_s).T
         time_ns = self._track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64)

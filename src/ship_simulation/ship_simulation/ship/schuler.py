@@ -59,7 +59,7 @@ class SchulerError:
         )
         self._state = start * rng.standard_normal(_STATES)
         if deflection is not None:
-            self._state[:3] += deflection.turn_n(np.zeros(1))[0]
+            self._state[:3] += deflection.horizon_rotation_n(np.zeros(1))[0]
         self._first = 0
         self._values = self._state[None, :3]
         self._step: tuple[FloatArray, FloatArray, FloatArray]

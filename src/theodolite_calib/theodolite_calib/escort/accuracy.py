@@ -126,7 +126,7 @@ class LightsAccuracy:
 
     def _main_axis(self, prediction: Prediction) -> tuple[FloatArray, FloatArray]:
         """Return the rotation of the main axis per state, shape (3, n), and its noise at a reading, rad², (3, 3)."""
-        turn_n = prediction.turn_n.copy()
+        turn_n = prediction.by_state_n.copy()
         # The parallelism rotates the telescope, not the main axis.
         turn_n[:, self._parallelism] = 0.0
         return turn_n, sum(prediction.noise_n.values(), np.zeros((3, 3)))

@@ -70,7 +70,7 @@ class RowsSeen:
 
     accepted: NDArray[np.bool_]
     light_nis: FloatArray
-    light_turn: FloatArray
+    whitened_innovation: FloatArray
 
 
 class _Pattern(NamedTuple):
@@ -86,7 +86,7 @@ class _Pattern(NamedTuple):
     """
 
     sees: NDArray[np.uint8]
-    known: NDArray[np.uint8]
+    conditioning: NDArray[np.uint8]
     learns: NDArray[np.uint8]
     gates: FloatArray
 
@@ -185,7 +185,7 @@ class SourceRows:
         degrees = np.count_nonzero(sees[1:], axis=1).tolist()
         return _Pattern(
             sees=sees[1:].astype(np.uint8),
-            known=known.astype(np.uint8),
+            conditioning=known.astype(np.uint8),
             learns=np.ones((len(self.sources), self._model.size), dtype=np.uint8),
             gates=np.array([chi_square_gate(probability, count) if count else np.inf for count in degrees]),
         )
@@ -210,7 +210,7 @@ class SourceRows:
             probability: probability of the gate.
         """
         pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(subfilters.parts[:, 0])
-        residual, gain, nis, light_turn = compiled_rows.beacon_innovations(
+        residual, gain, nis, whitened_innovation = compiled_rows.beacon_innovations(
             subfilters.mean - main_filter[0],
             parts,
             measurement.residual,
@@ -218,7 +218,7 @@ class SourceRows:
             measurement.noise,
             main_filter[1],
             pattern.sees,
-            pattern.known,
+            pattern.conditioning,
         )
         accepted = nis <= pattern.gates  # NaN is not
         gain[~accepted] = 0.0
@@ -232,8 +232,8 @@ class SourceRows:
             measurement.noise,
         )
         mean = subfilters.mean + corrections
-        light_nis = np.einsum("hlk,hlk->hl", light_turn, light_turn)
-        return replace(subfilters, mean=mean, parts=updated[:, None]), RowsSeen(accepted, light_nis, light_turn)
+        light_nis = np.einsum("hlk,hlk->hl", whitened_innovation, whitened_innovation)
+        return replace(subfilters, mean=mean, parts=updated[:, None]), RowsSeen(accepted, light_nis, whitened_innovation)
 
 
     def seen_stars(
@@ -283,10 +283,10 @@ def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArr
         noise: part of it that is the sighting's own noise, shape (2, 2).
     """
     root = _whitening(covariance)
-    turn, turn_noise = np.zeros((1, 3)), np.eye(3)
-    turn[0, :2], turn_noise[:2, :2] = root @ residual, root @ noise @ root
+    whitened_innovation, turn_noise = np.zeros((1, 3)), np.eye(3)
+    whitened_innovation[0, :2], turn_noise[:2, :2] = root @ residual, root @ noise @ root
     nothing = np.empty(0)
-    return FilterInnovations(residual[None], covariance[None], np.sum(turn**2, axis=-1), nothing, turn, turn_noise, nothing)
+    return FilterInnovations(residual[None], covariance[None], np.sum(whitened_innovation**2, axis=-1), nothing, whitened_innovation, turn_noise, nothing)
 
 
 def _whitening(covariance: FloatArray) -> FloatArray:

@@ -87,7 +87,7 @@ def _light(
     covariance: cython.p_double,
     places: cython.p_int,
     scratch: cython.p_double,
-    turn: cython.p_double,
+    whitened_innovation: cython.p_double,
 ) -> cython.bint:
     """Whiten the residual of one beacon, given the components in ``conditioning``; False as by :func:`_solve`."""
     size: cython.int = known.shape[0]
@@ -118,9 +118,9 @@ def _light(
     # Inverse of the symmetric root of the conditional covariance.
     area = sqrt(own[0] * own[3] - own[1] * own[1])
     scale = 1.0 / (area * sqrt(own[0] + own[3] + 2.0 * area))
-    turn[0] = scale * ((own[3] + area) * left[0] - own[1] * left[1])
-    turn[1] = scale * ((own[0] + area) * left[1] - own[1] * left[0])
-    turn[2] = 0.0
+    whitened_innovation[0] = scale * ((own[3] + area) * left[0] - own[1] * left[1])
+    whitened_innovation[1] = scale * ((own[0] + area) * left[1] - own[1] * left[0])
+    whitened_innovation[2] = 0.0
     return True
 
 
@@ -164,11 +164,11 @@ def beacon_innovations(
     check("components", jacobian.shape[0] == sees.shape[1] == known.shape[2] == 2 * lights == m)
     check("noise", noise.shape[0] == noise.shape[1] == main_covariance.shape[0] == main_covariance.shape[1] == m)
     of_residuals, of_gains = np.zeros((subfilters, m)), np.zeros((subfilters, n, m))
-    of_nis, of_turns = np.empty(subfilters), np.empty((subfilters + 1, lights, 3))
+    of_nis, innovation_array = np.empty(subfilters), np.empty((subfilters + 1, lights, 3))
     residuals: cython.double[:, ::1] = of_residuals
     gains: cython.double[:, :, ::1] = of_gains
     nis: cython.double[::1] = of_nis
-    turns: cython.double[:, :, ::1] = of_turns
+    innovations: cython.double[:, :, ::1] = innovation_array
     places: cython.int[::1] = np.empty(max(m, 1), dtype=np.intc)
     # Per subfilter: residual, its covariance and that with the states, a scratch matrix, and the right-hand side.
     room: cython.double[::1] = np.empty(m + m * m + m * n + m * m + m * max(n + 1, 3) + 1)
@@ -186,7 +186,7 @@ def beacon_innovations(
     k: cython.Py_ssize_t
     if m == 0:
         of_nis[:] = 0.0
-        return of_residuals, of_gains, of_nis, of_turns
+        return of_residuals, of_gains, of_nis, innovation_array
     for subfilter in range(-1, subfilters):
         for i in range(m):
             subfilter_residual[i] = residual[i]
@@ -214,7 +214,7 @@ def beacon_innovations(
                 covariance,
                 cython.address(places[0]),
                 scratch,
-                cython.address(turns[subfilter + 1, light, 0]),
+                cython.address(innovations[subfilter + 1, light, 0]),
             ):
                 raise np.linalg.LinAlgError("beacon covariance is not positive definite")
         if subfilter < 0:
@@ -232,4 +232,4 @@ def beacon_innovations(
             for k in range(n):
                 gains[subfilter, k, places[i]] = asked[i * (n + 1) + k]
             nis[subfilter] += subfilter_residual[places[i]] * asked[i * (n + 1) + n]
-    return of_residuals, of_gains, of_nis, of_turns
+    return of_residuals, of_gains, of_nis, innovation_array

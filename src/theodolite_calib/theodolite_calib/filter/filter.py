@@ -243,7 +243,7 @@ class CalibrationFilter:
         compared, mean = comparison, state.mean
         for _ in range(_STEPS):
             correction, parts = update(state.parts, compared.measurement, compared.gain)
-            turned = compared.prediction.turn_n @ (state.mean + correction - mean)
+            turned = compared.prediction.by_state_n @ (state.mean + correction - mean)
             mean = state.mean + correction
             if np.max(np.abs(turned)) < _SMALL_STEP:
                 break
@@ -301,8 +301,8 @@ class CalibrationFilter:
         found = compare_rows(
             state.mean[None], state.covariance[None], measurement, state.mean, prediction.by_attitude_n
         )
-        (nis,), (turn,) = found.nis.tolist(), found.turn
-        return Comparison(prediction, measurement, found.covariance[0], nis, nis - float(turn @ turn), found.gain[0])
+        (nis,), (whitened_innovation,) = found.nis.tolist(), found.whitened_innovation
+        return Comparison(prediction, measurement, found.covariance[0], nis, nis - float(whitened_innovation @ whitened_innovation), found.gain[0])
 
 
 def _reshaped(parts: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -164,7 +164,7 @@ class SightingJudge:
 
 def _telescope_parts(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
     """Return the covariance of the predicted telescope's rotation vector in n by source, rad², shape (3, 3) each."""
-    turn_n = comparison.prediction.turn_n
+    turn_n = comparison.prediction.by_state_n
     return {"state": turn_n @ state.covariance @ turn_n.T, **comparison.prediction.noise_n}
 
 

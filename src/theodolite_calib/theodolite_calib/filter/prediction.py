@@ -27,7 +27,7 @@ from theodolite_calib.filter.model import (
 from theodolite_calib.lights.image import Camera, predict_points
 from theodolite_calib.lights.line_of_sight import (
     BASELINE,
-    SHIP_TURN,
+    SHIP_ROTATION,
     TERM_COLUMNS,
     LeverArm,
     Lights,
@@ -66,7 +66,7 @@ class Prediction:
     """
 
     rotation_nt: FloatArray
-    turn_n: FloatArray
+    by_state_n: FloatArray
     noise_n: dict[str, FloatArray]
     camera: Camera
     lines: LinesOfSight
@@ -86,7 +86,7 @@ class SightingModel:
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
         self._config, self._model = config, model
-        self._turning = chain_rows(model)
+        self._axis_indices = chain_rows(model)
         self._configured_errors: FloatArray = np.zeros(SHIP_TIME.stop)
         self._configured_errors[AXES] = config.axes.values
         self._parallelism = config.telescope.parallelism
@@ -96,7 +96,7 @@ class SightingModel:
     def chain_errors(self, mean: FloatArray) -> FloatArray:
         """Return the estimated errors of the axis geometry, in the order of its columns, shape (14,)."""
         errors: FloatArray = self._configured_errors.copy()
-        errors[: len(self._turning)] += mean[self._turning]
+        errors[: len(self._axis_indices)] += mean[self._axis_indices]
         return errors
 
     def parallelism(self, mean: FloatArray) -> FloatArray:
@@ -107,7 +107,7 @@ class SightingModel:
         """Return the estimated focal length, m."""
         return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
 
-    def turn_n(self, chain: AxisChain, by_parallelism: FloatArray, parallelism: str) -> FloatArray:
+    def by_state_n(self, chain: AxisChain, by_parallelism: FloatArray, parallelism: str) -> FloatArray:
         """Return the rotation vector in n per state of a camera fixed to the main axis, shape (3, n).
 
         Args:
@@ -116,7 +116,7 @@ class SightingModel:
             parallelism: name of the states of these angles.
         """
         turn_n = np.zeros((3, self._model.size))
-        turn_n[:, self._turning] = chain.by_error[:, : len(self._turning)]
+        turn_n[:, self._axis_indices] = chain.by_error[:, : len(self._axis_indices)]
         turn_n[:, self._model.slices[parallelism]] = by_parallelism
         return turn_n
 
@@ -129,7 +129,7 @@ class SightingModel:
         lines = self._lines(mean, sighting, chain, known)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
-        turn_n = self.turn_n(chain, by_parallelism, "parallelism")
+        turn_n = self.by_state_n(chain, by_parallelism, "parallelism")
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
         jacobian, by_error = compiled_points.by_states(
@@ -141,7 +141,7 @@ class SightingModel:
             self._model.slices["focal_length"].start,
             known.places,
         )
-        self._add_ships_time(jacobian, by_error[..., SHIP_TURN], chain)
+        self._add_ships_time(jacobian, by_error[..., SHIP_ROTATION], chain)
         parts_n = np.array([encoder.noise * (chain.by_encoder @ chain.by_encoder.T), ship.noise * _UNIT])
         of_encoder, of_ship = compiled_points.by_turns(by_attitude_n, parts_n)
         noise = {
@@ -182,10 +182,10 @@ class SightingModel:
             self._lights[names] = _OfLights(self._config, self._model, names)
         return self._lights[names]
 
-    def _add_ships_time(self, jacobian: FloatArray, by_ship_turn: FloatArray, chain: AxisChain) -> None:
+    def _add_ships_time(self, jacobian: FloatArray, by_ship_rotation: FloatArray, chain: AxisChain) -> None:
         """Add the effect of the ship's time offset that moves the theodolite around the antenna."""
         if "ship.time_offset" in self._model.slices:
-            by_turn = by_ship_turn.reshape(len(jacobian), 3)
+            by_turn = by_ship_rotation.reshape(len(jacobian), 3)
             jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ chain.by_error[:, SHIP_TIME]
 
     def _of(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:

@@ -112,7 +112,7 @@ class StarModel:
             SOURCE_ENCODER: encoder.noise * (chain.by_encoder @ chain.by_encoder.T),
             SOURCE_SHIP_NOISE: ship.noise * np.eye(3),
         }
-        return CameraAttitude(rotation_ns, self._sightings.turn_n(chain, by_angles, block), noise_n)
+        return CameraAttitude(rotation_ns, self._sightings.by_state_n(chain, by_angles, block), noise_n)
 
     def residuals(
         self,

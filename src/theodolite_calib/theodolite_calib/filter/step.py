@@ -135,7 +135,7 @@ class SightingStep:
             after, compared = self._filter.used(unknown, judgement.sighting, judgement.comparison)
             if ENCODER in excluded:
                 # The predicted attitude uses the excluded encoders; the update gives the attitude by the beacons.
-                turned = exp_rotation(compared.prediction.turn_n @ (after.mean - unknown.mean))
+                turned = exp_rotation(compared.prediction.by_state_n @ (after.mean - unknown.mean))
                 rotation_nt = turned @ judgement.comparison.prediction.rotation_nt
                 told_dt = judgement.sighting.in_deck(rotation_nt), _sigma_seen(compared)
                 decision = replace(decision, telescope_dt=told_dt)
@@ -160,9 +160,9 @@ class SightingStep:
             before.subfilters, names, compared.measurement, main_filter, before.trust.excluded, self._gate.probability
         )
         time_ns = decision.measurement.time_ns
-        trust = self._referee.observed(before.trust, names, innovations, True, time_ns)
+        trust = self._referee.update_means(before.trust, names, innovations, True, time_ns)
         prediction = compared.prediction
-        separation = separations(after, alternatives, self._turning, prediction.rotation_nt, prediction.turn_n)
+        separation = separations(after, alternatives, self._turning, prediction.rotation_nt, prediction.by_state_n)
         trusted = self._referee.agreed(trust, time_ns)
         after = replace(after, alternatives=alternatives, trust=trusted, separation=separation)
         fault, source, explaining = self._referee.fault(after.trust, after.separation, time_ns)
@@ -198,7 +198,7 @@ class SightingStep:
             self._gate.probability,
         )
         time_ns = sighting.time_ns
-        trust = self._referee.observed(held.trust, sighting.names, innovations, False, time_ns)
+        trust = self._referee.update_means(held.trust, sighting.names, innovations, False, time_ns)
         fault, found, explaining = self._referee.fault(trust, np.zeros(len(self._filter.subfilters.sources)), time_ns)
         after = replace(predicted, alternatives=alternatives, trust=trust)
         source = found
@@ -244,7 +244,7 @@ class SightingStep:
     def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
         """Return the largest separation of a subfilter's pointing from the main filter, as a covariance in n, rad²."""
         separation_n = (state.subfilters.mean - state.mean)[:, self._turning] @ (
-            compared.prediction.turn_n[:, self._turning].T
+            compared.prediction.by_state_n[:, self._turning].T
         )
         farthest = separation_n[np.argmax(np.sum(separation_n**2, axis=1))]
         return np.outer(farthest, farthest)

@@ -18,7 +18,7 @@ from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, 
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import IntegrityConfig
-from ship_estimation.running_means import FIELDS_BY_SUBFILTER, WELL, Means, excess_limit, forgotten, no_means, observed
+from ship_estimation.running_means import FIELDS_BY_SUBFILTER, WELL, InnovationMeans, excess_limit, forgotten, no_means, observed
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
@@ -89,7 +89,7 @@ class Trust:
         jumped_ns: stamps up to which jumps of baselines have been processed, by source.
     """
 
-    means: Means
+    innovation_means: InnovationMeans
     left_out: Mapping[str, LeftOut] = field(default_factory=dict)
     conflict: Conflict | None = None
     jumped_ns: Mapping[str, int] = field(default_factory=dict)
@@ -173,7 +173,7 @@ class Referee:
             names: beacons of this sighting.
             time_ns: time of the sighting.
         """
-        heard_ns, silent_ns = trust.means.heard_ns, time_ns - HEARD_NS
+        heard_ns, silent_ns = trust.innovation_means.heard_ns, time_ns - HEARD_NS
         quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._subfilters.beacons.index(name)] < silent_ns}
         if not quiet or not (trust.left_out or trust.conflict):
             return trust
@@ -187,12 +187,12 @@ class Referee:
             left_out[name] = replace(left_out[name], exclusion=exclusion)
         return replace(trust, left_out=left_out, conflict=conflict)
 
-    def observed(self, trust: Trust, names: tuple[str, ...], innovations: RowsSeen, used: bool, time_ns: int) -> Trust:
+    def update_means(self, trust: Trust, names: tuple[str, ...], innovations: RowsSeen, used: bool, time_ns: int) -> Trust:
         """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
         beacons = [self._subfilters.beacons.index(name) for name in names]
         by_row = np.concatenate([[used], innovations.accepted])[:, None]
         accepted = np.where(self._leaves_out[:, beacons], innovations.light_nis <= self._light_gate, by_row)
-        means = observed(trust.means, beacons, innovations.light_turn, accepted, time_ns, self._limit)
+        means = observed(trust.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
         return replace(trust, means=means)
 
     def fault(self, trust: Trust, separations: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
@@ -210,7 +210,7 @@ class Referee:
 
         def found(names: list[str]) -> Finding:
             rows = [1 + sources.index(name) for name in names]
-            return find_fault(trust.means, uses, all_separations, self._threshold, rows, time_ns, self._degraded_after)
+            return find_fault(trust.innovation_means, uses, all_separations, self._threshold, rows, time_ns, self._degraded_after)
 
         candidates = [name for name in sources if name not in excluded]
         finding = found(candidates)
@@ -231,12 +231,12 @@ class Referee:
         used = [
             row
             for row, id_ in enumerate(self._subfilters.beacons)
-            if BEACON + id_ not in trust.excluded and trust.means.heard_ns[row] >= time_ns - HEARD_NS
+            if BEACON + id_ not in trust.excluded and trust.innovation_means.heard_ns[row] >= time_ns - HEARD_NS
         ]
         if len(used) < 2:
             return False
         # Longer windows only, in standard deviations: shape (w, l, 2).
-        running = trust.means.running[0, used, 1:].swapaxes(0, 1)
+        running = trust.innovation_means.running[0, used, 1:].swapaxes(0, 1)
         off = running[..., :2] / np.sqrt(running[..., 4:])
         size = np.linalg.norm(off, axis=-1)
         cosines = np.einsum("wlk,wmk->wlm", off, off) / (size[:, :, None] * size[:, None, :])
@@ -245,15 +245,15 @@ class Referee:
 
     def suspects_ship(self, trust: Trust, time_ns: int) -> bool:
         """True if beacons drift within their limit and are consistent without the ship's attitude."""
-        heard = trust.means.heard_ns >= time_ns - HEARD_NS
-        if trust.excluded or trust.conflict is not None or not np.any(trust.means.excess[0, heard] > _SUSPECTED):
+        heard = trust.innovation_means.heard_ns >= time_ns - HEARD_NS
+        if trust.excluded or trust.conflict is not None or not np.any(trust.innovation_means.excess[0, heard] > _SUSPECTED):
             return False
         row = 1 + self._subfilters.sources.index(SHIP)
-        return bool(np.all(trust.means.excess[row, heard] <= WELL) and np.all(trust.means.refused[row, heard] == 0))
+        return bool(np.all(trust.innovation_means.excess[row, heard] <= WELL) and np.all(trust.innovation_means.refused[row, heard] == 0))
 
     def without(self, trust: Trust, source: str, left_out: LeftOut, explaining_subfilter: str | None = None) -> Trust:
         """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
-        row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), trust.means
+        row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), trust.innovation_means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._subfilters.sources), axis=0)
             for name in FIELDS_BY_SUBFILTER
@@ -268,7 +268,7 @@ class Referee:
             return trust
         jumped_n, sigma_m = left_out.jumped_n + jump.jump_n, float(np.hypot(left_out.jumped_sigma_m, jump.sigma_m))
         again = replace(left_out, jumped_n=jumped_n, jumped_sigma_m=sigma_m, jump_ns=jump.time_ns)
-        means = trust.means
+        means = trust.innovation_means
         if np.linalg.norm(jumped_n) <= _UNDONE_SIGMAS * sigma_m:
             again = replace(again, jumped_n=np.zeros(3), jumped_sigma_m=0.0)
             means = forgotten(means, slice(None), [self._subfilters.sources.index(source)])
@@ -289,9 +289,9 @@ class Referee:
         index, source = self._subfilters.beacons.index(name), BEACON + name
         left_out = trust.left_out[source]
         rows = 1 + len(self._subfilters.sources)
-        turn = np.repeat(compared.turn, rows, axis=0)
+        whitened_innovation = np.repeat(compared.whitened_innovation, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
-        means = observed(trust.means, index, turn, accepted, time_ns, self._limit, compared.turn_noise)
+        means = observed(trust.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
         exclusion, returns = judge_return(left_out.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
@@ -306,7 +306,7 @@ class Referee:
         return self._watched(trust, source, replace(exclusion, agrees_since_ns=since_ns), returns)
 
     def _watched(self, trust: Trust, source: str, exclusion: Exclusion, returns: bool) -> Trust:
-        left_out, jumped_ns, means = dict(trust.left_out), dict(trust.jumped_ns), trust.means
+        left_out, jumped_ns, means = dict(trust.left_out), dict(trust.jumped_ns), trust.innovation_means
         if returns:
             jumped_ns[source] = left_out.pop(source).jump_ns + _SAME_JUMP_NS
             row = len(self._subfilters.beacons) if source in CHAIN else self._subfilters.sources.index(source)
@@ -335,7 +335,7 @@ class Referee:
             return replace(trust, conflict=None)
         if conflict.agrees_since_ns is None:
             # Innovations from the time when all beacons were rejected must not isolate a source from now on.
-            means = forgotten(trust.means, slice(None), slice(None))
+            means = forgotten(trust.innovation_means, slice(None), slice(None))
             return replace(trust, means=means, conflict=replace(conflict, agrees_since_ns=time_ns))
         over = time_ns - conflict.agrees_since_ns >= self._config.return_after_s * SECOND_NS
         return replace(trust, conflict=None if over else conflict)

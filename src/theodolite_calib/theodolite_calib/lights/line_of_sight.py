@@ -130,7 +130,7 @@ class ErrorTerm:
         return block_diagonal(self.jacobian_n @ self.covariance @ np.swapaxes(self.jacobian_n, -1, -2))
 
 
-BASELINE, LEVER, PRINCIPAL_POINT, LIGHT_LEVER, SHIP_TURN, DRONE_TURN, REFRACTION = (
+BASELINE, LEVER, PRINCIPAL_POINT, LIGHT_LEVER, SHIP_ROTATION, DRONE_ROTATION, REFRACTION = (
     *(slice(start, start + 3) for start in range(0, 18, 3)),
     slice(18, 19),
 )
@@ -143,8 +143,8 @@ TERM_COLUMNS = {
     "theodolite_lever": LEVER,
     "principal_point": PRINCIPAL_POINT,
     "light_lever": LIGHT_LEVER,
-    "ship_attitude": SHIP_TURN,
-    "drone_attitude": DRONE_TURN,
+    "ship_attitude": SHIP_ROTATION,
+    "drone_attitude": DRONE_ROTATION,
     "refraction": REFRACTION,
     "light_refraction": REFRACTION,
 }

@@ -419,7 +419,7 @@ class OpticalAxisCore:
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was accepted recently."""
-        means, since_ns = self.state.trust.means, self._shell.window.newest_ns - HEARD_NS
+        means, since_ns = self.state.trust.innovation_means, self._shell.window.newest_ns - HEARD_NS
         used = (means.heard_ns >= since_ns) & (means.refused[0] == 0)
         lights = [BEACON + id_ for id_ in self.filter.subfilters.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}

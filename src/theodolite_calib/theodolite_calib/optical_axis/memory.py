@@ -129,7 +129,7 @@ def departure_sigmas(
     _, by_parallelism = telescope_from_main(sightings.parallelism(memory.mean), chain.rotation_nm)
     decay, _ = filter_.model.transition(1.0)
     compared = np.vstack([
-        sightings.turn_n(chain, by_parallelism, "parallelism"),
+        sightings.by_state_n(chain, by_parallelism, "parallelism"),
         np.eye(filter_.model.size)[decay == 1.0],
     ])  # fmt: skip
     difference = np.abs(compared @ (state.mean - memory.mean))

@@ -312,7 +312,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             calibration_status(self.core.calibration(), self.saved_remarks()),
             *self.integrity_statuses(),
             *self.conflict_statuses(),
-            *self.verdicts.statuses(),
+            *self.innovation_report.statuses(),
             self.recovery_status(waiting_ns),
             clock_status(self.core.filter.model, self.core.state.mean, {"ship": "ins"}),
         ]
