@@ -8,7 +8,7 @@ import numpy as np
 from ship_estimation.outcome import Status
 from ship_estimation.protection import NORMAL_95, IntegrityState
 from ship_watch.limits import Limits
-from ship_watch.states import Protection
+from ship_watch.states import AngleProtection
 
 INTEGRITY_AGE_NS = 3_000_000_000
 """Maximum age of an Integrity, ns; three of its periods if these are longer."""
@@ -47,7 +47,7 @@ class OutputHeard:
         self.accuracies_95: dict[str, float] = {}
         self.status: Status | None = None
         self.stamp_ns = 0
-        self._protection: dict[str, Protection] = {}
+        self._protection: dict[str, AngleProtection] = {}
         self._integrity_ns: int | None = None
         self._integrity_age_ns = INTEGRITY_AGE_NS
 
@@ -69,11 +69,11 @@ class OutputHeard:
         """True if the output is neither old nor INVALID."""
         return self.status not in (None, Status.INVALID) and not self.is_old(now_ns)
 
-    def protection(self, angle: str, now_ns: int) -> Protection:
+    def protection(self, angle: str, now_ns: int) -> AngleProtection:
         """Return the protection level of an angle from the last Integrity; empty if that is too old."""
         if self._integrity_ns is None or now_ns - self._integrity_ns > self._integrity_age_ns:
-            return Protection(None)
-        return self._protection.get(angle, Protection(None))
+            return AngleProtection(None)
+        return self._protection.get(angle, AngleProtection(None))
 
     def note_integrity(self, message: Any, now_ns: int) -> None:
         """Record an Integrity message."""
@@ -84,7 +84,7 @@ class OutputHeard:
         state = _INTEGRITY_STATES.get(int(message.state))
         levels, limits = list(map(float, message.protection_level)), list(map(float, message.alert_limit))
         self._protection = {
-            angle: Protection(state, levels[places[quantity]], limits[places[quantity]])
+            angle: AngleProtection(state, levels[places[quantity]], limits[places[quantity]])
             for angle, quantity in self.quantities.items()
             if places.get(quantity, math.inf) < min(len(levels), len(limits))
         }

@@ -36,7 +36,7 @@ COUNTDOWN = "; "
 
 
 @dataclass(frozen=True)
-class Protection:
+class AngleProtection:
     """Protection level of one angle from an Integrity message.
 
     Attributes:
@@ -80,7 +80,7 @@ class AngleClaim:
     status: Status | None
     hint: str
     is_lessened: bool
-    protection: Protection
+    protection: AngleProtection
     guilty: SourceStanding | None
     behind: str = ""
 
@@ -116,7 +116,7 @@ def _word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
     return (Safety.CAUTION, guilty or claim.hint) if claim.is_lessened else (Safety.SAFE, "")
 
 
-def _is_within(protection: Protection) -> bool:
+def _is_within(protection: AngleProtection) -> bool:
     """True if the protection level of this angle is within its alert limit, or no alert limit is configured."""
     return protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
 

@@ -12,7 +12,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_geometry.rotations import ARCSEC
 from ship_watch.picture import Presence, Safety, SourceStanding
-from ship_watch.states import AngleClaim, AngleWord, HeldWord, Protection, ShownWord, angle_word, word_and_reason
+from ship_watch.states import AngleClaim, AngleWord, HeldWord, AngleProtection, ShownWord, angle_word, word_and_reason
 
 SECOND = 1_000_000_000
 KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
@@ -28,7 +28,7 @@ GOOD = AngleClaim(
     status=Status.VALID,
     hint="",
     is_lessened=False,
-    protection=Protection(IntegrityState.MET, 10.0, 30.0),
+    protection=AngleProtection(IntegrityState.MET, 10.0, 30.0),
     guilty=None,
 )
 
@@ -36,7 +36,7 @@ GOOD = AngleClaim(
 def test_valid_protected_angle_within_its_limit_is_safe() -> None:
     assert word_and_reason(GOOD) == (Safety.SAFE, "")
     assert word_and_reason(replace(GOOD, accuracy_95=5.0)) == (Safety.SAFE, "")
-    assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.NO_LIMIT, 10.0))) == (Safety.SAFE, "")
+    assert word_and_reason(replace(GOOD, protection=AngleProtection(IntegrityState.NO_LIMIT, 10.0))) == (Safety.SAFE, "")
 
 
 @pytest.mark.parametrize(
@@ -48,10 +48,10 @@ def test_valid_protected_angle_within_its_limit_is_safe() -> None:
         ({"status": Status.COASTING, "hint": "no stars for 31 s"}, "no stars for 31 s"),
         ({"status": Status.DEGRADED}, "degraded"),
         ({"status": Status.DEGRADED, "guilty": KNOCKED}, "star.bow excluded"),
-        ({"protection": Protection(None)}, "no integrity data"),
-        ({"protection": Protection(IntegrityState.UNAVAILABLE)}, "no independent check"),
-        ({"protection": Protection(IntegrityState.UNAVAILABLE), "guilty": KNOCKED}, "star.bow excluded"),
-        ({"protection": Protection(IntegrityState.MET, math.nan, 30.0)}, "no independent check"),
+        ({"protection": AngleProtection(None)}, "no integrity data"),
+        ({"protection": AngleProtection(IntegrityState.UNAVAILABLE)}, "no independent check"),
+        ({"protection": AngleProtection(IntegrityState.UNAVAILABLE), "guilty": KNOCKED}, "star.bow excluded"),
+        ({"protection": AngleProtection(IntegrityState.MET, math.nan, 30.0)}, "no independent check"),
         ({"accuracy_95": 6.0, "guilty": FLOAT}, "baselines a rejected: not fixed"),
         ({"is_lessened": True, "hint": "one of two lights"}, "one of two lights"),
     ],
@@ -73,8 +73,8 @@ def test_cautions(change: dict[str, Any], reason: str) -> None:
         ({"accuracy_95": math.nan}, "accuracy unknown"),
         ({"accuracy_95": math.inf}, "accuracy unknown"),
         ({"limit": math.nan}, "over 3 × the limit"),
-        ({"protection": Protection(IntegrityState.EXCEEDED, 31.0, 30.0)}, "protection level over its alert limit"),
-        ({"protection": Protection(IntegrityState.EXCEEDED, math.nan, 30.0)}, "protection level over its alert limit"),
+        ({"protection": AngleProtection(IntegrityState.EXCEEDED, 31.0, 30.0)}, "protection level over its alert limit"),
+        ({"protection": AngleProtection(IntegrityState.EXCEEDED, math.nan, 30.0)}, "protection level over its alert limit"),
     ],
 )
 def test_other_cases_are_unsafe(change: dict[str, Any], reason: str) -> None:
@@ -82,8 +82,8 @@ def test_other_cases_are_unsafe(change: dict[str, Any], reason: str) -> None:
 
 
 def test_exceeded_level_of_another_angle_is_ignored() -> None:
-    assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0, 30.0)))[0] is Safety.SAFE
-    assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0)))[0] is Safety.SAFE
+    assert word_and_reason(replace(GOOD, protection=AngleProtection(IntegrityState.EXCEEDED, 29.0, 30.0)))[0] is Safety.SAFE
+    assert word_and_reason(replace(GOOD, protection=AngleProtection(IntegrityState.EXCEEDED, 29.0)))[0] is Safety.SAFE
 
 
 def over(accuracy: float) -> AngleWord:

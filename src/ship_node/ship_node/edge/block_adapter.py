@@ -125,8 +125,8 @@ class BlockAdapter(ReportingAdapter):
             return
         if self.integrity_topic:
             checked_by = list(zip(*self.checked_by(found), strict=True))
-            directions, levels_before = self.directions(found), self.levels_before
-            yield from parts_with_levels(some.start, found, self.told_levels, checked_by, directions, levels_before)
+            directions, levels_before = self.directions(found), self.protection_level_messages
+            yield from parts_with_levels(some.start, found, self.published_levels, checked_by, directions, levels_before)
         else:
             yield BatchOutput(some.start, [], found)
         self.latest = self.budget_due = found.one(len(found.time_ns) - 1)

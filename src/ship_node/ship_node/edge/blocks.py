@@ -128,7 +128,7 @@ class PublishedRows(NamedTuple):
 def parts_with_levels(
     place: int,
     run: Any,
-    told: ToldLevels,
+    published: ToldLevels,
     checked_by: list[tuple[Any, ...]],
     directions: FloatArray,
     levels_before: Callable[[Any], list[Published]],
@@ -147,7 +147,7 @@ def parts_with_levels(
     while start < count:
         yield BatchOutput(place + start, levels_before(run.one(start)))
         rest = slice(start + 1, count)
-        end = start + 1 + told.covered(run.time_ns[rest], run.covariance_n[rest], directions[rest])
-        end = next((other for other in range(start + 1, end) if checked_by[other] != told.redundancy_key), end)
+        end = start + 1 + published.covered(run.time_ns[rest], run.covariance_n[rest], directions[rest])
+        end = next((other for other in range(start + 1, end) if checked_by[other] != published.redundancy_key), end)
         yield BatchOutput(place + start, [], run if end - start == count else run.some(slice(start, end)))
         start = end

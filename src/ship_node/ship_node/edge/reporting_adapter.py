@@ -170,7 +170,7 @@ class ReportingAdapter(ABC):
         self.conflicts: dict[str, str] = {}
         self.innovation_report = VerdictReport()
         self.slow_due_ns: int | None = None
-        self.told_levels = ToldLevels()
+        self.published_levels = ToldLevels()
         self.behind: Overload | None = None
         self._invalid_due_ns = 0
 
@@ -335,7 +335,7 @@ class ReportingAdapter(ABC):
             self.health.cut_behind(topic, count, text, waiting_ns)
             published.append(self.refused(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
-        self.told_levels = ToldLevels()  # those published before do not apply to the next output
+        self.published_levels = ToldLevels()  # those published before do not apply to the next output
         self._invalid_due_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
@@ -413,7 +413,7 @@ class ReportingAdapter(ABC):
             self.latest = estimate
             self.budget_due = None if estimate.status is Status.INVALID else estimate
             if self.integrity_topic and estimate.status is not Status.INVALID:
-                published += self.levels_before(estimate)
+                published += self.protection_level_messages(estimate)
             published += self._estimate_messages(estimate)
         return published
 
@@ -492,7 +492,7 @@ class ReportingAdapter(ABC):
         if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict or excluded may have biased the state before its rejection.
-        in_doubt = self.conflicts or (self.told_levels.report is not None and self.told_levels.report.excluded)
+        in_doubt = self.conflicts or (self.published_levels.report is not None and self.published_levels.report.excluded)
         if self.latest is not None and self.latest.status is Status.VALID and not in_doubt:
             self.saved.save_by_itself()
 
@@ -506,9 +506,9 @@ class ReportingAdapter(ABC):
         array = messages_out.diagnostic_array(now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 
-    def levels_before(self, estimate: Any) -> list[Published]:
+    def protection_level_messages(self, estimate: Any) -> list[Published]:
         """Return the protection levels of an output if the published ones do not cover it."""
-        told, checked_by, directions = self.told_levels, self.checked_by(estimate), self.directions(estimate)
+        told, checked_by, directions = self.published_levels, self.checked_by(estimate), self.directions(estimate)
         # Runs for every output: the fast check comes first.
         if told.state is estimate.state and told.redundancy_key == checked_by:
             one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
@@ -531,7 +531,7 @@ class ReportingAdapter(ABC):
     def integrity_statuses(self) -> list[DiagnosticStatus]:
         """Return one status with the published protection levels and the excluded sources."""
         known = self.latest is not None and self.latest.status is not Status.INVALID
-        return [messages_out.integrity_status(self.told_levels.report if known else None, self.quantities)]
+        return [messages_out.integrity_status(self.published_levels.report if known else None, self.quantities)]
 
     def conflict_statuses(self) -> list[DiagnosticStatus]:
         """Return one status per source in persistent conflict."""
@@ -581,6 +581,6 @@ class ReportingAdapter(ABC):
 
     def _forget_outputs(self) -> None:
         self.latest, self.budget_due, self.slow_due_ns = None, None, None
-        self.told_levels = ToldLevels()
+        self.published_levels = ToldLevels()
         self.conflicts.clear()
         self.innovation_report.clear()

@@ -147,7 +147,7 @@ def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, watch: Wa
     truth = Truth(orientation)
     for record in bag.records({truth_name}):
         truth.add(record.decode())
-    levels = _HeldLevels(orientation.channels)
+    levels = _PublishedLevels(orientation.channels)
     outputs: list[tuple[int, int, FloatArray]] = []
     for record in watch(bag.records({output_name, level_name}), bag):
         message = record.decode()
@@ -171,7 +171,7 @@ def _error_arcsec(orientation: Orientation, angles: FloatArray, truth_nd: FloatA
     return np.abs(orientation.errors_arcsec(angles, truth_nd))
 
 
-class _HeldLevels:
+class _PublishedLevels:
     """Published levels and limits, once a second and at changes: each holds until the next.
 
     Args:
