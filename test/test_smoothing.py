@@ -129,7 +129,7 @@ CONFIG = build(
 )
 
 
-def with_hindsight(ins: list[AttitudeSample], lie_arcsec: float, seed: int) -> tuple[Told, np.ndarray]:
+def with_hindsight(ins: list[AttitudeSample], fault_arcsec: float, seed: int) -> tuple[Told, np.ndarray]:
     """Return thirty seconds with three sensors, one rotated from 15 s on; smoothed each half second and at JUMP - 1."""
     rng, core, told, first_ns = np.random.default_rng(seed), SmoothingCore(CONFIG, None, None), Told([], []), 10**18
     mounted = {id_: exp_rotation(MOUNTED * rng.standard_normal(3)) for id_ in SENSORS}
@@ -138,7 +138,7 @@ def with_hindsight(ins: list[AttitudeSample], lie_arcsec: float, seed: int) -> t
         since_s = (sample.time_ns - first_ns) * 1e-9
         if number % 10 == 0:
             for id_, angles_deg in SENSORS.items():
-                lie = exp_rotation(np.array([0.0, 0.0, lie_arcsec * ARCSEC * (id_ == "aft" and since_s > 15.0)]))
+                lie = exp_rotation(np.array([0.0, 0.0, fault_arcsec * ARCSEC * (id_ == "aft" and since_s > 15.0)]))
                 sensor = rotation_from_angles(*np.deg2rad([*angles_deg, 0.0])) @ mounted[id_] @ lie
                 true_nd = attitudes(np.array([since_s]), SWELL)[0]
                 rotation = true_nd @ sensor @ exp_rotation(NOISE * rng.standard_normal(3))

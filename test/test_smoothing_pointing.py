@@ -174,7 +174,7 @@ def test_filtered_pointings_are_the_same_to_the_last_bit(sessions: list[Told]) -
 
 # -- faulty sources ---------------------------------------------------------------------------------------------------
 
-LIE_S = 58.0
+FAULT_S = 58.0
 
 
 @pytest.mark.statistics
@@ -185,11 +185,11 @@ def test_smoothing_before_a_slip_of_the_encoders_is_consistent() -> None:
     for seed in range(6):
         run, core = simulate(scenario, seed), axis_core(scenario)
         readings = run.theodolite.encoder
-        late = readings.time_ns > run.start_ns + round(LIE_S * 1e9)
+        late = readings.time_ns > run.start_ns + round(FAULT_S * 1e9)
         slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(2.0) * late, 2.0 * np.pi))
         run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
         told = told_again(core, fed(core, run), run)
-        places = [told.place(second) for second in (5.0, 25.0, 40.0, 55.0, LIE_S)]
+        places = [told.place(second) for second in (5.0, 25.0, 40.0, 55.0, FAULT_S)]
         found.append(nees([told.smoothed[place] for place in places], told.true_nm[places]))
         variances = [np.trace(covariances(all_), axis1=1, axis2=2)[places] for all_ in (told.at_once, told.smoothed)]
         gained.append(np.sqrt(variances[1] / variances[0]))
@@ -224,7 +224,7 @@ def test_excluded_encoders_change_no_smoothed_pointing() -> None:
     scenario = session()
     run, core = simulate(scenario, 0), axis_core(scenario)
     readings = run.theodolite.encoder
-    late = readings.time_ns > run.start_ns + round(LIE_S * 1e9)
+    late = readings.time_ns > run.start_ns + round(FAULT_S * 1e9)
     slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(0.5) * late, 2.0 * np.pi))
     run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
     told = told_again(core, fed(core, run), run)
@@ -232,7 +232,7 @@ def test_excluded_encoders_change_no_smoothed_pointing() -> None:
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
     # From the last lights before on; and each later sighting is independent.
     assert not is_as_it_was(told, 45.0, 49.0)
-    assert is_as_it_was(told, 50.0, LIE_S)
+    assert is_as_it_was(told, 50.0, FAULT_S)
     assert is_as_it_was(told, 70.0, 88.0)
 
 

@@ -39,15 +39,15 @@ def clean_session(seed: int, lights_leave_s: float = 1e4, duration_s: float = DU
 def ship_turned(run: SimulatedRun, arcsec_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
     """Rotate ``ship/attitude`` about North, Up and East from FAULT_S on."""
     fused = run.fused
-    rotation_nd, lying = fused.rotation_nd.copy(), _lying(run, fused.time_ns, until_s)
-    rotation_nd[lying] = exp_rotation(ARCSEC * np.array(arcsec_n)) @ rotation_nd[lying]
+    rotation_nd, is_faulty = fused.rotation_nd.copy(), _is_faulty(run, fused.time_ns, until_s)
+    rotation_nd[is_faulty] = exp_rotation(ARCSEC * np.array(arcsec_n)) @ rotation_nd[is_faulty]
     return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
 
 
 def baseline_moved(run: SimulatedRun, beacon: str, moved_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
     """Move the baseline to a drone (North, Up, East), m, from FAULT_S on; it remains FIXED."""
     found = run.theodolite.baselines[beacon]
-    moved = found.baseline_n + _lying(run, found.time_ns, until_s)[:, None] * np.array(moved_n)
+    moved = found.baseline_n + _is_faulty(run, found.time_ns, until_s)[:, None] * np.array(moved_n)
     baselines = {**run.theodolite.baselines, beacon: replace(found, baseline_n=moved)}
     return replace(run, theodolite=replace(run.theodolite, baselines=baselines))
 
@@ -57,8 +57,8 @@ def encoders_slipped(
 ) -> SimulatedRun:
     """Offset the encoders from FAULT_S on."""
     readings = run.theodolite.encoder
-    lying = ARCSEC * _lying(run, readings.time_ns, until_s)
-    azimuth, elevation = readings.azimuth + azimuth_arcsec * lying, readings.elevation + elevation_arcsec * lying
+    offset = ARCSEC * _is_faulty(run, readings.time_ns, until_s)
+    azimuth, elevation = readings.azimuth + azimuth_arcsec * offset, readings.elevation + elevation_arcsec * offset
     slipped = replace(readings, azimuth=azimuth, elevation=elevation)
     return replace(run, theodolite=replace(run.theodolite, encoder=slipped))
 
@@ -66,7 +66,7 @@ def encoders_slipped(
 def encoders_stand(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
     """Freeze the encoders at their reading of FAULT_S."""
     readings = run.theodolite.encoder
-    faulty = _lying(run, readings.time_ns, until_s)
+    faulty = _is_faulty(run, readings.time_ns, until_s)
     first = int(np.argmax(faulty))
     azimuth = np.where(faulty, readings.azimuth[first], readings.azimuth)
     elevation = np.where(faulty, readings.elevation[first], readings.elevation)
@@ -77,7 +77,7 @@ def encoders_stand(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
 def encoders_read_twice(run: SimulatedRun, azimuth_arcsec: float, until_s: float = np.inf) -> SimulatedRun:
     """Repeat each reading from FAULT_S on with its stamp, a millisecond later and with another azimuth."""
     readings = run.theodolite.encoder
-    again = np.flatnonzero(_lying(run, readings.time_ns, until_s))
+    again = np.flatnonzero(_is_faulty(run, readings.time_ns, until_s))
     both = replace(
         readings,
         time_ns=np.append(readings.time_ns, readings.time_ns[again]),
@@ -91,7 +91,7 @@ def encoders_read_twice(run: SimulatedRun, azimuth_arcsec: float, until_s: float
 def encoders_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
     """Delay or advance the stamps of the readings from FAULT_S on."""
     readings = run.theodolite.encoder
-    late_ns = round(delay_s * 1e9) * _lying(run, readings.time_ns, until_s)
+    late_ns = round(delay_s * 1e9) * _is_faulty(run, readings.time_ns, until_s)
     late = replace(readings, time_ns=readings.time_ns + late_ns)
     return replace(run, theodolite=replace(run.theodolite, encoder=late))
 
@@ -99,14 +99,14 @@ def encoders_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np
 def encoders_crept(run: SimulatedRun, azimuth_arcsec_per_s: float, until_s: float = np.inf) -> SimulatedRun:
     """Let the encoders' azimuth creep from FAULT_S on."""
     readings = run.theodolite.encoder
-    crept = azimuth_arcsec_per_s * ARCSEC * _lying_for_s(run, readings.time_ns, until_s)
+    crept = azimuth_arcsec_per_s * ARCSEC * _fault_duration_s(run, readings.time_ns, until_s)
     return replace(run, theodolite=replace(run.theodolite, encoder=replace(readings, azimuth=readings.azimuth + crept)))
 
 
 def ship_crept(run: SimulatedRun, arcsec_n_per_s: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
     """Let ``ship/attitude`` creep about North, Up and East from FAULT_S on; its rates do not show it."""
     fused, turning_n = run.fused, ARCSEC * np.array(arcsec_n_per_s)
-    rotation_nd = exp_rotation(_lying_for_s(run, fused.time_ns, until_s)[:, None] * turning_n) @ fused.rotation_nd
+    rotation_nd = exp_rotation(_fault_duration_s(run, fused.time_ns, until_s)[:, None] * turning_n) @ fused.rotation_nd
     return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
 
 
@@ -115,30 +115,30 @@ def telescope_knocked(
 ) -> SimulatedRun:
     """Displace the lights on the detector from FAULT_S on."""
     images, focal_length_m = run.theodolite.images, run.scenario.theodolite.telescope.focal_length_m
-    lying = np.repeat(_lying(run, images.time_ns, until_s), np.diff(images.first))
+    is_faulty = np.repeat(_is_faulty(run, images.time_ns, until_s), np.diff(images.first))
     moved_m = focal_length_m * ARCSEC * np.array([right_arcsec, up_arcsec])
-    knocked = replace(images, point_m=images.point_m + lying[:, None] * moved_m)
+    knocked = replace(images, point_m=images.point_m + is_faulty[:, None] * moved_m)
     return replace(run, theodolite=replace(run.theodolite, images=knocked))
 
 
 def lights_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
     """Delay or advance the stamps of the images from FAULT_S on."""
     images = run.theodolite.images
-    late_ns = round(delay_s * 1e9) * _lying(run, images.time_ns, until_s)
+    late_ns = round(delay_s * 1e9) * _is_faulty(run, images.time_ns, until_s)
     late = replace(images, time_ns=images.time_ns + late_ns, log_time_ns=images.log_time_ns + late_ns)
     return replace(run, theodolite=replace(run.theodolite, images=late))
 
 
-def _lying(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray:
+def _is_faulty(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray:
     since_s = (time_ns - run.start_ns) * 1e-9
-    lying: np.ndarray = (since_s >= FAULT_S) & (since_s < until_s)
-    return lying
+    is_faulty: np.ndarray = (since_s >= FAULT_S) & (since_s < until_s)
+    return is_faulty
 
 
-def _lying_for_s(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray:
+def _fault_duration_s(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray:
     """Return the time since the beginning of the fault, s; 0 before it."""
     since_s: np.ndarray = (time_ns - run.start_ns) * 1e-9 - FAULT_S
-    return since_s * _lying(run, time_ns, until_s)
+    return since_s * _is_faulty(run, time_ns, until_s)
 
 
 @dataclass(frozen=True)

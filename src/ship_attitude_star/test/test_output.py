@@ -34,7 +34,7 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
     for scale in (0.5, 1.0, 2.0):
         root = rng.normal(scale=scale * sigma_rad, size=initial.parts.shape)
         mean = rng.normal(scale=scale * sigma_rad, size=FILTER.model.size)
-        started = FILTER.suspects.start(mean, root @ root.transpose(0, 2, 1))
+        started = FILTER.fault_detector.start(mean, root @ root.transpose(0, 2, 1))
         corrected.append(CorrectedIns(FILTER, replace(started, time_ns=1_000_000_000)))
     by = rng.integers(len(corrected), size=SAMPLES)
     since_s = np.concatenate([[0.0], rng.uniform(0.0, 1e4, SAMPLES - 1)])

@@ -15,7 +15,7 @@ def subfilter_set(sensors: int, references: int = 0, **integrity: Any) -> RowTab
     stars = {f"s{number}": {"azimuth_deg": 60.0 * number, "elevation_deg": 45.0} for number in range(sensors)}
     others: dict[str, Any] = {f"r{number}": {} for number in range(references)}
     values = {"star_sensors": stars, "references": others, "integrity": integrity}
-    return ShipFilter(build(ShipAttitudeConfig, values)).suspects.subfilters
+    return ShipFilter(build(ShipAttitudeConfig, values)).fault_detector.subfilters
 
 
 def test_each_source_and_each_pair_of_three_and_the_ins_is_excluded_in_one_subfilter() -> None:

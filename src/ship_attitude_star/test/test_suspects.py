@@ -49,7 +49,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True)
-class Lie:
+class InjectedError:
     """An injected error.
 
     Attributes:
@@ -94,7 +94,7 @@ def voyage(
 ) -> list[tuple[int, Any]]:
     """Return the arriving data, in the order of stamps."""
     rng, config = np.random.default_rng(seed), configuration(sensors)
-    told = [LIES[number] for number in lies]
+    told = [ERRORS[number] for number in lies]
     mounting = {name: exp_rotation(np.array([20.0, 1.0, 1.0]) * ARCSEC * rng.standard_normal(3)) for name in sensors}
     slow_n = np.array([10.0, 72.0, 10.0]) * ARCSEC * rng.standard_normal(3)
     time_s, decay = np.array([1800.0, 10800.0, 1800.0]), INS_NS / SECOND_NS
@@ -167,31 +167,31 @@ def sail_on(sailed: Sailed, arrivals: list[tuple[int, Any]]) -> Sailed:
     return sailed
 
 
-LIES: list[Lie] = []
-BEFORE_LIES: dict[str, Sailed] = {}
+ERRORS: list[InjectedError] = []
+RUNS_BEFORE_ERRORS: dict[str, Sailed] = {}
 """Runs until the first injected error, which do not depend on it; the newest few, for they are large."""
 copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))  # of states, to copy a core
 
 
 def sailed_with(
-    *lies: Lie,
+    *lies: InjectedError,
     sensors: tuple[str, ...] = ("aft", "bow", "port"),
     seconds: float = 60.0,
     seed: int = 1,
     rates: bool = True,
     **changes: Any,
 ) -> Sailed:
-    numbers = tuple(range(len(LIES), len(LIES) + len(lies)))
-    LIES.extend(lies)
+    numbers = tuple(range(len(ERRORS), len(ERRORS) + len(lies)))
+    ERRORS.extend(lies)
     arrivals = voyage(sensors, numbers, seconds, seed, rates)
     start_s = min((lie.start_s for lie in lies), default=0.0)
     before = bisect.bisect_left(arrivals, start_s * SECOND_NS, key=lambda arrival: arrival[0])
     key = repr((start_s, sensors, seconds, seed, rates, changes))
-    if key not in BEFORE_LIES:
-        if len(BEFORE_LIES) >= 3:
-            del BEFORE_LIES[next(iter(BEFORE_LIES))]
-        BEFORE_LIES[key] = sail(ShipAttitudeCore(configuration(sensors, **changes)), arrivals[:before])
-    return sail_on(BEFORE_LIES[key].copied(), arrivals[before:])
+    if key not in RUNS_BEFORE_ERRORS:
+        if len(RUNS_BEFORE_ERRORS) >= 3:
+            del RUNS_BEFORE_ERRORS[next(iter(RUNS_BEFORE_ERRORS))]
+        RUNS_BEFORE_ERRORS[key] = sail(ShipAttitudeCore(configuration(sensors, **changes)), arrivals[:before])
+    return sail_on(RUNS_BEFORE_ERRORS[key].copied(), arrivals[before:])
 
 
 def error_sigmas(estimate: AttitudeEstimate) -> float:
@@ -239,7 +239,7 @@ def test_no_source_is_excluded_without_a_fault(sensors: tuple[str, ...], seed: i
 @pytest.mark.parametrize("knock_arcsec", [10.0, 20.0, 50.0, 300.0])
 @pytest.mark.parametrize("name", ["aft", "bow", "port"])
 def test_a_sensor_with_a_mounting_shift_is_reported_and_excluded(name: str, knock_arcsec: float) -> None:
-    knock = Lie(f"star.{name}", np.array([0.0, 1.0, 0.0]) * knock_arcsec * ARCSEC, start_s=30.0)
+    knock = InjectedError(f"star.{name}", np.array([0.0, 1.0, 0.0]) * knock_arcsec * ARCSEC, start_s=30.0)
     sailed = sailed_with(knock, seconds=60.0)
     since_s, excluded = sailed.excluded_first()
     assert excluded == (f"star.{name}",)
@@ -251,7 +251,7 @@ def test_a_sensor_with_a_mounting_shift_is_reported_and_excluded(name: str, knoc
 @pytest.mark.slow
 def test_after_a_mounting_shift_the_mounting_is_estimated_again_and_after_a_glitch_it_is_kept() -> None:
     turn = np.array([0.0, 0.0, 40.0]) * ARCSEC
-    for lie in (Lie("star.bow", turn, 20.0), Lie("star.bow", turn, 20.0, end_s=22.0)):
+    for lie in (InjectedError("star.bow", turn, 20.0), InjectedError("star.bow", turn, 20.0, end_s=22.0)):
         sailed = sailed_with(lie, seconds=120.0)
         assert [names for _, names in sailed.excluded] == [(), ("star.bow",), ()]
         came_back_s = sailed.excluded[-1][0]
@@ -266,7 +266,7 @@ def test_after_a_mounting_shift_the_mounting_is_estimated_again_and_after_a_glit
 @pytest.mark.slow
 def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_time_the_second_time() -> None:
     """Of 24 other voyages two have one VALID attitude of 4800 beyond five sigmas, by 5.05 at most."""
-    drift = Lie("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
+    drift = InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = sailed_with(drift, seconds=145.0, seed=5, integrity={"return_after_s": 20.0})
     assert [names for _, names in sailed.excluded] == [(), ("star.port",), (), ("star.port",), ()]
     excluded_s, returned_s, again_s, back_s = (seconds for seconds, _ in sailed.excluded[1:])
@@ -284,7 +284,7 @@ def test_a_drifting_sensor_of_two_is_an_unresolved_fault_or_isolated_correctly(s
 
     In these two voyages four tenths of the limit (``_CHI2_MARGIN``) isolated the other one.
     """
-    drift = Lie("star.port", UP * 5.0 / 60.0 * ARCSEC, 20.0, per_s=True)
+    drift = InjectedError("star.port", UP * 5.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = sailed_with(drift, sensors=("bow", "port"), seconds=170.0, seed=seed)
     assert {names for _, names in sailed.excluded} <= {(), ("star.port",)}
     in_doubt = [one for one in sailed.between(20.0, 170.0) if one.status is Status.DEGRADED]
@@ -295,7 +295,7 @@ def test_a_drifting_sensor_of_two_is_an_unresolved_fault_or_isolated_correctly(s
 
 
 def test_all_stars_against_an_ins_without_rates_are_an_unresolved_fault_with_covariance() -> None:
-    step = Lie("ins", np.array([0.0, 100.0, 0.0]) * ARCSEC, 30.0)
+    step = InjectedError("ins", np.array([0.0, 100.0, 0.0]) * ARCSEC, 30.0)
     sailed = sailed_with(step, seconds=60.0, rates=False, ins={"jump_samples": 1000, "time_offset_sigma_s": 0.0})
     # From the first star measurement after the step on.
     later = sailed.between(30.1, 60.0)
@@ -310,7 +310,7 @@ def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
 ) -> None:
     """Stars are 61 ms apart; they are evaluated when the INS samples of up to 0.1 s later are there."""
     changes = {"gate": {"degraded_after": after}, "ins": {"jump_samples": 1000, "time_offset_sigma_s": 0.0}}
-    lie = Lie(source, UP * 100.0 * ARCSEC, 10.0)
+    lie = InjectedError(source, UP * 100.0 * ARCSEC, 10.0)
     sailed = sailed_with(lie, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
     refused_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
     doubted_s = next(one.time_ns / SECOND_NS for one in sailed.between(10.0, 15.0) if one.status is Status.DEGRADED)
@@ -326,7 +326,7 @@ def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
 @pytest.mark.parametrize("turn_arcsec", [32.0, 100.0])
 def test_a_rotated_sky_changes_no_attitude_and_its_stars_are_reinstated_afterwards(turn_arcsec: float) -> None:
     """A position error of a kilometre rotates all stars by 32″."""
-    sky = Lie("sky", np.array([turn_arcsec, 0.0, 0.0]) * ARCSEC, 30.0, end_s=60.0)
+    sky = InjectedError("sky", np.array([turn_arcsec, 0.0, 0.0]) * ARCSEC, 30.0, end_s=60.0)
     sailed = sailed_with(sky, seconds=150.0)
     assert {one.status for one in sailed.between(31.5, 60.0)} == {Status.DEGRADED}
     assert sailed.estimates[-1].status is Status.VALID
@@ -340,14 +340,14 @@ def test_a_rotated_sky_changes_no_attitude_and_its_stars_are_reinstated_afterwar
 def test_stars_with_a_constant_shared_error_stay_excluded(tilt_time_s: float, seed: int, axis: int) -> None:
     """The INS covariance grows while the stars are excluded: being within it is not consistency."""
     ins = {"ins": {"tilt_time_s": tilt_time_s, "time_offset_sigma_s": 0.0}}
-    sailed = sailed_with(Lie("sky", np.eye(3)[axis] * 25.0 * ARCSEC, 30.0), seconds=240.0, seed=seed, **ins)
+    sailed = sailed_with(InjectedError("sky", np.eye(3)[axis] * 25.0 * ARCSEC, 30.0), seconds=240.0, seed=seed, **ins)
     assert {one.status for one in sailed.between(32.0, 240.0)} == {Status.DEGRADED}
 
 
 def test_of_two_sensors_excluded_together_the_consistent_one_is_reinstated() -> None:
     """Their errors of 12° and 20° are no mounting shifts and not one error: each has its own remaining ratio."""
-    ends = Lie("star.bow", UP * np.deg2rad(12.0), 20.0, end_s=40.0)
-    lasts = Lie("star.port", UP * np.deg2rad(20.0), 20.0)
+    ends = InjectedError("star.bow", UP * np.deg2rad(12.0), 20.0, end_s=40.0)
+    lasts = InjectedError("star.port", UP * np.deg2rad(20.0), 20.0)
     sailed = sailed_with(ends, lasts, sensors=FOUR, seconds=130.0, **WITH_PAIRS)
     assert sailed.excluded_first()[1] == ("star.bow", "star.port")
     assert sailed.excluded[-1][1] == ("star.port",)
@@ -355,7 +355,7 @@ def test_of_two_sensors_excluded_together_the_consistent_one_is_reinstated() -> 
 
 
 def test_one_sensor_against_the_ins_is_an_unresolved_fault_without_level() -> None:
-    knock = Lie("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 30.0)
+    knock = InjectedError("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 30.0)
     sailed = sailed_with(knock, sensors=("bow",), seconds=60.0)
     assert {report.state for report, _ in sailed.reports} == {IntegrityState.UNAVAILABLE}
     assert all(np.all(np.isnan(report.level)) for report, _ in sailed.reports)
@@ -364,7 +364,7 @@ def test_one_sensor_against_the_ins_is_an_unresolved_fault_without_level() -> No
 
 
 def test_the_excluding_decision_and_later_ones_have_the_reason_excluded() -> None:
-    sailed = sailed_with(Lie("star.bow", UP * 60.0 * ARCSEC, 20.0), seconds=30.0)
+    sailed = sailed_with(InjectedError("star.bow", UP * 60.0 * ARCSEC, 20.0), seconds=30.0)
     assert ("star.bow", Reason.EXCLUDED) in sailed.reasons
     assert {source for source, reason in sailed.reasons if reason is Reason.EXCLUDED} == {"star.bow"}
 
@@ -411,8 +411,8 @@ def assert_nothing_left(sailed: Sailed, seconds: float) -> None:
     assert sailed.estimates[-1].status is Status.VALID
 
 
-def clock_of_the_ins(step_s: float) -> Lie:
-    return Lie("ins.clock", np.array([step_s, 0.0, 0.0]), 30.0, end_s=50.0)
+def clock_of_the_ins(step_s: float) -> InjectedError:
+    return InjectedError("ins.clock", np.array([step_s, 0.0, 0.0]), 30.0, end_s=50.0)
 
 
 @pytest.mark.parametrize("step_s", [0.0295, 0.012, -0.02, -0.035])
@@ -427,8 +427,8 @@ def test_a_small_step_of_the_ins_clock_is_reported_at_once_and_estimated_as_an_o
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lie", [clock_of_the_ins(-0.4), clock_of_the_ins(0.3), Lie("ins.axes", UP, 30.0, 50.0)])
-def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(lie: Lie) -> None:
+@pytest.mark.parametrize("lie", [clock_of_the_ins(-0.4), clock_of_the_ins(0.3), InjectedError("ins.axes", UP, 30.0, 50.0)])
+def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(lie: InjectedError) -> None:
     sailed = sailed_with(lie, seconds=125.0, **TWO)
     assert [names for _, names in sailed.excluded] == [(), ("ins",), ()]
     assert 30.0 < sailed.excluded[1][0] < 32.0
@@ -464,16 +464,16 @@ def test_a_drifting_ins_is_excluded_if_others_check_each_other(
 
 def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
     """A contradiction of it and one sensor cannot be isolated."""
-    knock = Lie("star.bow", np.array([0.0, 0.0, 3600.0]) * ARCSEC, 10.0)
-    drift = Lie("ins", UP * 1.0 * ARCSEC, 30.0, per_s=True)
+    knock = InjectedError("star.bow", np.array([0.0, 0.0, 3600.0]) * ARCSEC, 10.0)
+    drift = InjectedError("ins", UP * 1.0 * ARCSEC, 30.0, per_s=True)
     sailed = sailed_with(knock, drift, sensors=("bow", "port"), seconds=90.0)
     assert "ins" not in {name for _, names in sailed.excluded for name in names}
 
 
 def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None:
     """Each of them explains the contradiction with the other."""
-    drift = Lie("ins", np.array([0.0, 0.0, 3.3]) * ARCSEC, 30.0, per_s=True)
-    knock = Lie("star.bow", np.array([0.0, 0.0, 60.0]) * ARCSEC, 65.0)
+    drift = InjectedError("ins", np.array([0.0, 0.0, 3.3]) * ARCSEC, 30.0, per_s=True)
+    knock = InjectedError("star.bow", np.array([0.0, 0.0, 60.0]) * ARCSEC, 65.0)
     sailed = sailed_with(drift, knock, sensors=("bow", "port"), seconds=85.0)
     names = [names for _, names in sailed.excluded]
     assert ("ins",) in names
@@ -484,7 +484,7 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None
 
 @pytest.mark.slow
 def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> None:
-    sailed = sailed_with(Lie("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
+    sailed = sailed_with(InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
     told = [one for one in sailed.estimates if one.status is Status.VALID and one.state.disputed_n is not None]
     assert told
     for one in told[:: max(len(told) // 20, 1)]:
@@ -495,7 +495,7 @@ def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> N
 
 def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusion() -> None:
     """Half of it is in the attitude within a second; the faulty one of two sensors is isolated after two."""
-    knock = Lie("star.port", -13.0 * UP * ARCSEC, 120.0)
+    knock = InjectedError("star.port", -13.0 * UP * ARCSEC, 120.0)
     sailed = sailed_with(knock, sensors=("bow", "port"), seconds=128.0, seed=2)
     valid = [one for one in sailed.between(120.0, 128.0) if one.status is Status.VALID]
     undisputed = [replace(one, covariance_n=one.covariance_without_separation_n) for one in valid]
@@ -503,12 +503,12 @@ def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusio
     assert max(error_sigmas(one) for one in valid) < 5.0
 
 
-def without_stars(lie: Lie, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star.") -> Sailed:
+def without_stars(lie: InjectedError, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star.") -> Sailed:
     """Run a voyage with two sensors, some of which see no stars for a while."""
-    LIES.append(lie)
+    ERRORS.append(lie)
     arrivals = [
         (time_ns, input_)
-        for time_ns, input_ in voyage(("bow", "port"), (len(LIES) - 1,), seconds, seed, True)
+        for time_ns, input_ in voyage(("bow", "port"), (len(ERRORS) - 1,), seconds, seed, True)
         if isinstance(input_, AttitudeSample)
         or not (input_.source.startswith(names) and start_s <= time_ns / SECOND_NS < end_s)
     ]
@@ -517,7 +517,7 @@ def without_stars(lie: Lie, start_s: float, end_s: float, seconds: float, seed: 
 
 def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
     """A mounting shift, excluded at 10 s; it would be reinstated after 60 s, in most of which it sent no data."""
-    sailed = without_stars(Lie("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port")
+    sailed = without_stars(InjectedError("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port")
     (excluded_s, excluded), (returned_s, returned) = sailed.excluded[1:]
     assert 10.0 < excluded_s < 11.0
     assert 65.0 + 59.0 < returned_s < 65.0 + 63.0
@@ -526,7 +526,7 @@ def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
 
 def test_the_reinstatement_timer_of_the_ins_restarts_without_measurements() -> None:
     """Its clock is 0.1 s off from 10 to 16 s; it would be reinstated a minute later, most of it without stars."""
-    lie = Lie("ins.clock", np.array([0.1, 0.0, 0.0]), 10.0, end_s=16.0)
+    lie = InjectedError("ins.clock", np.array([0.1, 0.0, 0.0]), 10.0, end_s=16.0)
     sailed = without_stars(lie, 25.0, 80.0, 145.0, 1)
     (excluded_s, excluded), (returned_s, returned) = sailed.excluded[1:]
     assert 10.0 < excluded_s < 11.0
@@ -536,7 +536,7 @@ def test_the_reinstatement_timer_of_the_ins_restarts_without_measurements() -> N
 
 @pytest.mark.parametrize(("seed", "size_arcsec"), [(1, -20.0), (2, -20.0), (5, -15.0)])
 def test_a_mounting_shift_without_stars_does_not_exclude_the_ins(seed: int, size_arcsec: float) -> None:
-    sailed = without_stars(Lie("star.port", size_arcsec * UP * ARCSEC, 50.0), 42.0, 60.0, 75.0, seed)
+    sailed = without_stars(InjectedError("star.port", size_arcsec * UP * ARCSEC, 50.0), 42.0, 60.0, 75.0, seed)
     assert "ins" not in {name for _, names in sailed.excluded for name in names}
     assert_honest(sailed)
 
@@ -546,18 +546,18 @@ def test_a_mounting_shift_without_stars_does_not_exclude_the_ins(seed: int, size
     "lies",
     [
         (),
-        (Lie("star.bow", 40.0 * ARCSEC * UP, 12.0, 20.0),),
-        (Lie("star.bow", 0.5 * ARCSEC * UP, 10.0, per_s=True), Lie("ins", 300.0 * ARCSEC * UP, 15.0)),
-        (Lie("star.aft", np.full(3, 60.0 * ARCSEC), 14.0), Lie("star.port", 90.0 * ARCSEC * UP, 18.0, 25.0)),
+        (InjectedError("star.bow", 40.0 * ARCSEC * UP, 12.0, 20.0),),
+        (InjectedError("star.bow", 0.5 * ARCSEC * UP, 10.0, per_s=True), InjectedError("ins", 300.0 * ARCSEC * UP, 15.0)),
+        (InjectedError("star.aft", np.full(3, 60.0 * ARCSEC), 14.0), InjectedError("star.port", 90.0 * ARCSEC * UP, 18.0, 25.0)),
     ],
 )
 def test_the_fast_consistency_test_equals_the_full_one(
-    lies: tuple[Lie, ...], monkeypatch: pytest.MonkeyPatch
+    lies: tuple[InjectedError, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = sailed_with(*lies, seconds=40.0)
     asked = []
     monkeypatch.setattr(Suspects, "_nothing_disputed", lambda *_: bool(asked.append(None)))
-    BEFORE_LIES.clear()
+    RUNS_BEFORE_ERRORS.clear()
     looked = sailed_with(*lies, seconds=40.0)
     assert asked
     assert (looked.excluded, looked.reasons) == (told.excluded, told.reasons)
@@ -565,7 +565,7 @@ def test_the_fast_consistency_test_equals_the_full_one(
         assert (one.status, one.text) == (other.status, other.text)
         np.testing.assert_array_equal(one.rotation_nd, other.rotation_nd)
         np.testing.assert_array_equal(one.covariance_n, other.covariance_n)
-    BEFORE_LIES.clear()
+    RUNS_BEFORE_ERRORS.clear()
 
 
 def test_without_faults_large_separations_are_rare() -> None:
@@ -584,8 +584,8 @@ def test_without_faults_large_separations_are_rare() -> None:
 def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
     knocked: tuple[str, ...], changes: dict[str, Any]
 ) -> None:
-    LIES.extend(Lie(f"star.{name}", np.array([0.0, 25.0, 0.0]) * ARCSEC, 10.0) for name in knocked)
-    arrivals = voyage(THREE, tuple(range(len(LIES) - len(knocked), len(LIES))), 25.0, 3, True)
+    ERRORS.extend(InjectedError(f"star.{name}", np.array([0.0, 25.0, 0.0]) * ARCSEC, 10.0) for name in knocked)
+    arrivals = voyage(THREE, tuple(range(len(ERRORS) - len(knocked), len(ERRORS))), 25.0, 3, True)
     mixed = random.Random(4)
     shuffled = sorted(arrivals, key=lambda arrival: arrival[0] + mixed.uniform(0.0, 1.5) * SECOND_NS)
     states = [sail(ShipAttitudeCore(configuration(THREE, **changes)), run).core.state for run in (arrivals, shuffled)]
@@ -604,7 +604,7 @@ def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
     without = configuration(("port",))
     single = sail(ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.suspects.subfilters.names.index("star.bow") + 1
+    row = core.filter.fault_detector.subfilters.names.index("star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
     covariance = covariances(core.state.stack, len(core.state.means))[row]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
@@ -617,7 +617,7 @@ def test_two_simultaneous_mounting_shifts_are_excluded_with_pairs(
     sensors: tuple[str, ...], knocks_arcsec: tuple[float, float]
 ) -> None:
     knocks_rad = dict(zip(("bow", "port"), ARCSEC * np.array(knocks_arcsec), strict=True))
-    lies = [Lie(f"star.{name}", UP * knock_rad, 15.0) for name, knock_rad in knocks_rad.items()]
+    lies = [InjectedError(f"star.{name}", UP * knock_rad, 15.0) for name, knock_rad in knocks_rad.items()]
     sailed = sailed_with(*lies, sensors=sensors, seconds=20.0, **WITH_PAIRS)
     since_s, excluded = sailed.excluded_first()
     assert excluded == ("star.bow", "star.port")
@@ -644,7 +644,7 @@ def test_two_mounting_shifts_of_any_size_are_isolated_and_no_error_exceeds_its_l
         pair = rng.choice(sensors, 2, replace=False)
         knocks_rad = ARCSEC * 10.0 ** rng.uniform(1.0, 2.0, 2)
         ways = [np.array([0.0, np.cos(way), np.sin(way)]) for way in rng.uniform(0.0, 2.0 * np.pi, 2)]
-        lies = [Lie(f"star.{name}", of * way, 20.0) for name, of, way in zip(pair, knocks_rad, ways, strict=True)]
+        lies = [InjectedError(f"star.{name}", of * way, 20.0) for name, of, way in zip(pair, knocks_rad, ways, strict=True)]
         sailed = sailed_with(*lies, sensors=sensors, seconds=30.0, seed=100 + seed, **WITH_PAIRS)
         named += sailed.excluded[-1][1] == tuple(sorted(f"star.{name}" for name in pair))
         assert_within_levels(sailed)
@@ -652,7 +652,7 @@ def test_two_mounting_shifts_of_any_size_are_isolated_and_no_error_exceeds_its_l
 
 
 def test_two_excluded_sensors_are_reinstated_independently() -> None:
-    knock, glitch = Lie("star.bow", UP * 40.0 * ARCSEC, 10.0), Lie("star.port", -UP * 60.0 * ARCSEC, 10.0, end_s=30.0)
+    knock, glitch = InjectedError("star.bow", UP * 40.0 * ARCSEC, 10.0), InjectedError("star.port", -UP * 60.0 * ARCSEC, 10.0, end_s=30.0)
     sailed = sailed_with(knock, glitch, seconds=100.0, **WITH_PAIRS)
     both = ("star.bow", "star.port")
     assert [names for _, names in sailed.excluded] == [(), both, ("star.port",), ()]
@@ -666,14 +666,14 @@ def test_two_excluded_sensors_are_reinstated_independently() -> None:
 
 def test_with_pairs_a_single_fault_excludes_one_source() -> None:
     for name, knock_arcsec in (("aft", 12.0), ("port", 300.0)):
-        sailed = sailed_with(Lie(f"star.{name}", UP * knock_arcsec * ARCSEC, 15.0), seconds=20.0, **WITH_PAIRS)
+        sailed = sailed_with(InjectedError(f"star.{name}", UP * knock_arcsec * ARCSEC, 15.0), seconds=20.0, **WITH_PAIRS)
         assert [names for _, names in sailed.excluded] == [(), (f"star.{name}",)]
         assert_honest(sailed)
 
 
 def test_two_of_three_are_not_isolated_against_an_ins_that_may_have_stepped() -> None:
     """One sensor and an INS without rates are consistent by chance as well as two sensors are: 2 against 2."""
-    lies = Lie("ins", UP * 50.0 * ARCSEC, 15.0), Lie("star.bow", UP * 40.0 * ARCSEC, 15.0)
+    lies = InjectedError("ins", UP * 50.0 * ARCSEC, 15.0), InjectedError("star.bow", UP * 40.0 * ARCSEC, 15.0)
     sailed = sailed_with(*lies, seconds=25.0, rates=False, **WITH_PAIRS)
     assert ("star.aft", "star.port") not in [names for _, names in sailed.excluded]
     assert {one.status for one in sailed.between(15.7, 25.0)} == {Status.DEGRADED}
@@ -704,7 +704,7 @@ def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
     of_port = [arrival for arrival in arrivals if getattr(arrival[1], "source", "") not in left_out]
     single = sail(ShipAttitudeCore(configuration(("port",))), of_port).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.suspects.subfilters.names.index("star.aft+star.bow") + 1
+    row = core.filter.fault_detector.subfilters.names.index("star.aft+star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
     covariance = covariances(core.state.stack, len(core.state.means))[row]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
@@ -716,7 +716,7 @@ def test_more_hypotheses_than_allowed_are_refused_by_name() -> None:
 
 
 def test_an_unresolved_fault_is_in_the_error_budget() -> None:
-    sailed = sailed_with(Lie("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 10.0), sensors=("bow",), seconds=20.0)
+    sailed = sailed_with(InjectedError("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 10.0), sensors=("bow",), seconds=20.0)
     last = sailed.estimates[-1]
     assert last.status is Status.DEGRADED
     np.testing.assert_allclose(last.covariance_parts_n.sum(axis=0), last.covariance_n, rtol=1e-9)

@@ -22,7 +22,7 @@ from ship_estimation.protection import Factors, IntegrityConfig, SolutionSeparat
 from ship_estimation.running_means import MEASUREMENTS_PER_H
 from ship_geometry.rotations import FloatArray
 
-SUSPECTED_SIGMAS = 4.5
+COMMON_ERROR_START_SIGMAS = 4.5
 """Sum of corrections above which the published covariance is inflated, sigmas."""
 
 _BLOCKS = 4
@@ -32,7 +32,7 @@ _BLOCK_LEFT = math.exp(-0.5)
 _COMPONENTS = 3
 
 
-class Suspicion(NamedTuple):
+class UnresolvedCommonError(NamedTuple):
     """A common error of all stars that is detected by the INS, but below the threshold for their exclusion.
 
     Attributes:
@@ -56,7 +56,7 @@ class Absorbed(NamedTuple):
 
     sums: FloatArray
     sigmas: float
-    suspicion: Suspicion | None = None
+    unresolved: UnresolvedCommonError | None = None
 
     @property
     def turn_n(self) -> FloatArray:
@@ -111,15 +111,15 @@ class Absorbed(NamedTuple):
         sums, sigmas = compiled_means.absorbed(
             self.sums, innovations.gain, innovations.residual, innovations.covariance, jacobian, first, _BLOCK_LEFT
         )
-        return Absorbed(sums, sigmas, self.suspicion)
+        return Absorbed(sums, sigmas, self.unresolved)
 
     def without_corrections(self) -> "Absorbed":
         """Return the sums without corrections, for a filter state that did not result from these measurements."""
         sums = self.sums.copy()
         sums[:, 0] = 0.0
-        return Absorbed(sums, 0.0, self.suspicion)
+        return Absorbed(sums, 0.0, self.unresolved)
 
-    def suspected_variance(self) -> FloatArray:
+    def unresolved_variance(self) -> FloatArray:
         """Return the variance that covers an unresolved common error, rad², shape (3,).
 
         It starts at zero at :data:`INFLATION_START_SIGMAS`, as
@@ -131,11 +131,11 @@ class Absorbed(NamedTuple):
             >>> print(Absorbed(sums, 5.0).suspected_variance())
             [4.75 0.   0.  ]
         """
-        limit = SUSPECTED_SIGMAS**2 * self.error_variance
+        limit = COMMON_ERROR_START_SIGMAS**2 * self.error_variance
         found: FloatArray = np.where(np.isfinite(limit), np.maximum(self.error_n**2 - limit, 0.0), 0.0)
         return found
 
-    def with_suspicion(self, time_ns: int, hold_ns: int) -> "Absorbed":
+    def with_unresolved_error(self, time_ns: int, hold_ns: int) -> "Absorbed":
         """Return the sums with the unresolved common error at a time, present or held from before.
 
         The filter follows a common error within seconds. The published covariance must contain it longer.
@@ -144,13 +144,13 @@ class Absorbed(NamedTuple):
             time_ns: stamp of the last correction.
             hold_ns: time for which it is held after the last sum above :data:`INFLATION_START_SIGMAS`, ns.
         """
-        before = self.suspicion if self.suspicion is not None and time_ns < self.suspicion.until_ns else None
-        if not self.sigmas > SUSPECTED_SIGMAS:
+        before = self.unresolved if self.unresolved is not None and time_ns < self.unresolved.until_ns else None
+        if not self.sigmas > COMMON_ERROR_START_SIGMAS:
             return self._replace(suspicion=before)
-        variance = self.suspected_variance()
+        variance = self.unresolved_variance()
         if before is not None:
             variance = np.maximum(variance, before.variance)
-        return self._replace(suspicion=Suspicion(variance, time_ns + hold_ns))
+        return self._replace(suspicion=UnresolvedCommonError(variance, time_ns + hold_ns))
 
 
 NOTHING_ABSORBED = Absorbed(np.tile(np.array([0.0, 0.0, 1.0])[:, None], (_BLOCKS, 1, _COMPONENTS)), 0.0)

@@ -150,7 +150,7 @@ class ExcessNoise:
         self._stated_rad = stated_rad
         self._sums: deque[NoiseSums] = deque()
         self._collected: deque[tuple[AttitudeSample, Integrated]] = deque()
-        self._suspected_ns: int | None = None
+        self._last_failure_ns: int | None = None
         self._due_ns = 0
         self._usual_rad = self._fastest2 = 0.0
 
@@ -169,23 +169,23 @@ class ExcessNoise:
         """Drop all measurements: the rates have changed, or are not measured."""
         self._sums.clear()
         self._collected.clear()
-        self._suspected_ns = None
+        self._last_failure_ns = None
 
     @property
     def collects(self) -> bool:
         """True while samples are collected: some failed the step check, or there is an excess."""
-        return self._suspected_ns is not None or self.found is not None
+        return self._last_failure_ns is not None or self.found is not None
 
-    def suspect(self, time_ns: int, usual_rad: float) -> None:
+    def start_collecting(self, time_ns: int, usual_rad: float) -> None:
         """Collect samples from now on, because one failed the step check or means showed a step.
 
         Args:
             time_ns: stamp of that sample.
             usual_rad: root mean square of the earlier differences.
         """
-        if self._suspected_ns is None:
+        if self._last_failure_ns is None:
             self._usual_rad = usual_rad
-        self._suspected_ns = time_ns
+        self._last_failure_ns = time_ns
 
     @property
     def sigma_rad(self) -> float:
@@ -219,8 +219,8 @@ class ExcessNoise:
             rates_proven: True if the rates are confirmed; no excess is reported before.
         """
         time_ns, collected = sample.time_ns, self._collected
-        if self._suspected_ns is not None and time_ns - self._suspected_ns > _SHORT_NS:
-            self._suspected_ns = None
+        if self._last_failure_ns is not None and time_ns - self._last_failure_ns > _SHORT_NS:
+            self._last_failure_ns = None
         if not self.collects or (collected and collected[-1][1].run != integrated.run):
             collected.clear()
         if not self.collects:

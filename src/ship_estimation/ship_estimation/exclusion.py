@@ -72,7 +72,7 @@ class Exclusion:
     share_left: float = 1.0
     farther_since_ns: int | None = None
     is_shared: bool = False
-    on_suspicion: bool = False
+    is_self_reported: bool = False
 
 
 @dataclass(frozen=True)

@@ -312,7 +312,7 @@ class InsGuard:
             self._smooth_since_taken = False
             return JudgedIns(sample, _STUCK)
         if self._taken is None or previous is None:
-            self._excess.suspect(sample.time_ns, 0.0)
+            self._excess.start_collecting(sample.time_ns, 0.0)
             self._take(seen, None)
             return JudgedIns(sample)
         return self._compare(self._taken, previous, seen)
@@ -326,7 +326,7 @@ class InsGuard:
             errors_rad = self._leads.by_rates.noise_rad, self._stuck.coarseness_rad
             on_line = self._steps.look(sample, seen.integrated, *errors_rad)
             if on_line is False:
-                self._excess.suspect(sample.time_ns, self._leads.by_rates.typical_rad)
+                self._excess.start_collecting(sample.time_ns, self._leads.by_rates.typical_rad)
         if seen.integrated is not None and self._excess.collects:
             self._new_noise = self._excess.observe(sample, seen.integrated, measured) or self._new_noise
         if on_line and previous is taken:
@@ -339,7 +339,7 @@ class InsGuard:
         step = match if previous is taken else self._leads.match(previous, seen, measured)
         fits = match.fits
         if step is not match:
-            fits = match.fits_again(step) or (measured and self._leads.lied_between(taken, seen, step))
+            fits = match.fits_again(step) or (measured and self._leads.are_rates_faulty_between(taken, seen, step))
         if not fits:
             smooth = self._smooth_since_taken and self._leads.match_by_motion(previous, seen).fits
             self._smooth_since_taken = smooth
@@ -398,7 +398,7 @@ class InsGuard:
         found = self._steps.keep()
         if found is None:
             return self._crept_since(seen.sample)
-        self._excess.suspect(seen.sample.time_ns, self._leads.by_rates.typical_rad)
+        self._excess.start_collecting(seen.sample.time_ns, self._leads.by_rates.typical_rad)
         self._rates.restart()
         moments_ns = sorted({found.first_ns, found.last_ns})
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)

@@ -141,7 +141,7 @@ class Leads:
         step = self._step(seconds, missed_by_mean_rad(start.rate_d, end.rate_d, seconds))
         return self.by_rates.match(log_rotation(end.rotation_nd @ predicted_nd.T), step)
 
-    def lied_between(self, start: SeenSample, end: SeenSample, step: Match) -> bool:
+    def are_rates_faulty_between(self, start: SeenSample, end: SeenSample, step: Match) -> bool:
         """True if two samples are consistent, and the rates of the rejected samples between them are faulty.
 
         Args:

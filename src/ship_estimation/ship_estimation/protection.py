@@ -39,7 +39,7 @@ LEAST_SHARE, LEAST_VARIANCE_RAD2 = 1e-6, 1e-24
 """Least variance of a solution separation, as a share of the main filter's variance and absolute, rad².
 
 They keep rounding errors from exceeding a threshold where a source is taken as exact."""
-UNDISPUTED_SIGMAS = 3.0
+INFLATION_START_SIGMAS = 3.0
 """Solution separation above which the published covariance is inflated, sigmas; smaller ones are usual."""
 _NO_LEVEL = np.full(_COMPONENTS, np.nan)
 _NO_LEVEL.flags.writeable = False
@@ -143,7 +143,7 @@ class Factors:
         missed_detection: K_md of each hypothesis, for its subfilter, shape (h,).
     """
 
-    right: float
+    fault_free: float
     false_exclusion: float
     missed: FloatArray
 
@@ -171,7 +171,7 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
     tests = _COMPONENTS * TESTS_PER_H
     missed = [normal_value_above(min(share / prior, _MOST_PROBABLE_MISS)) for prior in priors_per_h]
     return Factors(
-        right=normal_value_above(0.5 * share / tests),
+        fault_free=normal_value_above(0.5 * share / tests),
         # Two-sided; the other half of the false exclusions is allocated to ship_estimation.innovation_means.
         false_exclusion=normal_value_above(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
         missed=np.array(missed),
@@ -234,7 +234,7 @@ def solution_separation(
         parts,
         subfilter_covariances,
         tested_subfilters,
-        k.right,
+        k.fault_free,
         k.false_exclusion,
         k.missed,
         LEAST_SHARE,
@@ -285,7 +285,7 @@ def separation_inflation(separations: FloatArray, statistic: FloatArray) -> Floa
     """
     known = np.all(np.isfinite(separations), axis=-1, keepdims=True)
     # fmax returns the limit for NaN.
-    weight = 1.0 - (UNDISPUTED_SIGMAS / np.fmax(statistic, UNDISPUTED_SIGMAS)) ** 2
+    weight = 1.0 - (INFLATION_START_SIGMAS / np.fmax(statistic, INFLATION_START_SIGMAS)) ** 2
     apart = np.where(known, separations, 0.0)
     added: FloatArray = (weight * apart.T) @ apart
     return added

@@ -177,7 +177,7 @@ def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
     if count < LEAST_COUNT:
         return InnovationDiagnosis(DiagnosisKind.UNKNOWN, f"too few measurements: {count} of {LEAST_COUNT}", count)
     parts, axes = Parts(table), axes_of(table)
-    kind, text = _finding(table, parts, axes)
+    kind, text = _kind_and_text(table, parts, axes)
     return InnovationDiagnosis(
         kind=kind,
         text=f"{text}; {count} measurements",
@@ -191,7 +191,7 @@ def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
     )
 
 
-def _finding(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tuple[DiagnosisKind, str]:
+def _kind_and_text(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tuple[DiagnosisKind, str]:
     """Return kind and text of the most important result: a bias affects the sigma test, a wrong sigma the outliers."""
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:

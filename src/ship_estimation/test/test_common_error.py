@@ -89,13 +89,13 @@ def test_unresolved_error_is_held_and_the_larger_variance_applies() -> None:
     sums = np.zeros((1, 3, 3))
     sums[0, 1] = 1.0
     sums[0, 0, 1] = 5.0
-    large = Absorbed(sums, 5.0).with_suspicion(0, hold_ns=60)
-    assert large.suspicion is not None
-    assert large.suspicion.variance.tolist() == [0.0, 4.75, 0.0]
+    large = Absorbed(sums, 5.0).with_unresolved_error(0, hold_ns=60)
+    assert large.unresolved is not None
+    assert large.unresolved.variance.tolist() == [0.0, 4.75, 0.0]
     sums = sums.copy()
     sums[0, 0, 1] = 4.6
-    smaller = large._replace(sums=sums, sigmas=4.6).with_suspicion(50, hold_ns=60)
-    assert smaller.suspicion is not None
-    assert (smaller.suspicion.variance.tolist(), smaller.suspicion.until_ns) == ([0.0, 4.75, 0.0], 110)
-    assert smaller.without_corrections().with_suspicion(109, hold_ns=60).suspicion == smaller.suspicion
-    assert smaller.without_corrections().with_suspicion(110, hold_ns=60).suspicion is None
+    smaller = large._replace(sums=sums, sigmas=4.6).with_unresolved_error(50, hold_ns=60)
+    assert smaller.unresolved is not None
+    assert (smaller.unresolved.variance.tolist(), smaller.unresolved.until_ns) == ([0.0, 4.75, 0.0], 110)
+    assert smaller.without_corrections().with_unresolved_error(109, hold_ns=60).unresolved == smaller.unresolved
+    assert smaller.without_corrections().with_unresolved_error(110, hold_ns=60).unresolved is None

@@ -29,7 +29,7 @@ def separation_of_numpy(distance: FloatArray, variance: FloatArray, variance_0: 
     grown = np.maximum(variance, variance_0)
     apart = np.sqrt(np.maximum(grown - variance_0, np.maximum(1e-6 * variance_0, 1e-24)))
     levels = k.false_exclusion * apart + k.missed[:, None] * np.sqrt(grown)
-    levels = np.vstack([k.right * np.sqrt(variance_0), levels])
+    levels = np.vstack([k.fault_free * np.sqrt(variance_0), levels])
     dominant = int(np.argmax(np.max(levels, axis=-1))) - 1
     return np.max(np.abs(distance) / apart, axis=-1), np.max(levels, axis=0), dominant
 
@@ -67,7 +67,7 @@ def test_separations_and_levels_equal_numpy(seed: int) -> None:
     distance = 1e-5 * rng.standard_normal((count, 3))
     for rows in ([*range(count)], [*range(count)][::2]):
         found = solution_separations(distance, variance, variance_0, k, rows)
-        in_question = Factors(k.right, k.false_exclusion, k.missed[rows])
+        in_question = Factors(k.fault_free, k.false_exclusion, k.missed[rows])
         statistic, level, dominant = separation_of_numpy(distance[rows], variance[rows], variance_0, in_question)
         np.testing.assert_allclose(found.statistic, statistic, rtol=1e-13)
         np.testing.assert_allclose(found.level, level, rtol=1e-13)

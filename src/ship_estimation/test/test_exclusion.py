@@ -47,7 +47,7 @@ class Bank:
         self.means = self.means + correction
         self.seen = observed(self.seen, sensor, compared.whitened_innovation, accepted, time_ns, self.limit)
 
-    def finding(self, time_ns):
+    def isolation(self, time_ns):
         apart = self.means[1:, :3] - self.means[0, :3]
         total = self.stack[:, range(3), range(3)]
         statistic = np.max(np.abs(apart) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
@@ -75,7 +75,7 @@ class Base:
                 wrong = knocks.get(sensor, 0.0) * np.array([0.0, 1.0, 0.0])
                 measured = self.angle + mounting + wrong + NOISE * self.rng.standard_normal(3)
                 self.bank.take(sensor, measured, self.epoch * SECOND_NS // 5)
-                yield self.epoch, self.bank.finding(self.epoch * SECOND_NS // 5)
+                yield self.epoch, self.bank.isolation(self.epoch * SECOND_NS // 5)
             self.epoch += 1
 
 
@@ -186,7 +186,7 @@ def test_single_gross_error_excludes_no_source():
         for sensor in range(3):
             wrong = 1e6 if (sensor, epoch) == (1, 50) else 0.0
             bank.take(sensor, NOISE * rng.standard_normal(3) + wrong, epoch * SECOND_NS)
-            assert not bank.finding(epoch * SECOND_NS).fault
+            assert not bank.isolation(epoch * SECOND_NS).fault
 
 
 def test_nan_is_inconsistent():

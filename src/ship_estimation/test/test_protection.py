@@ -27,7 +27,7 @@ def test_sigma_multipliers_keep_the_configured_probabilities():
     found = factors(config, priors)
     share, tests = 1e-5 / 3, 3 * TESTS_PER_H
     # Two-sided for the fault-free case and false exclusions, one-sided for missed detections.
-    assert 2 * norm.sf(found.right) * tests == pytest.approx(share)
+    assert 2 * norm.sf(found.fault_free) * tests == pytest.approx(share)
     assert 2 * norm.sf(found.false_exclusion) * tests * 2 == pytest.approx(0.5 * 1e-3)
     np.testing.assert_allclose(norm.sf(found.missed) * priors, [share, share])
 
@@ -36,7 +36,7 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
     """Two sensors and a third: sensor 0 has faults of all sizes; without a detection the level bounds the error."""
     rng = np.random.default_rng(5)
     sigma = np.array([3.0, 3.0, 3.0])
-    k = Factors(right=4.0, false_exclusion=4.0, missed=np.full(3, 3.0))
+    k = Factors(fault_free=4.0, false_exclusion=4.0, missed=np.full(3, 3.0))
     misled = 0
     for bias in np.linspace(0.0, 40.0, 400):
         measured = sigma[:, None] * rng.standard_normal((3, 3))
@@ -60,7 +60,7 @@ def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
     rng, everyone = np.random.default_rng(seed), set(range(sensors))
     left_out = [*itertools.combinations(everyone, 1), *(itertools.combinations(everyone, 2) if pairs else ())]
     uses = [sorted(everyone - set(names)) for names in left_out]
-    k = Factors(right=4.0, false_exclusion=5.0, missed=np.full(len(uses), MISSED))
+    k = Factors(fault_free=4.0, false_exclusion=5.0, missed=np.full(len(uses), MISSED))
     variances = np.array([[9.0 / len(row)] * 3 for row in uses])
     misled = 0
     for _ in range(draws):
@@ -104,7 +104,7 @@ def test_improbable_fault_adds_nothing_to_the_threshold():
 
 
 def test_the_largest_hypothesis_dominates():
-    k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0, 2.0]))
+    k = Factors(fault_free=6.0, false_exclusion=5.0, missed=np.array([2.0, 2.0]))
     left_out = np.array([[4.0] * 3, [9.0] * 3])
     found = solution_separations(np.zeros((2, 3)), left_out, np.full(3, 3.0), k)
     assert found.dominant == 1
@@ -131,7 +131,7 @@ def test_invalid_prior_is_refused_by_name(prior):
 @pytest.mark.parametrize("statistic", [5.2, math.nan])
 def test_no_level_with_a_separation_above_its_threshold(statistic):
     """The level of a source is at least K_fa sigma_d: it is no bound if the separation itself is larger."""
-    k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
+    k = Factors(fault_free=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
     for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
         # In the subfilter the sigma is 2 instead of the square root of 3: the separation has a sigma of 1.
         distance = np.array([[0.5] * 3, [beyond] * 3])
@@ -144,7 +144,7 @@ def test_no_level_with_a_separation_above_its_threshold(statistic):
 
 def test_excluded_source_does_not_affect_the_level():
     """Its subfilter is separated by a hundred sigmas, and would give the largest level."""
-    k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
+    k = Factors(fault_free=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
     distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
     found = solution_separations(distance, variance, np.full(3, 3.0), k, subfilter_indices=[1])
     told = integrity_report(7, IntegrityConfig(), k, ("ins",), found, (("star.bow", 5),), checked=True)
@@ -154,7 +154,7 @@ def test_excluded_source_does_not_affect_the_level():
 
 
 def test_without_tested_hypotheses_there_is_no_level():
-    k, nobody = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), []
+    k, nobody = Factors(fault_free=6.0, false_exclusion=5.0, missed=np.array([2.0])), []
     found = solution_separations(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=nobody)
     for limit, state in (((), IntegrityState.NO_LIMIT), ((1e6,) * 3, IntegrityState.EXCEEDED)):
         config = IntegrityConfig(alert_limit_arcsec=limit)

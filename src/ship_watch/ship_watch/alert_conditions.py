@@ -30,7 +30,7 @@ _OUT_PRIORITY = {
 """Kind of source → priority if it is OUT and affects no function. Lights come and go with the drones; the last fix and
 weather stay valid for a while."""
 
-_NOT_ITS_FAULT = ("no stars", "no lights")
+_EXTERNAL_REASONS = ("no stars", "no lights")
 """Reasons of a source that is OUT without a defect: clouds, daylight, drones on deck."""
 
 _VERBS = {"no stars": "sees ", "no lights": "sees "}
@@ -150,13 +150,13 @@ def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable
 
     All star sensors OUT for the same reason are one situation.
     """
-    guilty = _guilty(picture)
+    faulty = _faulty_sources(picture)
     stars = [source for source in picture.sources if source.name.startswith("star.")]
-    stars_out = [source for source in guilty if source.name.startswith("star.")]
+    stars_out = [source for source in faulty if source.name.startswith("star.")]
     if len(stars) == len(stars_out) >= 2 and len({still(source.reason) for source in stars_out}) == 1:
         names = {source.name for source in stars_out}
         yield _out(STARS_OUT, "", stars_out[0], [one for one in shown if one.because_of in names], picture, ())
-    for source in guilty:
+    for source in faulty:
         under = (STARS_OUT,) if source in stars else ()
         taken = [one for one in shown if one.because_of == source.name]
         yield _out(f"{source.name}.out", source.name, source, taken, picture, under)
@@ -187,7 +187,7 @@ def _out(
     id_: str, name: str, source: SourceShown, taken: list[FunctionShown], picture: Picture, under: tuple[str, ...]
 ) -> Condition:
     base = _OUT_PRIORITY.get(source.name.partition(".")[0], Priority.WARNING)
-    if source.reason in _NOT_ITS_FAULT:
+    if source.reason in _EXTERNAL_REASONS:
         base = Priority.CAUTION
     priority = max([base, *(one.priority for one in taken if one.priority is not None)])
     lost, shown_name, reason = _lost(taken), name or "all star sensors", still(source.reason)
@@ -281,7 +281,7 @@ def _disk(machine: Machine, limits: Limits) -> Iterable[Condition]:
         )
 
 
-def _guilty(picture: Picture) -> list[SourceShown]:
+def _faulty_sources(picture: Picture) -> list[SourceShown]:
     return [one for one in picture.sources if one.presence is Presence.OUT and not one.because_of]
 
 

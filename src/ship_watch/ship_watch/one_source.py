@@ -76,7 +76,7 @@ class HeardSource:
         self.used_ns: int | None = None
         self.put_right_ns: int | None = None
         self.put_right = ""
-        self.blamed_on = ""
+        self.last_cause = ""
         self.first_word = name.partition(".")[0]
         self._well = SourceStanding(name, Presence.IN, "", "", math.nan, 0, "")
 
@@ -134,9 +134,9 @@ class HeardSource:
             return SourceFault("excluded", since_ns or min(self.excluded_since.values()))
         if worst is not None:
             return SourceFault(_refusal_text(self.name, *worst), since_ns)
-        return self._unusable(now_ns, utc_offset_ns)
+        return self._no_usable_data(now_ns, utc_offset_ns)
 
-    def _unusable(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
+    def _no_usable_data(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
         """Return the fault of a source that sends data but none that can be evaluated; None otherwise."""
         word = _NOTHING_USABLE.get(self.first_word)
         if word is None or self.judged_ns is None or math.isnan(self.period_ns):
@@ -147,7 +147,7 @@ class HeardSource:
             return None
         return SourceFault(word, self.judged_ns + utc_offset_ns)
 
-    def blamed(self, fault: SourceFault, guilty: set[str]) -> SourceFault:
+    def attribute_fault(self, fault: SourceFault, faulty_names: set[str]) -> SourceFault:
         """Return the fault with the source that causes it, if a source that this one needs is OUT.
 
         Args:
@@ -162,11 +162,11 @@ class HeardSource:
         if fault.reason == _NOTHING_USABLE.get(self.first_word):
             reasons = {Reason.GAP}  # measurements that wait for another source are rejected only after a long wait
         needed = [name for reason in reasons for name in _NEEDS.get(reason, {}).get(self.first_word, ())]
-        blamed = next((name for name in needed if name in guilty), "")
-        if not blamed and self.blamed_on in needed:
-            blamed = self.blamed_on  # the needed source is IN again, this one not yet accepted often enough
-        self.blamed_on = blamed
-        return replace(fault, reason=f"needs {blamed}", because_of=blamed) if blamed else fault
+        cause = next((name for name in needed if name in faulty_names), "")
+        if not cause and self.last_cause in needed:
+            cause = self.last_cause  # the needed source is IN again, this one not yet accepted often enough
+        self.last_cause = cause
+        return replace(fault, reason=f"needs {cause}", because_of=cause) if cause else fault
 
     def standing(self, fault: SourceFault | None, now_ns: int) -> SourceStanding:
         """Return the state of the source with this fault: IN without one, OFF if nothing was ever received."""

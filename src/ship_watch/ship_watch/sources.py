@@ -136,8 +136,8 @@ class SourceBook:
             fault = source.fault(now_ns, utc_offset_ns)
             if fault is not None:
                 faults[name] = fault
-        guilty = {name for name, fault in faults.items() if not fault.because_of}
-        because = {name: self._sources[name].blamed(fault, guilty) for name, fault in faults.items()}
+        faulty_names = {name for name, fault in faults.items() if not fault.because_of}
+        because = {name: self._sources[name].attribute_fault(fault, faulty_names) for name, fault in faults.items()}
         standings = [source.standing(because.get(name), now_ns) for name, source in self._sources.items()]
         standings += [standing_off(name) for name in self._not_configured()]
         return _causes_first(sorted(standings, key=_order))
@@ -171,7 +171,7 @@ class SourceBook:
         return self._sources[name]
 
 
-def blamed(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceStanding | None:
+def first_faulty_source(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceStanding | None:
     """Return the first source of some kinds that is OUT by a fault of its own; None if there is none."""
     for source in sources:
         if source.presence is Presence.OUT and not source.because_of and source.name.partition(".")[0] in words:

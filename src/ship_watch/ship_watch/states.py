@@ -81,7 +81,7 @@ class AngleClaim:
     hint: str
     is_lessened: bool
     protection: AngleProtection
-    guilty: SourceStanding | None
+    faulty_source: SourceStanding | None
     behind: str = ""
 
 
@@ -94,26 +94,26 @@ def word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
 def _word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
     if not claim.is_heard:
         return Safety.UNSAFE, f"waiting for {claim.topic}"
-    guilty = _guilty(claim.guilty)
+    fault_text = _fault_text(claim.faulty_source)
     if claim.is_old:
-        return Safety.UNSAFE, guilty or f"no data on {claim.topic}"
+        return Safety.UNSAFE, fault_text or f"no data on {claim.topic}"
     if claim.status is None or claim.status is Status.INVALID or not math.isfinite(claim.value):
-        return Safety.UNSAFE, guilty or "invalid"
+        return Safety.UNSAFE, fault_text or "invalid"
     if not claim.accuracy_95 <= claim.unsafe_factor * claim.limit:
         over = f"over {claim.unsafe_factor:g} × the limit"
-        return Safety.UNSAFE, guilty or over if math.isfinite(claim.accuracy_95) else "accuracy unknown"
+        return Safety.UNSAFE, fault_text or over if math.isfinite(claim.accuracy_95) else "accuracy unknown"
     state, protection = claim.protection.state, claim.protection
     if state is IntegrityState.EXCEEDED and not _is_within(protection):
-        return Safety.UNSAFE, guilty or "protection level over its alert limit"
+        return Safety.UNSAFE, fault_text or "protection level over its alert limit"
     if claim.status is not Status.VALID:
-        return Safety.CAUTION, guilty or claim.hint or claim.status.name.lower()
+        return Safety.CAUTION, fault_text or claim.hint or claim.status.name.lower()
     if not claim.accuracy_95 <= claim.limit:
-        return Safety.CAUTION, guilty or OVER_THE_LIMIT
+        return Safety.CAUTION, fault_text or OVER_THE_LIMIT
     if state is None:
         return Safety.CAUTION, "no integrity data"
     if state is IntegrityState.UNAVAILABLE or not math.isfinite(protection.level):
-        return Safety.CAUTION, guilty or claim.hint or "no independent check"
-    return (Safety.CAUTION, guilty or claim.hint) if claim.is_lessened else (Safety.SAFE, "")
+        return Safety.CAUTION, fault_text or claim.hint or "no independent check"
+    return (Safety.CAUTION, fault_text or claim.hint) if claim.is_lessened else (Safety.SAFE, "")
 
 
 def _is_within(protection: AngleProtection) -> bool:
@@ -121,7 +121,7 @@ def _is_within(protection: AngleProtection) -> bool:
     return protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
 
 
-def _guilty(source: SourceStanding | None) -> str:
+def _fault_text(source: SourceStanding | None) -> str:
     """Return name and reason of a source that is OUT, without the count of rejections; empty for None."""
     return "" if source is None else f"{source.name} {_RUN.sub('rejected', source.reason)}"
 

@@ -36,7 +36,7 @@ from ship_watch.picture import (
     SourceStanding,
 )
 from ship_watch.published_state import PublishedState, published_state
-from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed, newest_age_s
+from ship_watch.sources import STAR_INNOVATION, SourceBook, first_faulty_source, newest_age_s
 from ship_watch.states import COUNTDOWN, AngleClaim, HeldWord, TimeOver, angle_word
 from ship_watch.topics import node_of, source_of_topic, watched_topic
 
@@ -300,17 +300,17 @@ class Watch:
         An output that is old while a node has stopped reporting has stopped with that node: no source is its cause.
         """
         has_node_stopped = any(source.because_of == ITS_NODE for source in sources)
-        ship = blamed(sources, _SHIP_SOURCES if self._attitude.is_claimed(now_ns) else _SHIP_NEEDS)
+        ship = first_faulty_source(sources, _SHIP_SOURCES if self._attitude.is_claimed(now_ns) else _SHIP_NEEDS)
         claims = {name: self._claim(name, ship, now_ns) for name in ANGLES[:3]}
         if self._pointing.is_heard or self._book.has_theodolite:
             needed = _POINTING_SOURCES if self._pointing.is_claimed(now_ns) else _POINTING_NEEDS
-            guilty = blamed(sources, needed) or ship
-            claims |= {name: self._claim(name, guilty, now_ns) for name in ANGLES[3:]}
+            faulty_source = first_faulty_source(sources, needed) or ship
+            claims |= {name: self._claim(name, faulty_source, now_ns) for name in ANGLES[3:]}
         if has_node_stopped:
             claims = {name: replace(claim, guilty=None) if claim.is_old else claim for name, claim in claims.items()}
         return claims
 
-    def _claim(self, name: str, guilty: SourceStanding | None, now_ns: int) -> AngleClaim:
+    def _claim(self, name: str, faulty_source: SourceStanding | None, now_ns: int) -> AngleClaim:
         output, beacons = self._output(name), self._book.beacon_count
         behind = self._behind.text(now_ns, output is self._pointing, self._book.reads(self._attitude.topic))
         return AngleClaim(
@@ -325,7 +325,7 @@ class Watch:
             hint=output.hint(now_ns, beacons),
             is_lessened=output.is_lessened(beacons),
             protection=output.protection(name, now_ns),
-            guilty=None if behind else guilty,
+            faulty_source=None if behind else faulty_source,
             behind=behind,
         )
 
@@ -345,7 +345,7 @@ class Watch:
             is_old=claim.is_old,
             stamp_ns=output.stamp_ns,
             since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if claim.is_heard else 0,
-            because_of=claim.guilty.name if claim.guilty is not None and word is not Safety.SAFE else "",
+            because_of=claim.faulty_source.name if claim.faulty_source is not None and word is not Safety.SAFE else "",
             over_s=self._over[name].lasted_s(now_ns),
             now=(now.word, now.reason),
         )

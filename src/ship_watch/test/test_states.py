@@ -29,7 +29,7 @@ GOOD = AngleClaim(
     hint="",
     is_lessened=False,
     protection=AngleProtection(IntegrityState.MET, 10.0, 30.0),
-    guilty=None,
+    faulty_source=None,
 )
 
 

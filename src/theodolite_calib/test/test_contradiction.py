@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.filter.alternatives import ENCODER, SHIP, TELESCOPE
-from theodolite_calib.filter.trust import blamed, crept
+from theodolite_calib.filter.trust import isolate_step_fault, isolate_drift_fault
 from theodolite_calib.measured.contradiction import ship_crept, streams_since
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
@@ -66,7 +66,7 @@ def told(encoder, ship):
 def test_who_stepped_is_named(steps, off_arcsec, name, rates):
     """Independent of the source isolated by the subfilters: both explain the step."""
     named = [
-        blamed(rows, BOTH, told(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
+        isolate_step_fault(rows, BOTH, told(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
         for seed in range(20)
         for rows in (ENCODER, SHIP)
     ]
@@ -78,7 +78,7 @@ def test_who_stepped_is_named(steps, off_arcsec, name, rates):
 
 @pytest.mark.parametrize("rows", [ENCODER, SHIP])
 def test_undetectable_step_keeps_the_isolated_source(rows):
-    assert {blamed(rows, BOTH, told(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {rows}
+    assert {isolate_step_fault(rows, BOTH, told(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {rows}
 
 
 def test_degraded_ship_is_isolated_or_no_source():
@@ -87,22 +87,22 @@ def test_degraded_ship_is_isolated_or_no_source():
     gappy = [*ship[:20], *ship[24:]]
     for attitudes in (doubtful, gappy):
         streams = told(encoder, attitudes)
-        assert blamed(ENCODER, BOTH, streams, 25.0 * ARCSEC) == SHIP
-        assert blamed(ENCODER, {ENCODER}, streams, 25.0 * ARCSEC) is None
+        assert isolate_step_fault(ENCODER, BOTH, streams, 25.0 * ARCSEC) == SHIP
+        assert isolate_step_fault(ENCODER, {ENCODER}, streams, 25.0 * ARCSEC) is None
 
 
 def test_stopped_encoders_do_not_implicate_the_telescope():
     """Stuck encoders have no step either; the beacons move on without them."""
     encoder, ship = samples(1)
     frozen = [*encoder[:22], *(replace(one, vector=encoder[22].vector) for one in encoder[22:])]
-    assert blamed(ENCODER, BOTH, told(frozen, ship), 100.0 * ARCSEC) == ENCODER
+    assert isolate_step_fault(ENCODER, BOTH, told(frozen, ship), 100.0 * ARCSEC) == ENCODER
     at_rest = [replace(one, vector=encoder[0].vector) for one in encoder]
-    assert blamed(ENCODER, BOTH, told(at_rest, ship), 100.0 * ARCSEC) == TELESCOPE
+    assert isolate_step_fault(ENCODER, BOTH, told(at_rest, ship), 100.0 * ARCSEC) == TELESCOPE
 
 
 def test_uninformative_streams_keep_the_isolated_source():
     streams = streams_since(SINCE_NS, [], [], (PERIOD_NS, PERIOD_NS), ARCSEC)
-    assert blamed(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER
+    assert isolate_step_fault(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER
 
 
 def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
@@ -165,4 +165,4 @@ def test_corrected_ship_attitude_is_no_drift():
     ],
 )
 def test_isolation_of_a_drift(source, explaining, alike, ship, named):
-    assert crept(source, explaining, alike, ship) == named
+    assert isolate_drift_fault(source, explaining, alike, ship) == named

@@ -88,7 +88,7 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
 def in_dispute(state: CalibrationState) -> CalibrationState:
     """Return the state with an unresolved fault and separated subfilters."""
     conflict = Conflict((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
-    trust = replace(state.trust, conflict=conflict)
+    trust = replace(state.fault_state, conflict=conflict)
     return replace(state, trust=trust, separation=np.full(len(state.separation), 5.0))
 
 

@@ -9,16 +9,16 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_testing.simulated_session import config
 from theodolite_calib.filter.alternatives import BEACON, ENCODER
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.filter.trust import Conflict, LeftOut, Referee, Trust, no_doubt
+from theodolite_calib.filter.trust import Conflict, LeftOut, FaultDetector, FaultState, no_doubt
 
 SETTINGS = config()
 ROWS = CalibrationFilter(SETTINGS).subfilters
-REFEREE = Referee(SETTINGS.integrity, SETTINGS.gate, ROWS, threshold=5.0)
+REFEREE = FaultDetector(SETTINGS.integrity, SETTINGS.gate, ROWS, threshold=5.0)
 FIRST, SECOND = ROWS.beacons[:2]
 AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
-def agreeing(heard_ns: dict[str, int]) -> Trust:
+def agreeing(heard_ns: dict[str, int]) -> FaultState:
     """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
     beacon.
     """
@@ -31,7 +31,7 @@ def agreeing(heard_ns: dict[str, int]) -> Trust:
     return replace(trust, means=replace(trust.innovation_means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
 
 
-def since_ns(trust: Trust) -> list[int | None]:
+def since_ns(trust: FaultState) -> list[int | None]:
     assert trust.conflict is not None
     exclusions = [trust.left_out[name].exclusion for name in (BEACON + FIRST, ENCODER)]
     return [*(exclusion.agrees_since_ns for exclusion in exclusions), trust.conflict.agrees_since_ns]

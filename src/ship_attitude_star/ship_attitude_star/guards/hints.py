@@ -46,7 +46,7 @@ class Departure:
     noise_n: FloatArray
 
 
-def who_is_wrong(
+def diagnosis_hint(
     source: str,
     refusals: Mapping[str, int],
     used_ns: Mapping[str, int],

@@ -182,7 +182,7 @@ def state_from_prior(
         parts[:, rows, :] = 0.0
         parts[:, :, rows] = 0.0
     parts[model.sources.index(SOURCE_SAVED_ALIGNMENT)] += saved
-    return filter_.suspects.start(mean, parts), messages
+    return filter_.fault_detector.start(mean, parts), messages
 
 
 def installed(filter_: ShipFilter, state: FilterState, name: str) -> FloatArray:

@@ -149,7 +149,7 @@ class ShipAttitudeCore:
         stars = [source for source, device in self.filter.devices.items() if device.is_star]
         if stars and all(source in state.excluded for source in stars):
             # They may have been excluded for an error of UTC.
-            state = self.filter.suspects.begun_anew(state)
+            state = self.filter.fault_detector.begun_anew(state)
         state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
         self._shell.step_time_base(state, step_ns)
         if self._watch is not None:

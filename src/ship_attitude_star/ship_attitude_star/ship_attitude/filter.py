@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.guards.hints import Departure, who_is_wrong
+from ship_attitude_star.guards.hints import Departure, diagnosis_hint
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
@@ -56,7 +56,7 @@ class ShipFilter:
         self.devices: dict[str, Device] = devices(config)
         of_gravity = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, of_gravity)
-        self.suspects = Suspects(config, self.model, self.devices)
+        self.fault_detector = Suspects(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
         self._ins_index = self.model.sources.index(SOURCE_INS)
         self._deflection_index = self.model.source_indices.get(SOURCE_DEFLECTION, self._ins_index)
@@ -64,7 +64,7 @@ class ShipFilter:
 
     def initial_state(self) -> FilterState:
         """Return the state before any measurement, with the configured covariance."""
-        return self.suspects.start(np.zeros(self.model.size), self.model.initial_parts())
+        return self.fault_detector.start(np.zeros(self.model.size), self.model.initial_parts())
 
     def predicted(self, state: FilterState, time_ns: int) -> FilterState:
         """Propagate a state to a later time."""
@@ -81,7 +81,7 @@ class ShipFilter:
             common = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay.item(common.start) ** 2
             add_error(stack, len(means), self._common_index, common, fresh * steady)
-        self.suspects.ins.carried(state, stack, dt_s)
+        self.fault_detector.ins.carried(state, stack, dt_s)
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _begun(self, state: FilterState, time_ns: int) -> FilterState:
@@ -129,10 +129,10 @@ class ShipFilter:
         opens_ns = self.opens_ns(jump)
         state = self.predicted(state, opens_ns)
         if jump.creeps:
-            state = self.suspects.without_ins(state, opens_ns)
+            state = self.fault_detector.without_ins(state, opens_ns)
             if INS in state.excluded:
                 return state
-        state = self.suspects.acquitted(state, opens_ns)
+        state = self.fault_detector.acquitted(state, opens_ns)
         stack, means, count = state.stack.copy(), state.means, len(state.means)
         slow, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
         # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
@@ -146,7 +146,7 @@ class ShipFilter:
         else:
             add_error(stack, count, self._ins_index, slow, jump.covariance_n)
             if jump.is_of_clock:
-                state = self.suspects.ins.clock_has_stepped(state, opens_ns)
+                state = self.fault_detector.ins.clock_has_stepped(state, opens_ns)
         return changed(
             state,
             means=means,
@@ -298,7 +298,7 @@ class ShipFilter:
             gate=gate,
             left_out=found.compared.left_out,
         )
-        after = self.suspects.learned(state, predicted, measurement, found.compared, innovations, accepted)
+        after = self.fault_detector.learned(state, predicted, measurement, found.compared, innovations, accepted)
         if decision.accepted:
             after = self._used(after, found.measured)
         elif source in state.excluded and (accepted[0] or state.excluded[source].offset is None):
@@ -309,7 +309,7 @@ class ShipFilter:
         if self.devices[source].is_star and not (accepted[0] or vouched):
             # No other data show whether the INS has jumped.
             after = changed(after, unconfirmed=_jumped(measurement.time_ns))
-        after, text = self.suspects.judged(after, source, innovations, vouched, measurement.time_ns)
+        after, text = self.fault_detector.judged(after, source, innovations, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
 
     def _lacks_latitude(self, time_ns: int) -> bool:
@@ -323,7 +323,7 @@ class ShipFilter:
         """True if the rates of the INS exclude a step: they are available, and the INS reported no recent jump."""
         if found.ins.sample is None or found.ins.sample.rate_d is None:
             return False
-        return not self.suspects.ins.told(state, found.ins_time_ns)
+        return not self.fault_detector.ins.told(state, found.ins_time_ns)
 
     def _beside(
         self, predicted: FilterState, source: str, compared: Compared, gate: float
@@ -341,7 +341,7 @@ class ShipFilter:
         """
         linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
         innovations = compare_rows(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
-        opened, wrong = self.suspects.ins.opened_against(predicted, source, innovations, compared.predicted_nv, gate)
+        opened, wrong = self.fault_detector.ins.opened_against(predicted, source, innovations, compared.predicted_nv, gate)
         if not wrong:
             return predicted, innovations
         wider = compare_rows(predicted.means, opened, linear, at_mean, rotation_jacobian)
@@ -365,7 +365,7 @@ class ShipFilter:
         refusal, text = why.refusal, why.refusal.text
         if why.contradicts:
             state, opened = self._reopened(self._counted(state, measurement.source), measurement.source)
-            state = self.suspects.ins.not_compared(state, measurement.time_ns)
+            state = self.fault_detector.ins.not_compared(state, measurement.time_ns)
             text += opened
         return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=why.ins_time_ns)
 
@@ -382,7 +382,7 @@ class ShipFilter:
         if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
             return state, ""
         state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_STAYS)
-        state = self.suspects.begun_anew(changed(state, excluded=without(state.excluded, source)))
+        state = self.fault_detector.begun_anew(changed(state, excluded=without(state.excluded, source)))
         return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
@@ -432,7 +432,7 @@ class ShipFilter:
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
-            who = who_is_wrong(source, state.refusals, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
+            who = diagnosis_hint(source, state.refusals, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
             text = f"{run} rejections in a row: {source} and the INS disagree{who}"
         state, opened = self._reopened(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + opened)

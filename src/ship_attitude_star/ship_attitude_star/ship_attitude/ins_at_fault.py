@@ -131,7 +131,7 @@ class InsAtFault:
 
     def told(self, state: FilterState, time_ns: int) -> bool:
         """True if the INS reported a jump of its own and has not gone uncontradicted for ``return_after_s`` since."""
-        since_ns = state.ins_suspected_ns
+        since_ns = state.ins_fault_ns
         return since_ns is not None and time_ns - since_ns <= self._return_after_s * SECOND_NS
 
     def may_be_excluded(self, in_use: Sequence[str]) -> bool:
@@ -143,7 +143,7 @@ class InsAtFault:
         if distrusted(state) or not self.may_be_excluded(state.in_use(self._subfilters.sources, time_ns)):
             return state
         times = state.record.get(INS, 0) + 1
-        excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times, on_suspicion=True))
+        excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times, is_self_reported=True))
         state = changed(state, excluded=excluded, record=with_entry(state.record, INS, times))
         return self._doubted(state, time_ns, "the INS is excluded: step of its clock")
 
@@ -191,14 +191,14 @@ class InsAtFault:
         if state.doubt is not None and not distrust:
             return state
         since_ns = exclusion.since_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
-        after_s = _UNCONTRADICTED_S if exclusion.on_suspicion else must_agree_s(exclusion, self._return_after_s)
+        after_s = _UNCONTRADICTED_S if exclusion.is_self_reported else must_agree_s(exclusion, self._return_after_s)
         if (time_ns - since_ns) / SECOND_NS < after_s:
             return state
         if distrust:
             # The filters were updated equally and do not differ.
             means, stack = self.all_filters_at(state.mean, state.parts)
             state = changed(state, means=means, stack=stack)
-        if not exclusion.on_suspicion:
+        if not exclusion.is_self_reported:
             # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.
             confirmed_ns = time_ns + round(_UNCONTRADICTED_S * SECOND_NS)
             state = changed(state, unconfirmed=Unconfirmed(confirmed_ns, "the INS was reinstated", "stars"))

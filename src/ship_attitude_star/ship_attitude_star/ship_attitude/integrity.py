@@ -30,7 +30,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         config: configuration of the node.
         estimate: the attitude, with its filter state.
     """
-    state, suspects = estimate.state, filter_.suspects
+    state, suspects = estimate.state, filter_.fault_detector
     asked = suspects.subfilters.asked(estimate.sources, state.excluded)
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
     to_angles, parts = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1

@@ -34,12 +34,12 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterStat
         live: state of the estimator in use; its exclusion counts and INS fault time are kept.
     """
     return changed(
-        filter_.suspects.start(memory.mean, memory.parts),
+        filter_.fault_detector.start(memory.mean, memory.parts),
         time_ns=memory.time_ns,
         vertical=memory.vertical,
         common_n=memory.common_n,
         record=live.record,
-        ins_suspected_ns=live.ins_suspected_ns,
+        ins_suspected_ns=live.ins_fault_ns,
     )
 
 

@@ -182,7 +182,7 @@ class FilterState:
     unconfirmed: Unconfirmed | None = None
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None
-    ins_suspected_ns: int | None = None
+    ins_fault_ns: int | None = None
     separation_covariance_n: FloatArray | None = None
     vertical: VerticalHere | None = None
     utc: UtcStep | None = None

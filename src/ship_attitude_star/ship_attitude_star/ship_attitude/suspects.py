@@ -24,7 +24,7 @@ from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, shared_rotation, with_entry
-from ship_estimation.common_error import SUSPECTED_SIGMAS
+from ship_estimation.common_error import COMMON_ERROR_START_SIGMAS
 from ship_estimation.exclusion import (
     HEARD_NS,
     Exclusion,
@@ -43,7 +43,7 @@ from ship_estimation.hypotheses import (
     update_rows,
 )
 from ship_estimation.outcome import Measurement
-from ship_estimation.protection import UNDISPUTED_SIGMAS, separation_inflation
+from ship_estimation.protection import INFLATION_START_SIGMAS, separation_inflation
 from ship_estimation.running_means import NO_MEANS, averaged, forgotten, no_means, observed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -85,7 +85,7 @@ class Suspects:
         self._indices = {name: index for index, name in enumerate(self._sources)}
         self.ins = InsAtFault(config, model, self.subfilters)
         self._slow = model.slices["ins.attitude"]
-        self._undisputed = min(UNDISPUTED_SIGMAS, self.subfilters.k.false_exclusion)
+        self._undisputed = min(INFLATION_START_SIGMAS, self.subfilters.k.false_exclusion)
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
         """Return the state before any measurement, with all filters at one mean and covariance.
@@ -221,17 +221,17 @@ class Suspects:
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
             pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
         threshold, after = table.k.false_exclusion, self._degraded_after
-        finding = find_fault(state.innovation_means, uses, statistic, threshold, candidates, time_ns, after, pairs)
+        isolation = find_fault(state.innovation_means, uses, statistic, threshold, candidates, time_ns, after, pairs)
         # Written so that NaN is shared.
         shared = not state.absorbed.sigmas <= table.common_threshold and INS not in state.excluded
-        if not finding.fault and not shared:
+        if not isolation.fault and not shared:
             return self._agreed(state, in_use, separations_n, statistic, time_ns), ""
-        wrong = self._named(state, finding)
-        if state.absorbed.sigmas > SUSPECTED_SIGMAS and not table.stars.isdisjoint(wrong):
+        wrong = self._named(state, isolation)
+        if state.absorbed.sigmas > COMMON_ERROR_START_SIGMAS and not table.stars.isdisjoint(wrong):
             wrong = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
         if self.ins.told(state, time_ns):
             state = changed(state, ins_suspected_ns=time_ns)
-            if INS not in wrong and not set(table.ins_subfilters).isdisjoint(finding.explaining_subfilters):
+            if INS not in wrong and not set(table.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
                 wrong = ()  # A jump of the INS explains it as well: the INS may have rotated in its own frame.
         contradicting = self._stars_contradicting(state, wrong, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
@@ -255,9 +255,9 @@ class Suspects:
             return False
         # Written so that NaN is inconsistent.
         return (
-            state.absorbed.sigmas <= SUSPECTED_SIGMAS
+            state.absorbed.sigmas <= COMMON_ERROR_START_SIGMAS
             and agrees_with_all(state.innovation_means, self._degraded_after)
-            and all(one.sigmas <= UNDISPUTED_SIGMAS for one in state.lately.values())
+            and all(one.sigmas <= INFLATION_START_SIGMAS for one in state.lately.values())
             and stand_together(state.means, state.stack, self._slow, self._undisputed)
         )
 
@@ -276,9 +276,9 @@ class Suspects:
                 if source in in_use and source in state.lately:
                     statistic[row] = np.maximum(statistic[row], state.lately[source].sigmas)
         # Written so that NaN is not within.
-        within = all(sigmas <= UNDISPUTED_SIGMAS for sigmas in statistic.tolist())
-        absorbed = state.absorbed.with_suspicion(time_ns, round(self._integrity.return_after_s * SECOND_NS))
-        suspicion = absorbed.suspicion
+        within = all(sigmas <= INFLATION_START_SIGMAS for sigmas in statistic.tolist())
+        absorbed = state.absorbed.with_unresolved_error(time_ns, round(self._integrity.return_after_s * SECOND_NS))
+        suspicion = absorbed.unresolved
         if within and state.doubt is None and state.separation_covariance_n is None and suspicion is None:
             return state
         separation_covariance_n = None if within else separation_inflation(separations_n, statistic)
@@ -332,14 +332,14 @@ class Suspects:
 
     # -- exclusion and reinstatement ------------------------------------------------------------------------
 
-    def _named(self, state: FilterState, finding: Finding) -> tuple[str, ...]:
+    def _named(self, state: FilterState, isolation: Finding) -> tuple[str, ...]:
         """Return the isolated sources, empty for none.
 
         If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
         """
         left_out = self.subfilters.left_out
-        known = [row for row in finding.explaining_subfilters if state.record.keys() >= set(left_out[row - 1])]
-        row = known[0] if len(known) == 1 else finding.subfilter
+        known = [row for row in isolation.explaining_subfilters if state.record.keys() >= set(left_out[row - 1])]
+        row = known[0] if len(known) == 1 else isolation.subfilter
         return () if row is None else left_out[row - 1]
 
     def _without(self, state: FilterState, wrong: tuple[str, ...], time_ns: int) -> tuple[FilterState, str]:
@@ -534,7 +534,7 @@ class Suspects:
         """
         vectors = [innovation.rotation_n for name, innovation in state.last_innovations.items() if state.refusals.get(name, 0)]
         vectors += [vector for vector, size in zip(separations_n, statistic, strict=True) if size > 1.0]
-        if state.absorbed.sigmas > SUSPECTED_SIGMAS:
+        if state.absorbed.sigmas > COMMON_ERROR_START_SIGMAS:
             vectors.append(state.absorbed.error_n)
         covariance_n = sum((np.outer(vector, vector) for vector in vectors), start=np.zeros((3, 3)))
         if contradicting:

@@ -41,7 +41,7 @@ class TracedFilter(ShipFilter):
 
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         super().__init__(config, vertical)
-        self.suspects = _TracedSuspects(config, self.model, self.devices)
+        self.fault_detector = _TracedFaultDetector(config, self.model, self.devices)
 
     def opened(self, state: FilterState, jump: InsChange) -> FilterState:
         """See :meth:`ShipFilter.apply_ins_change`; the inflation is recorded as an update."""
@@ -52,14 +52,14 @@ class TracedFilter(ShipFilter):
         return changed(after, came=Came(both, both, leads_back, jump.time_ns))
 
 
-class _TracedSuspects(Suspects):
+class _TracedFaultDetector(Suspects):
     """Fault detection on states that record their last update."""
 
-    def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
+    def initial_state(self, mean: FloatArray, parts: FloatArray) -> FilterState:
         """See :meth:`FaultDetector.initial_state`."""
         return TracedState(**vars(super().start(mean, parts)))
 
-    def learned(
+    def update(
         self,
         state: FilterState,
         predicted: FilterState,

@@ -65,7 +65,7 @@ class RecoverableCore(Protocol):
         ...
 
     @property
-    def is_contradicted(self) -> bool:
+    def has_unresolved_fault(self) -> bool:
         """True if its sources are inconsistent and no faulty source is isolated."""
         ...
 

@@ -48,11 +48,11 @@ class InputsPanel:
 
     def update(self, picture: Picture, marked: str) -> None:
         """Write the inputs; rows of a source that is OUT are highlighted, those of the marked source have a frame."""
-        guilty = {
+        faulty_sources = {
             topic: source for source in picture.sources if source.presence is Presence.OUT for topic in source.topics
         }
         framed = {topic for source in picture.sources if source.name == marked for topic in source.topics}
-        rows = "".join(input_row(shown, guilty, is_marked=shown.topic in framed) for shown in picture.inputs)
+        rows = "".join(input_row(shown, faulty_sources, is_marked=shown.topic in framed) for shown in picture.inputs)
         self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
         self.box.say("" if picture.inputs else "no input health data")
 
@@ -73,12 +73,12 @@ def event_row(event: Event, marked: str = "") -> str:
     return f"<tr{row_class}><td class=time>{time}<td>{f'<b>{text}</b>' if event.kind == 'alert' else text}"
 
 
-def input_row(shown: InputShown, guilty: Mapping[str, SourceShown], *, is_marked: bool = False) -> str:
+def input_row(shown: InputShown, faulty_sources: Mapping[str, SourceShown], *, is_marked: bool = False) -> str:
     """Return a row of the inputs; rejections at the input and by the filter are one number.
 
     The row of a source that is OUT by a fault of its own is highlighted, not that of a source that needs it.
     """
-    source = guilty.get(shown.topic)
+    source = faulty_sources.get(shown.topic)
     refused = shown.refused_60s
     reasons = reasons_text(shown.reasons)
     if source is not None:

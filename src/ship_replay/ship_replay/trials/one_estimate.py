@@ -25,7 +25,7 @@ class ShipFilterWithoutSubfilters(ShipFilter):
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         super().__init__(config)
-        self.suspects.subfilters.count, self.suspects.subfilters.ins_subfilters = 1, ()
+        self.fault_detector.subfilters.count, self.fault_detector.subfilters.ins_subfilters = 1, ()
 
     def _judged(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised

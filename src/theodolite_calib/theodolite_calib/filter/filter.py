@@ -23,7 +23,7 @@ from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorPro
 from theodolite_calib.filter.observability import Observability, Unaided
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.star_comparison import StarComparison, StarModel
-from theodolite_calib.filter.trust import Trust, no_doubt
+from theodolite_calib.filter.trust import FaultState, no_doubt
 from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 
@@ -66,7 +66,7 @@ class CalibrationState:
     parts: FloatArray
     unaided: Unaided
     subfilters: Alternatives
-    trust: Trust
+    fault_state: FaultState
     separation: FloatArray
     ship_covariance_n: FloatArray | None = None
     refusals: int = 0
@@ -206,7 +206,7 @@ class CalibrationFilter:
 
     def unknown(self, state: CalibrationState) -> CalibrationState:
         """Add the unknown error changes of excluded sources to the propagated state, before a sighting."""
-        excluded, parts = state.trust.excluded, state.parts
+        excluded, parts = state.fault_state.excluded, state.parts
         if excluded:
             parts = self.subfilters.with_unknown(parts, self.model.sources.index(SOURCE_AXES), excluded)
         return replace(state, parts=parts, alternatives=self.subfilters.unknown(state.subfilters, excluded))
@@ -220,7 +220,7 @@ class CalibrationFilter:
         if comparison is None:
             return state
         after, _ = self.used(state, sighting, comparison)
-        states = self.subfilters.states_of(state.trust.excluded)
+        states = self.subfilters.states_of(state.fault_state.excluded)
         mean, subfilter_means = state.mean.copy(), state.subfilters.mean.copy()
         mean[states] = subfilter_means[:, states] = after.mean[states]
         return replace(state, mean=mean, alternatives=replace(state.subfilters, mean=subfilter_means))

@@ -19,7 +19,7 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.star_comparison import StarComparison
 from theodolite_calib.filter.step import held_back, hypothesis_factors, separations
-from theodolite_calib.filter.trust import Referee
+from theodolite_calib.filter.trust import FaultDetector
 from theodolite_calib.measured.samples import ExposureDecision
 from theodolite_calib.measured.star_sighting import StarSighting
 
@@ -39,13 +39,13 @@ class StarStep:
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, watch: SkyWatch) -> None:
         self._filter, self._gate, self._watch = filter_, config.gate, watch
         threshold = hypothesis_factors(config.integrity, filter_.subfilters.sources).false_exclusion
-        self._referee = Referee(config.integrity, config.gate, filter_.subfilters, threshold)
+        self._fault_detector = FaultDetector(config.integrity, config.gate, filter_.subfilters, threshold)
         self._turning = chain_rows(filter_.model)
 
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         """Return state and decision after an exposure; ``state`` is that after the previous sighting."""
         after, decision = self._judged(state, sighting)
-        return after, replace(decision, excluded=tuple(sorted(after.trust.excluded)))
+        return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded)))
 
     def _judged(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
@@ -60,7 +60,7 @@ class StarStep:
             found = singular_covariance()
         decision = ExposureDecision(sighting.exposure, found.reason, text=found.text)
         # With encoders or ship excluded there is no prediction that stars could contradict.
-        if found.reason in _CONTRADICTS and not state.trust.excluded & CHAIN:
+        if found.reason in _CONTRADICTS and not state.fault_state.excluded & CHAIN:
             return held_back(state, decision, self._gate, "stars")
         return state, decision
 
@@ -94,6 +94,6 @@ class StarStep:
             predicted.subfilters, measurement, predicted.mean, found.stars.by_turn, self._gate.probability
         )
         separation = separations(after, alternatives, self._turning, found.camera.rotation_ns, found.camera.turn_n)
-        trust = self._referee.agreed(predicted.trust, sighting.time_ns)
+        trust = self._fault_detector.agreed(predicted.fault_state, sighting.time_ns)
         after = replace(after, alternatives=alternatives, separation=separation, trust=trust)
         return after, replace(decision, reason=Reason.NONE, accepted=True)

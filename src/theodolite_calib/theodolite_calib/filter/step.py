@@ -23,7 +23,7 @@ from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, A
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
 from theodolite_calib.filter.model import chain_rows
-from theodolite_calib.filter.trust import LeftOut, Referee, Trust, blamed, crept
+from theodolite_calib.filter.trust import LeftOut, FaultDetector, FaultState, isolate_step_fault, isolate_drift_fault
 from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.contradiction import Streams
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
@@ -50,14 +50,14 @@ class SightingStep:
         filter_: CalibrationFilter,
         streams_since: Callable[[int, int], Streams | None] = lambda since_ns, until_ns: None,
         ship_crept: Callable[[int], bool | None] = lambda time_ns: None,
-        own_faults: Callable[[int], Set[str]] = lambda time_ns: frozenset(),
+        stream_faults: Callable[[int], Set[str]] = lambda time_ns: frozenset(),
     ) -> None:
-        self._streams_since, self._ship_crept, self._own_faults = streams_since, ship_crept, own_faults
+        self._streams_since, self._ship_crept, self._own_faults = streams_since, ship_crept, stream_faults
         self._filter, self._gate, self._config = filter_, config.gate, config.integrity
         self._judge = SightingJudge(filter_, config.gate)
         self._factors = hypothesis_factors(config.integrity, filter_.subfilters.sources)
         threshold = self._factors.false_exclusion
-        self._referee = Referee(config.integrity, config.gate, filter_.subfilters, threshold)
+        self._fault_detector = FaultDetector(config.integrity, config.gate, filter_.subfilters, threshold)
         self._turning = chain_rows(filter_.model)
 
     def __call__(
@@ -76,7 +76,7 @@ class SightingStep:
             jumps: jumps of the baselines of its beacons, by name.
         """
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
-        trust = self._referee.heard_again(predicted.trust, sighting.names, sighting.time_ns)
+        trust = self._fault_detector.heard_again(predicted.fault_state, sighting.names, sighting.time_ns)
         predicted = replace(predicted, trust=trust)
         for name, jump in jumps:
             predicted = self._jumped(predicted, sighting, name, jump)
@@ -85,15 +85,15 @@ class SightingStep:
         except np.linalg.LinAlgError:
             refusal = singular_covariance()
             after, decision = state, ExposureDecision(exposure, refusal.reason, text=refusal.text)
-        return after, replace(decision, excluded=tuple(sorted(after.trust.excluded)))
+        return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded)))
 
     def _jumped(
         self, predicted: CalibrationState, sighting: Sighting, name: str, jump: BaselineJump
     ) -> CalibrationState:
         """Exclude the drone of a baseline that has jumped, unless it is excluded already."""
-        source, trust = BEACON + name, predicted.trust
+        source, trust = BEACON + name, predicted.fault_state
         if source in trust.excluded:
-            return replace(predicted, trust=self._referee.jumped(trust, source, jump))
+            return replace(predicted, trust=self._fault_detector.jumped(trust, source, jump))
         if trust.jumped_ns.get(source, jump.time_ns - 1) >= jump.time_ns:
             return predicted
         why = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, more than its flight can explain"
@@ -105,22 +105,22 @@ class SightingStep:
         self, state: CalibrationState, source: str, left_out: LeftOut, explaining_subfilter: str | None = None
     ) -> CalibrationState:
         """Exclude a source: its subfilter becomes the main filter."""
-        trust = self._referee.without(state.trust, source, left_out, explaining_subfilter)
+        trust = self._fault_detector.without(state.fault_state, source, left_out, explaining_subfilter)
         return replace(self._filter.without(state, source), trust=trust)
 
     def _judged(
         self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Return state and decision; ``predicted`` may exclude sources that ``state`` still uses."""
-        excluded = predicted.trust.excluded
-        held = state if excluded == state.trust.excluded else predicted
+        excluded = predicted.fault_state.excluded
+        held = state if excluded == state.fault_state.excluded else predicted
         rows = range(len(sighting.names))
         used_rows = [row for row in rows if BEACON + sighting.names[row] not in excluded]
         left_out = tuple(self._left_out(predicted, name) for name in sighting.names if BEACON + name in excluded)
         unknown = self._filter.unknown(predicted)
         for source in sorted(excluded & CHAIN):
             predicted = self._watched_turn(predicted, sighting, source)
-        trust = self._watched_lights(predicted.trust, unknown, sighting, bool(used_rows))
+        trust = self._watched_lights(predicted.fault_state, unknown, sighting, bool(used_rows))
         if not used_rows:
             held = replace(held, alternatives=predicted.subfilters, trust=trust)
             reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
@@ -157,26 +157,26 @@ class SightingStep:
         """Update subfilters and fault state with an accepted sighting; ``before`` is the state propagated to it."""
         main_filter = before.mean, compared.covariance
         alternatives, innovations = self._filter.subfilters.seen(
-            before.subfilters, names, compared.measurement, main_filter, before.trust.excluded, self._gate.probability
+            before.subfilters, names, compared.measurement, main_filter, before.fault_state.excluded, self._gate.probability
         )
         time_ns = decision.measurement.time_ns
-        trust = self._referee.update_means(before.trust, names, innovations, True, time_ns)
+        trust = self._fault_detector.update_means(before.fault_state, names, innovations, True, time_ns)
         prediction = compared.prediction
         separation = separations(after, alternatives, self._turning, prediction.rotation_nt, prediction.by_state_n)
-        trusted = self._referee.agreed(trust, time_ns)
-        after = replace(after, alternatives=alternatives, trust=trusted, separation=separation)
-        fault, source, explaining = self._referee.fault(after.trust, after.separation, time_ns)
-        if fault and not trust.excluded:
-            alike = self._referee.creep_alike(trust, time_ns)
-            source = crept(source, explaining, alike, self._ship_crept(time_ns))
+        after_acceptance = self._fault_detector.agreed(trust, time_ns)
+        after = replace(after, alternatives=alternatives, trust=after_acceptance, separation=separation)
+        is_detected, source, explaining = self._fault_detector.isolate_fault(after.fault_state, after.separation, time_ns)
+        if is_detected and not trust.excluded:
+            alike = self._fault_detector.creep_alike(trust, time_ns)
+            source = isolate_drift_fault(source, explaining, alike, self._ship_crept(time_ns))
             source = self._faulty(source, explaining, time_ns)
-        elif not fault and self._referee.suspects_ship(trust, time_ns) and self._ship_crept(time_ns):
+        elif not is_detected and self._fault_detector.indicates_ship_drift(trust, time_ns) and self._ship_crept(time_ns):
             source = SHIP
         if source is not None:
             return self._attributed(after, source, decision)
-        if fault:
+        if is_detected:
             spread_n = self._farthest(after, compared)
-            after = replace(after, trust=self._referee.disagreed(after.trust, spread_n, lasting=True))
+            after = replace(after, trust=self._fault_detector.disagreed(after.fault_state, spread_n, lasting=True))
         return after, decision
 
     def _refused(
@@ -194,23 +194,23 @@ class SightingStep:
             sighting.names,
             comparison.measurement,
             main_filter,
-            predicted.trust.excluded,
+            predicted.fault_state.excluded,
             self._gate.probability,
         )
         time_ns = sighting.time_ns
-        trust = self._referee.update_means(held.trust, sighting.names, innovations, False, time_ns)
-        fault, found, explaining = self._referee.fault(trust, np.zeros(len(self._filter.subfilters.sources)), time_ns)
+        trust = self._fault_detector.update_means(held.fault_state, sighting.names, innovations, False, time_ns)
+        is_detected, found, explaining = self._fault_detector.isolate_fault(trust, np.zeros(len(self._filter.subfilters.sources)), time_ns)
         after = replace(predicted, alternatives=alternatives, trust=trust)
         source = found
-        if found in (ENCODER, SHIP) and not held.trust.excluded:
-            source = self._blamed(held, found, explaining, decision)
+        if found in (ENCODER, SHIP) and not held.fault_state.excluded:
+            source = self._isolate_by_streams(held, found, explaining, decision)
             source = self._faulty(source, explaining, time_ns)
         if source is not None:
             return self._attributed(replace(after, refusals=held.refusals + 1), source, decision, found)
-        trust = self._referee.disagreed(trust, _spread_n(comparison), lasting=fault)
+        trust = self._fault_detector.disagreed(trust, _spread_n(comparison), lasting=is_detected)
         return held_back(replace(held, alternatives=alternatives, trust=trust), decision, self._gate, "lights")
 
-    def _blamed(
+    def _isolate_by_streams(
         self, held: CalibrationState, source: str, explaining: Set[str], decision: ExposureDecision
     ) -> str | None:
         """Isolate a fault of encoders or ship by their own streams; return the faulty source or None."""
@@ -218,7 +218,7 @@ class SightingStep:
         told = None if held.used_ns is None else self._streams_since(held.used_ns, time_ns)
         if told is None:
             return source
-        return blamed(source, explaining, told, float(np.max(np.abs(decision.residual))))
+        return isolate_step_fault(source, explaining, told, float(np.max(np.abs(decision.residual))))
 
     def _faulty(self, source: str | None, explaining: Set[str], time_ns: int) -> str | None:
         """Return the source to exclude: if another one has shown a fault of its own recently, that one or none."""
@@ -251,24 +251,24 @@ class SightingStep:
 
     def _watched_turn(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
         """Compare the sighting with the prediction of excluded encoders, or of an excluded ship's attitude."""
-        used = [row for row, name in enumerate(sighting.names) if BEACON + name not in predicted.trust.excluded]
+        used = [row for row, name in enumerate(sighting.names) if BEACON + name not in predicted.fault_state.excluded]
         comparison = self._filter.compare(predicted, sighting.chosen(used)) if used else None
         gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
         agrees = comparison is not None and comparison.nis <= gate
-        trust = self._referee.watched_turn(predicted.trust, source, agrees, sighting.time_ns)
+        trust = self._fault_detector.watched_turn(predicted.fault_state, source, agrees, sighting.time_ns)
         return replace(predicted, trust=trust)
 
-    def _watched_lights(self, trust: Trust, state: CalibrationState, sighting: Sighting, others: bool) -> Trust:
+    def _watched_lights(self, trust: FaultState, state: CalibrationState, sighting: Sighting, others: bool) -> FaultState:
         """Compare the beacons of excluded drones with the estimate by the other sources."""
         for row, name in enumerate(sighting.names):
-            if BEACON + name not in state.trust.excluded:
+            if BEACON + name not in state.fault_state.excluded:
                 continue
             comparison = self._filter.compare(state, sighting.chosen([row]))
             if comparison is not None:
                 measurement = comparison.measurement
                 compared = light_compared(measurement.residual, comparison.covariance, measurement.noise)
                 refused_m = self._refused_m(trust.left_out[BEACON + name], comparison, others)
-                trust = self._referee.watched_light(trust, name, compared, sighting.time_ns, refused_m)
+                trust = self._fault_detector.watched_light(trust, name, compared, sighting.time_ns, refused_m)
         return trust
 
     @staticmethod
@@ -284,7 +284,7 @@ class SightingStep:
         return 0.0 if others else left_out.refused_m
 
     def _left_out(self, state: CalibrationState, name: str) -> tuple[str, Refusal]:
-        return name, Refusal(Reason.EXCLUDED, state.trust.left_out[BEACON + name].why)
+        return name, Refusal(Reason.EXCLUDED, state.fault_state.left_out[BEACON + name].why)
 
 
 @functools.lru_cache(maxsize=16)

@@ -32,7 +32,7 @@ _UNDONE_SIGMAS = 4.0
 _ALIKE_SIGMAS, _ALIKE_COSINE = 2.0, 0.7
 """Beacons drift together if each mean exceeds the first value (standard deviations) and each pair of means has at least
 the second value as the cosine of the angle between them."""
-_SUSPECTED = 0.3
+_DRIFT_INDICATION_RATIO = 0.3
 """Ratio of an innovation mean to its limit above which a ship attitude that departs from its own rates is faulty.
 Neither sign alone suffices."""
 _POWER_SIGMAS = 5.0
@@ -79,7 +79,7 @@ class Conflict:
 
 
 @dataclass(frozen=True)
-class Trust:
+class FaultState:
     """State of fault detection and exclusion.
 
     Attributes:
@@ -100,7 +100,7 @@ class Trust:
         return self.left_out.keys()
 
 
-def blamed(source: str, explaining: Set[str], told: Streams, off_rad: float) -> str | None:
+def isolate_step_fault(source: str, explaining: Set[str], told: Streams, off_rad: float) -> str | None:
     """Return the faulty source of a sudden contradiction between beacons and prediction; None if it is not isolated.
 
     Args:
@@ -115,12 +115,12 @@ def blamed(source: str, explaining: Set[str], told: Streams, off_rad: float) -> 
     stepped = [name for name, step in steps.items() if step is not None and step.is_there(off_rad)]
     if stepped:
         return stepped[0] if len(stepped) == 1 and stepped[0] in explaining else source
-    suspects = [steps[name] for name in {source, *explaining} & steps.keys()]
-    right = all(step is not None and step.is_not(off_rad) for step in suspects)
+    candidate_steps = [steps[name] for name in {source, *explaining} & steps.keys()]
+    right = all(step is not None and step.is_not(off_rad) for step in candidate_steps)
     return TELESCOPE if right else source
 
 
-def crept(source: str | None, explaining: Set[str], alike: bool, ship_crept: bool | None) -> str | None:
+def isolate_drift_fault(source: str | None, explaining: Set[str], alike: bool, ship_crept: bool | None) -> str | None:
     """Return the faulty source of a drift of accepted beacons; None if it is not isolated.
 
     If all beacons drift together, the encoders or the ship's attitude drift, because two drones do not drift together.
@@ -143,12 +143,12 @@ def crept(source: str | None, explaining: Set[str], alike: bool, ship_crept: boo
     return source if source in CHAIN else None
 
 
-def no_doubt(subfilters: SourceRows) -> Trust:
+def no_doubt(subfilters: SourceRows) -> FaultState:
     """Return the initial state: no source is excluded and no fault is unresolved."""
-    return Trust(no_means(1 + len(subfilters.sources), len(subfilters.beacons)))
+    return FaultState(no_means(1 + len(subfilters.sources), len(subfilters.beacons)))
 
 
-class Referee:
+class FaultDetector:
     """Fault detector for the sources of a configuration, from the innovations in the subfilters.
 
     Args:
@@ -165,7 +165,7 @@ class Referee:
         own = np.array([[BEACON + id_ == source for id_ in subfilters.beacons] for source in subfilters.sources], dtype=bool)
         self._leaves_out = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
-    def heard_again(self, trust: Trust, names: tuple[str, ...], time_ns: int) -> Trust:
+    def heard_again(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
         """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
 
         Args:
@@ -173,29 +173,29 @@ class Referee:
             names: beacons of this sighting.
             time_ns: time of the sighting.
         """
-        heard_ns, silent_ns = trust.innovation_means.heard_ns, time_ns - HEARD_NS
+        heard_ns, silent_ns = fault_state.innovation_means.heard_ns, time_ns - HEARD_NS
         quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._subfilters.beacons.index(name)] < silent_ns}
-        if not quiet or not (trust.left_out or trust.conflict):
-            return trust
-        conflict = trust.conflict
+        if not quiet or not (fault_state.left_out or fault_state.conflict):
+            return fault_state
+        conflict = fault_state.conflict
         if heard_ns.max() < silent_ns:
             quiet = quiet | CHAIN
             conflict = None if conflict is None else replace(conflict, agrees_since_ns=None)
-        left_out = dict(trust.left_out)
+        left_out = dict(fault_state.left_out)
         for name in quiet & left_out.keys():
             exclusion = replace(left_out[name].exclusion, agrees_since_ns=None)
             left_out[name] = replace(left_out[name], exclusion=exclusion)
-        return replace(trust, left_out=left_out, conflict=conflict)
+        return replace(fault_state, left_out=left_out, conflict=conflict)
 
-    def update_means(self, trust: Trust, names: tuple[str, ...], innovations: RowsSeen, used: bool, time_ns: int) -> Trust:
+    def update_means(self, fault_state: FaultState, names: tuple[str, ...], innovations: RowsSeen, used: bool, time_ns: int) -> FaultState:
         """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
         beacons = [self._subfilters.beacons.index(name) for name in names]
         by_row = np.concatenate([[used], innovations.accepted])[:, None]
         accepted = np.where(self._leaves_out[:, beacons], innovations.light_nis <= self._light_gate, by_row)
-        means = observed(trust.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
-        return replace(trust, means=means)
+        means = observed(fault_state.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
+        return replace(fault_state, means=means)
 
-    def fault(self, trust: Trust, separations: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
+    def isolate_fault(self, fault_state: FaultState, separations: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
         """Return True if a source is faulty, the isolated source or None, and all sources that explain the fault.
 
         Args:
@@ -203,14 +203,14 @@ class Referee:
             statistic: solution separation of each subfilter in standard deviations, shape (h,).
             time_ns: time of the sighting.
         """
-        sources, excluded = self._subfilters.sources, trust.excluded
+        sources, excluded = self._subfilters.sources, fault_state.excluded
         gone = np.array([BEACON + id_ in excluded for id_ in self._subfilters.beacons], dtype=bool)
         uses = ~(self._leaves_out | gone)
         all_separations = np.concatenate([[0.0], separations])
 
         def found(names: list[str]) -> Finding:
             rows = [1 + sources.index(name) for name in names]
-            return find_fault(trust.innovation_means, uses, all_separations, self._threshold, rows, time_ns, self._degraded_after)
+            return find_fault(fault_state.innovation_means, uses, all_separations, self._threshold, rows, time_ns, self._degraded_after)
 
         candidates = [name for name in sources if name not in excluded]
         finding = found(candidates)
@@ -226,57 +226,57 @@ class Referee:
                 return True, name, explaining
         return True, None, explaining
 
-    def creep_alike(self, trust: Trust, time_ns: int) -> bool:
+    def creep_alike(self, fault_state: FaultState, time_ns: int) -> bool:
         """True if at least two beacons are in use and all of them drift in the same direction in the image."""
         used = [
             row
             for row, id_ in enumerate(self._subfilters.beacons)
-            if BEACON + id_ not in trust.excluded and trust.innovation_means.heard_ns[row] >= time_ns - HEARD_NS
+            if BEACON + id_ not in fault_state.excluded and fault_state.innovation_means.heard_ns[row] >= time_ns - HEARD_NS
         ]
         if len(used) < 2:
             return False
         # Longer windows only, in standard deviations: shape (w, l, 2).
-        running = trust.innovation_means.running[0, used, 1:].swapaxes(0, 1)
+        running = fault_state.innovation_means.running[0, used, 1:].swapaxes(0, 1)
         off = running[..., :2] / np.sqrt(running[..., 4:])
         size = np.linalg.norm(off, axis=-1)
         cosines = np.einsum("wlk,wmk->wlm", off, off) / (size[:, :, None] * size[:, None, :])
         alike = (size.min(axis=1) > _ALIKE_SIGMAS) & (cosines.min(axis=(1, 2)) > _ALIKE_COSINE)  # NaN is not
         return bool(np.any(alike))
 
-    def suspects_ship(self, trust: Trust, time_ns: int) -> bool:
+    def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
         """True if beacons drift within their limit and are consistent without the ship's attitude."""
-        heard = trust.innovation_means.heard_ns >= time_ns - HEARD_NS
-        if trust.excluded or trust.conflict is not None or not np.any(trust.innovation_means.excess[0, heard] > _SUSPECTED):
+        heard = fault_state.innovation_means.heard_ns >= time_ns - HEARD_NS
+        if fault_state.excluded or fault_state.conflict is not None or not np.any(fault_state.innovation_means.excess[0, heard] > _DRIFT_INDICATION_RATIO):
             return False
         row = 1 + self._subfilters.sources.index(SHIP)
-        return bool(np.all(trust.innovation_means.excess[row, heard] <= WELL) and np.all(trust.innovation_means.refused[row, heard] == 0))
+        return bool(np.all(fault_state.innovation_means.excess[row, heard] <= WELL) and np.all(fault_state.innovation_means.refused[row, heard] == 0))
 
-    def without(self, trust: Trust, source: str, left_out: LeftOut, explaining_subfilter: str | None = None) -> Trust:
+    def without(self, fault_state: FaultState, source: str, left_out: LeftOut, explaining_subfilter: str | None = None) -> FaultState:
         """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
-        row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), trust.innovation_means
+        row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), fault_state.innovation_means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._subfilters.sources), axis=0)
             for name in FIELDS_BY_SUBFILTER
         }
-        all_left_out = {**trust.left_out, source: left_out}
-        return replace(trust, means=replace(means, **same), left_out=all_left_out, conflict=None)
+        all_left_out = {**fault_state.left_out, source: left_out}
+        return replace(fault_state, means=replace(means, **same), left_out=all_left_out, conflict=None)
 
-    def jumped(self, trust: Trust, source: str, jump: BaselineJump) -> Trust:
+    def jumped(self, fault_state: FaultState, source: str, jump: BaselineJump) -> FaultState:
         """Record another jump of the baseline of an excluded drone, which may have jumped back."""
-        left_out = trust.left_out[source]
+        left_out = fault_state.left_out[source]
         if jump.time_ns <= left_out.jump_ns + _SAME_JUMP_NS:
-            return trust
+            return fault_state
         jumped_n, sigma_m = left_out.jumped_n + jump.jump_n, float(np.hypot(left_out.jumped_sigma_m, jump.sigma_m))
         again = replace(left_out, jumped_n=jumped_n, jumped_sigma_m=sigma_m, jump_ns=jump.time_ns)
-        means = trust.innovation_means
+        means = fault_state.innovation_means
         if np.linalg.norm(jumped_n) <= _UNDONE_SIGMAS * sigma_m:
             again = replace(again, jumped_n=np.zeros(3), jumped_sigma_m=0.0)
             means = forgotten(means, slice(None), [self._subfilters.sources.index(source)])
-        return replace(trust, means=means, left_out={**trust.left_out, source: again})
+        return replace(fault_state, means=means, left_out={**fault_state.left_out, source: again})
 
     def watched_light(
-        self, trust: Trust, name: str, compared: FilterInnovations, time_ns: int, refused_m: float
-    ) -> Trust:
+        self, fault_state: FaultState, name: str, compared: FilterInnovations, time_ns: int, refused_m: float
+    ) -> FaultState:
         """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
 
         Args:
@@ -287,26 +287,26 @@ class Referee:
             refused_m: residual on the detector that the fault would cause now, m; 0 if there is none.
         """
         index, source = self._subfilters.beacons.index(name), BEACON + name
-        left_out = trust.left_out[source]
+        left_out = fault_state.left_out[source]
         rows = 1 + len(self._subfilters.sources)
         whitened_innovation = np.repeat(compared.whitened_innovation, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
-        means = observed(trust.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
+        means = observed(fault_state.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
         exclusion, returns = judge_return(left_out.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
-        return self._watched(replace(trust, means=means), source, exclusion, returns)
+        return self._watched(replace(fault_state, means=means), source, exclusion, returns)
 
-    def watched_turn(self, trust: Trust, source: str, agrees: bool, time_ns: int) -> Trust:
+    def watched_turn(self, fault_state: FaultState, source: str, agrees: bool, time_ns: int) -> FaultState:
         """Record whether excluded encoders, or an excluded ship's attitude, predict a sighting; reinstate when due."""
-        exclusion = trust.left_out[source].exclusion
+        exclusion = fault_state.left_out[source].exclusion
         since_ns = (exclusion.agrees_since_ns or time_ns) if agrees else None
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
-        return self._watched(trust, source, replace(exclusion, agrees_since_ns=since_ns), returns)
+        return self._watched(fault_state, source, replace(exclusion, agrees_since_ns=since_ns), returns)
 
-    def _watched(self, trust: Trust, source: str, exclusion: Exclusion, returns: bool) -> Trust:
-        left_out, jumped_ns, means = dict(trust.left_out), dict(trust.jumped_ns), trust.innovation_means
+    def _watched(self, fault_state: FaultState, source: str, exclusion: Exclusion, returns: bool) -> FaultState:
+        left_out, jumped_ns, means = dict(fault_state.left_out), dict(fault_state.jumped_ns), fault_state.innovation_means
         if returns:
             jumped_ns[source] = left_out.pop(source).jump_ns + _SAME_JUMP_NS
             row = len(self._subfilters.beacons) if source in CHAIN else self._subfilters.sources.index(source)
@@ -316,26 +316,26 @@ class Referee:
                 means = forgotten(means, others, [row])
         else:
             left_out[source] = replace(left_out[source], exclusion=exclusion)
-        return replace(trust, means=means, left_out=left_out, jumped_ns=jumped_ns)
+        return replace(fault_state, means=means, left_out=left_out, jumped_ns=jumped_ns)
 
-    def disagreed(self, trust: Trust, spread_n: FloatArray, lasting: bool) -> Trust:
+    def disagreed(self, fault_state: FaultState, spread_n: FloatArray, lasting: bool) -> FaultState:
         """Record a fault that no single source explains."""
-        before = trust.conflict
+        before = fault_state.conflict
         if before is not None and np.trace(before.spread_n) > np.trace(spread_n):
             spread_n = before.spread_n
         lasting = lasting or (before is not None and before.lasting)
-        return replace(trust, conflict=Conflict(spread_n, lasting))
+        return replace(fault_state, conflict=Conflict(spread_n, lasting))
 
-    def agreed(self, trust: Trust, time_ns: int) -> Trust:
+    def agreed(self, fault_state: FaultState, time_ns: int) -> FaultState:
         """Record an accepted sighting: end an unresolved fault, at once or after a period of consistency."""
-        conflict = trust.conflict
+        conflict = fault_state.conflict
         if conflict is None:
-            return trust
+            return fault_state
         if not conflict.lasting:
-            return replace(trust, conflict=None)
+            return replace(fault_state, conflict=None)
         if conflict.agrees_since_ns is None:
             # Innovations from the time when all beacons were rejected must not isolate a source from now on.
-            means = forgotten(trust.innovation_means, slice(None), slice(None))
-            return replace(trust, means=means, conflict=replace(conflict, agrees_since_ns=time_ns))
+            means = forgotten(fault_state.innovation_means, slice(None), slice(None))
+            return replace(fault_state, means=means, conflict=replace(conflict, agrees_since_ns=time_ns))
         over = time_ns - conflict.agrees_since_ns >= self._config.return_after_s * SECOND_NS
-        return replace(trust, conflict=None if over else conflict)
+        return replace(fault_state, conflict=None if over else conflict)

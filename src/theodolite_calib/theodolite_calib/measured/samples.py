@@ -260,7 +260,7 @@ class ExposureDecision(Decision[AnyExposure]):
     """
 
     telescope_dt: tuple[FloatArray, float] | None = None
-    excluded: tuple[str, ...] = ()
+    excluded_sources: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

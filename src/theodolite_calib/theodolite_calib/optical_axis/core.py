@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice
     from theodolite_calib.optical_axis.escorting import Escort
 
-_OWN_FAULTS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
+_STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons for which a reading or an attitude is rejected by its own stream: stuck, repeated stamp, or jump."""
 _MOST_JUMPS = 100
 """Maximum number of jumps of encoders and ship that are kept until they are requested, once a second."""
@@ -175,7 +175,7 @@ class OpticalAxisCore:
         self._ship_arrival_ns: int | None = None
         self._newest_stars: tuple[StarExposure, int] | None = None
         self._told_twice: tuple[int, int] | None = None
-        self._own_fault_ns: dict[str, int] = {}
+        self._stream_fault_ns: dict[str, int] = {}
         self._own_jumps: deque[OwnJump] = deque(maxlen=_MOST_JUMPS)
         self._stands = False
         self._ship_covered_until_ns: int | None = None
@@ -361,7 +361,7 @@ class OpticalAxisCore:
     @property
     def excluded(self) -> Set[str]:
         """Names of the excluded sources."""
-        return self.state.trust.excluded
+        return self.state.fault_state.excluded
 
     @property
     def is_undisputed(self) -> bool:
@@ -373,7 +373,7 @@ class OpticalAxisCore:
     @property
     def is_contradicted(self) -> bool:
         """True if beacons contradict encoders and ship in more than one or two sightings, and no source is isolated."""
-        conflict = self.state.trust.conflict
+        conflict = self.state.fault_state.conflict
         return conflict is not None and conflict.lasting
 
     def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
@@ -419,7 +419,7 @@ class OpticalAxisCore:
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was accepted recently."""
-        means, since_ns = self.state.trust.innovation_means, self._shell.window.newest_ns - HEARD_NS
+        means, since_ns = self.state.fault_state.innovation_means, self._shell.window.newest_ns - HEARD_NS
         used = (means.heard_ns >= since_ns) & (means.refused[0] == 0)
         lights = [BEACON + id_ for id_ in self.filter.subfilters.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
@@ -436,7 +436,7 @@ class OpticalAxisCore:
     def _take_models(self, config: OpticalAxisConfig) -> None:
         self.config = config
         self.filter = self.filter_class(config)
-        self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept, self._own_faults)
+        self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept, self._stream_faults)
         watch = self._sky
         self._step_to_stars = None if watch is None else StarStep(config, self.filter, watch)
         self._pointing = PointingOutput(config, self.filter)
@@ -525,8 +525,8 @@ class OpticalAxisCore:
 
     def _note_own_fault(self, source: str, time_ns: int, refusal: Refusal | None, jumped: bool = False) -> None:
         """Record that the encoder or ship stream was stuck, jumped or repeated a stamp."""
-        if jumped or (refusal is not None and refusal.reason in _OWN_FAULTS):
-            self._own_fault_ns[source] = max(time_ns, self._own_fault_ns.get(source, time_ns))
+        if jumped or (refusal is not None and refusal.reason in _STREAM_FAULT_REASONS):
+            self._stream_fault_ns[source] = max(time_ns, self._stream_fault_ns.get(source, time_ns))
 
     def _note_own_jump(self, time_ns: int, judged: JudgedReading) -> None:
         """Record a jump or a stuck reading of the encoders."""
@@ -537,10 +537,10 @@ class OpticalAxisCore:
             self._own_jumps.append(stood_still(time_ns))
         self._stands = stands
 
-    def _own_faults(self, time_ns: int) -> set[str]:
+    def _stream_faults(self, time_ns: int) -> set[str]:
         """Return those of encoders and ship whose stream had a fault of its own shortly before a time."""
         since_ns = time_ns - round(self.config.integrity.return_after_s * SECOND_NS)
-        return {source for source, fault_ns in self._own_fault_ns.items() if fault_ns >= since_ns}
+        return {source for source, fault_ns in self._stream_fault_ns.items() if fault_ns >= since_ns}
 
     def _forget_before(self, time_ns: int) -> None:
         """Drop the data that no exposure at or after a stamp is compared with."""
@@ -554,13 +554,13 @@ class OpticalAxisCore:
         if decision.telescope_dt is not None:
             self._watch.see_lights(time_ns, *decision.telescope_dt)
         # Beacons in a telescope that has shifted carry no information.
-        if not decision.accepted or TELESCOPE in decision.excluded:
+        if not decision.accepted or TELESCOPE in decision.excluded_sources:
             return
-        if ENCODER in decision.excluded:
+        if ENCODER in decision.excluded_sources:
             self._watch.believe_lights(time_ns)
         else:
             self._watch.confirm(time_ns)
-        if SHIP not in decision.excluded:
+        if SHIP not in decision.excluded_sources:
             self._ship_watch.confirm(time_ns)
 
     # -- outputs --------------------------------------------------------------------------------------------

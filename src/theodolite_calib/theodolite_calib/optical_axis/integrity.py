@@ -38,11 +38,11 @@ class PointingLevels:
         sources = filter_.subfilters.sources
         self._k = hypothesis_factors(config.integrity, sources)
         self._turning = chain_rows(filter_.model)
-        excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
+        excluded = {name: told.exclusion.since_ns for name, told in state.fault_state.left_out.items()}
         self._subfilter_indices = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
         self._names = tuple([sources[row] for row in self._subfilter_indices])
         self._excluded = tuple(sorted(excluded.items()))
-        self._in_dispute = state.trust.conflict is not None or state.refusals > 0
+        self._in_dispute = state.fault_state.conflict is not None or state.refusals > 0
 
     def of(self, estimate: PointingEstimate) -> IntegrityReport:
         """Return the integrity of a pointing."""

@@ -48,7 +48,7 @@ def stood_still(time_ns: int) -> OwnJump:
 
 def is_undisputed(state: CalibrationState) -> bool:
     """True if a state rests on beacons or stars, and no source is excluded or inconsistent."""
-    trust = state.trust
+    trust = state.fault_state
     return state.informed_ns is not None and not (state.refusals or trust.excluded or trust.conflict is not None)
 
 

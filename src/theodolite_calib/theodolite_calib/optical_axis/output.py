@@ -208,8 +208,8 @@ class PointingOutput:
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
         time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
-        if state.trust.conflict is not None:
-            axes.parts_n[:, self._disagreement] += state.trust.conflict.spread_n
+        if state.fault_state.conflict is not None:
+            axes.parts_n[:, self._disagreement] += state.fault_state.conflict.spread_n
         lights, stars = self._recent(time_ns, state.used_ns), self._recent(time_ns, state.stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
@@ -285,9 +285,9 @@ class PointingOutput:
         if state.refusals:
             text = "the last lights or stars were inconsistent with encoders and ship's attitude: "
             return Status.DEGRADED, text + state.refused_for
-        if state.trust.conflict is not None:
+        if state.fault_state.conflict is not None:
             return Status.DEGRADED, "unresolved fault: lights are inconsistent with encoders and ship's attitude"
-        for source, left_out in state.trust.left_out.items():
+        for source, left_out in state.fault_state.left_out.items():
             unconfirmed = state.informed_ns is None or state.informed_ns < left_out.exclusion.since_ns
             if mode == Mode.ENCODER or unconfirmed or not source.startswith(BEACON):
                 return Status.DEGRADED, f"{source} is excluded: {left_out.why}"

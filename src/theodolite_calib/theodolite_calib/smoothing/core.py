@@ -191,7 +191,7 @@ class _SmoothedOutput:
 
 def _in_doubt(state: CalibrationState) -> bool:
     """True if beacons or stars are inconsistent with encoders and ship, or one of these is excluded."""
-    return bool(state.refusals) or state.trust.conflict is not None or bool(state.trust.excluded & CHAIN)
+    return bool(state.refusals) or state.fault_state.conflict is not None or bool(state.fault_state.excluded & CHAIN)
 
 
 def _alone(estimate: PointingEstimate) -> PointingEstimate:

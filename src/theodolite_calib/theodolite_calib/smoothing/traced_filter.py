@@ -73,7 +73,7 @@ class TracedFilter(CalibrationFilter):
 def _learnt(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
     """Record the update by a sighting; with excluded sources it is no update of the prediction."""
     assert isinstance(predicted, TracedState)
-    is_update = predicted.leads_back and not predicted.trust.excluded & CHAIN
+    is_update = predicted.leads_back and not predicted.fault_state.excluded & CHAIN
     before = Known(predicted.mean, predicted.covariance)
     return replace(after, **_of_trace(came=Came(before, Known(after.mean, after.covariance), is_update)))
 
