@@ -142,7 +142,7 @@ def test_streaks_without_exposure_time_are_detected(exposure_s):
     """The errors are larger than they say; or the sensors are found to contradict it."""
     lies = [nobody_told_the_length(run) for run in streaked(exposure_s, 3)]
     found = [(*final(lie), lie) for lie in lies]
-    told = [core.state.doubt is not None or bool(core.state.record) for core, _, _ in found]
+    told = [core.state.unresolved_fault is not None or bool(core.state.record) for core, _, _ in found]
     nees = [normalised(lie, estimate) for _, estimate, lie in found]
     assert any(told) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (told, nees)
 

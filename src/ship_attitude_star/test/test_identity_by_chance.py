@@ -13,7 +13,7 @@ from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.identification import candidates
 from ship_attitude_star.stars.selection import StarPrior, across, select
-from ship_attitude_star.stars.solution import SolutionStatus, solve_in_doubt_alone
+from ship_attitude_star.stars.solution import SolutionStatus, solve_with_fallback
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles
@@ -152,7 +152,7 @@ def test_the_solver_of_solutions_has_the_same_limit(watch: SkyWatch) -> None:
     for sigma, status in ((3.0 * DEGREE, SolutionStatus.VALID), (30.0 * DEGREE, SolutionStatus.INVALID)):
         prior = prior_of(sigma, sigma)
         _, stars, _ = visible_stars(exposure_of(watch, "fore", 2), watch, prior)
-        solution, against = solve_in_doubt_alone(stars, prior)
+        solution, against = solve_with_fallback(stars, prior)
         assert (solution.status, against) == (status, False)
     assert solution.refusal.reason is Reason.UNIDENTIFIED
 

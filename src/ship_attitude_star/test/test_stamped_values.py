@@ -217,7 +217,7 @@ def settling(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
         if values.refusal(ns(since_s), Reading(value)) is not None:
             refused.append(since_s)
         values.insert(ns(since_s), Reading(value))
-        disputed.append(values.is_disputed(ns(since_s)))
+        disputed.append(values.has_conflict_at(ns(since_s)))
     return refused, disputed
 
 
@@ -253,7 +253,7 @@ def test_a_step_of_the_clocks_keeps_values_established_or_provisional() -> None:
         shifted = values.with_shifted_stamps(ns(-300.0) - ns(0.0))
         for number in range(2):
             shifted.insert(ns(5.0 * (count + number) - 300.0), Reading(1000.0))
-        assert shifted.is_disputed(ns(0.0)) is not is_settled
+        assert shifted.has_conflict_at(ns(0.0)) is not is_settled
 
 
 def test_inconsistent_rejected_values_replace_nothing() -> None:
@@ -272,10 +272,10 @@ def test_any_order_of_arrival_gives_the_same_conflicts(seed: int) -> None:
         in_order.insert(*one)
     shuffled, moments = StampedValues[Reading](limits), [ns(t) for t in range(100)]
     for index in rng.permutation(len(stamped)):
-        before = [shuffled.is_disputed(time_ns) for time_ns in moments]
+        before = [shuffled.has_conflict_at(time_ns) for time_ns in moments]
         shuffled.insert(*stamped[index])
-        changed = [t for t, was in zip(moments, before, strict=True) if shuffled.is_disputed(t) != was]
-        since_ns = shuffled.disputed_since_ns
+        changed = [t for t, was in zip(moments, before, strict=True) if shuffled.has_conflict_at(t) != was]
+        since_ns = shuffled.conflict_changed_ns
         assert not changed or (since_ns is not None and since_ns <= changed[0])
     assert believed(shuffled) == believed(in_order)
-    assert [shuffled.is_disputed(t) for t in moments] == [in_order.is_disputed(t) for t in moments]
+    assert [shuffled.has_conflict_at(t) for t in moments] == [in_order.has_conflict_at(t) for t in moments]

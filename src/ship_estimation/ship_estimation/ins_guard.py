@@ -119,7 +119,7 @@ class InsGuard:
         # True if each sample since the last accepted one continues the motion before it.
         self._smooth_since_taken = True
         # Difference between attitudes and rates, and its stamp, at which the rates were found to be wrong.
-        self._disputed: InsJump | None = None
+        self._unresolved_jump: InsJump | None = None
         # Number of estimates of the rates' drift.
         self._learnt = 0
         self._excess = ExcessNoise(ARCSEC)
@@ -190,7 +190,7 @@ class InsGuard:
         if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
             return False
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
-        return in_order and self._disputed is None and self._steps.judges and not self._excess.collects
+        return in_order and self._unresolved_jump is None and self._steps.judges and not self._excess.collects
 
     def look_ahead(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> Followed:
         """Check the leading samples of a block as long as all are accepted without special cases.
@@ -353,7 +353,7 @@ class InsGuard:
                 self._previous = seen._replace(before=moved_back(sample, taken))
             wrong_after_ns = self._judge_rates(previous, seen)
             if wrong_after_ns is not None and measured:
-                self._disputed = InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad)
+                self._unresolved_jump = InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad)
             return JudgedIns(sample, _gate_refusal(match), (), wrong_after_ns)
         return self._taken_after_all(taken, previous, seen, match, step is match, verdict is JumpVerdict.JUMPED)
 
@@ -363,9 +363,9 @@ class InsGuard:
         """Accept a sample without a line of earlier ones: at the start, or after a jump."""
         jumps: tuple[InsJump, ...] = ()
         refusal = None
-        if self._disputed is not None:
+        if self._unresolved_jump is not None:
             # The rates were found to be wrong; only other sources can confirm the attitudes.
-            jumps, self._disputed = (self._disputed,), None
+            jumps, self._unresolved_jump = (self._unresolved_jump,), None
         elif jumped:
             jumps = (self._believed(match),)
         if not jumps and match.fits:

@@ -71,7 +71,7 @@ class RateGuard:
     """Assumed noise before the resolution of the attitude is known, rad: that of a hundredth of a degree."""
     _TOLERANCE = 0.3
     _PIECES = 20
-    _DOUBTS = 2
+    _WRONG_PIECES = 2
     _OTHER_UNITS = 4
     _DEGREES = float(np.rad2deg(1.0))
     _SLOPE_TOLERANCE = 1.25
@@ -155,7 +155,7 @@ class RateGuard:
         if self.usable:
             if right:
                 self.rates, self._right_until_ns = Rates.MEASURED, time_ns
-            elif self.rates is Rates.UNPROVEN or self._wrong >= self._DOUBTS:
+            elif self.rates is Rates.UNPROVEN or self._wrong >= self._WRONG_PIECES:
                 self.rates = Rates.NOT_MEASURED
                 self._turns.clear()
         elif self._right >= self._PIECES:

@@ -49,7 +49,7 @@ LONGEST_GAP_NS = 120 * NS_PER_S
 CLOCK_MET_NS = NS_PER_S // 10
 """Distance of an output's stamp from the suite's time that confirms this time, ns."""
 
-CLOCK_DOUBT_NS = 5 * NS_PER_S
+CLOCK_TIMEOUT_NS = 5 * NS_PER_S
 """Time without a confirming output after which the suite's time is set again, ns."""
 
 BACK_NS = NS_PER_S
@@ -207,7 +207,7 @@ class Watch:
         If all outputs are older for some seconds, that stamp was wrong or the clock was set: the time is set again.
         """
         offset_ns = stamp_ns - now_ns
-        if offset_ns > self._utc_offset_ns or not self._newest_ns or now_ns - self._offset_met_ns > CLOCK_DOUBT_NS:
+        if offset_ns > self._utc_offset_ns or not self._newest_ns or now_ns - self._offset_met_ns > CLOCK_TIMEOUT_NS:
             self._utc_offset_ns, self._offset_met_ns = offset_ns, now_ns
         elif offset_ns > self._utc_offset_ns - CLOCK_MET_NS:
             self._offset_met_ns = now_ns

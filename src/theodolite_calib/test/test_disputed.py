@@ -32,7 +32,7 @@ class Pointed:
     rotation_nm: FloatArray
 
     @property
-    def disputed_n(self) -> FloatArray:
+    def separation_covariance_n(self) -> FloatArray:
         """Return the part of the covariance from the solution separations."""
         return self.estimate.covariance_n - self.estimate.undisputed_n
 
@@ -76,13 +76,13 @@ def test_separations_inflate_the_covariance_before_an_exclusion() -> None:
 
 
 def test_separations_are_small_without_faults() -> None:
-    right = [np.any(one.disputed_n) for one in pointed() if -25.0 < one.since_s <= 0.0]
+    right = [np.any(one.separation_covariance_n) for one in pointed() if -25.0 < one.since_s <= 0.0]
     assert len(right) > 500
     assert np.mean(right) < 0.05
 
 
 def test_levels_and_separations_rest_on_the_covariance_without_it() -> None:
-    one = max(pointed(), key=lambda one: float(np.trace(one.disputed_n))).estimate
+    one = max(pointed(), key=lambda one: float(np.trace(one.separation_covariance_n))).estimate
     assert np.trace(one.covariance_n) > 2.0 * np.trace(one.undisputed_n)
     assert one.parts_n.sum(axis=0) == pytest.approx(one.covariance_n, rel=1e-12)
     plain = replace(one, covariance_n=one.undisputed_n)

@@ -30,7 +30,7 @@ def watched(angles, acceleration=FAST, times_ns=None):
     for number, row in enumerate(angles):
         time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
         judged = watch.judge(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
-        found.append((bool(watch.doubt), judged.refusal, judged.jump))
+        found.append((bool(watch.unconfirmed_reason), judged.refusal, judged.jump))
     return watch, found
 
 
@@ -47,9 +47,9 @@ def test_step_is_unconfirmed_until_beacons_agree(axis):
         lasts += all(doubt for doubt, *_ in found[at:])
         assert all(refusal is None and jump is None for _, refusal, jump in found)
         watch.confirm((at - 1) * PERIOD_NS)
-        assert bool(watch.doubt) == found[-1][0]
+        assert bool(watch.unconfirmed_reason) == found[-1][0]
         watch.confirm(119 * PERIOD_NS)
-        assert not watch.doubt
+        assert not watch.unconfirmed_reason
     assert first == 200
     assert lasts >= 196  # 2.5 sigma one-sided, as the next reading against 1.25 of the first one
 

@@ -16,7 +16,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.filter.trust import Conflict
+from theodolite_calib.filter.trust import UnresolvedFault
 from theodolite_calib.measured.samples import EncoderRun, EncoderSample, Exposure, Mode, PointingEstimate, PointingRun
 from theodolite_calib.measured.tracks import ShipAt, ShipRun
 from theodolite_calib.optical_axis.output import CorrectedAxis, DuePointing, PointingOutput
@@ -85,9 +85,9 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
         np.testing.assert_allclose(axes.parts_n[number], parts_n, rtol=0.0, atol=1e-13 * np.max(parts_n))
 
 
-def in_dispute(state: CalibrationState) -> CalibrationState:
+def with_unresolved_fault(state: CalibrationState) -> CalibrationState:
     """Return the state with an unresolved fault and separated subfilters."""
-    conflict = Conflict((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
+    conflict = UnresolvedFault((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
     trust = replace(state.fault_state, conflict=conflict)
     return replace(state, trust=trust, separation=np.full(len(state.separation), 5.0))
 
@@ -113,7 +113,7 @@ def assert_same_bits(found: PointingEstimate, expected: PointingEstimate) -> Non
 @pytest.mark.parametrize("source", SOURCES)
 def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, disputed: bool) -> None:
     settings, filter_, state = seen(source)
-    state, output = in_dispute(state) if disputed else state, PointingOutput(settings, filter_)
+    state, output = with_unresolved_fault(state) if disputed else state, PointingOutput(settings, filter_)
     encoders, ship = readings(source, state)
     run = output.estimates(encoders, ship, state)
     assert set(run.mode.tolist()) == {Mode.TWO_LIGHTS, Mode.ENCODER}
@@ -128,7 +128,7 @@ def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, disp
 @pytest.mark.parametrize("source", SOURCES)
 def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
     settings, filter_, before = seen(source)
-    state = in_dispute(before)
+    state = with_unresolved_fault(before)
     encoders, ship = readings(source, state)
     run = PointingOutput(settings, filter_).estimates(encoders, ship, state)
     recent = run.mode == Mode.TWO_LIGHTS
@@ -155,7 +155,7 @@ def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fai
         DuePointing(
             EncoderSample(int(encoders.time_ns[number]), encoders.angles[number], 1e-5),
             ShipAt(ship.rotation_nd[number], ship.rate_d[number], None, ship.noise[number], ship.status[number]),
-            encoders.doubt[number],
+            encoders.unconfirmed_reasons[number],
             1e-6,
             state if number < 5 else later,
         )

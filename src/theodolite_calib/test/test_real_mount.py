@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from theodolite_calib.axis_fit.doubts import correlated_pairs, doubts, poorly_told_apart
+from theodolite_calib.axis_fit.doubts import correlated_pairs, table_warnings, poorly_told_apart
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit, rms, sizes
 from theodolite_calib.axis_fit.sighting_file import read_sightings
 from theodolite_calib.axis_fit.sightings import Sightings, directions
@@ -82,6 +82,6 @@ def test_multiplied_offsets_are_reported_despite_smaller_residuals(
         ),
     )
     assert rms(fit(multiplied, fixed).residuals) < 0.9 * rms(fit(sightings, fixed).residuals)
-    assert doubts(sightings, fixed) == []
-    (told,) = doubts(multiplied, fixed)
+    assert table_warnings(sightings, fixed) == []
+    (told,) = table_warnings(multiplied, fixed)
     assert "already multiplied by cos E" in told

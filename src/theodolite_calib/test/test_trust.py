@@ -9,7 +9,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_testing.simulated_session import config
 from theodolite_calib.filter.alternatives import BEACON, ENCODER
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.filter.trust import Conflict, LeftOut, FaultDetector, FaultState, no_doubt
+from theodolite_calib.filter.trust import UnresolvedFault, LeftOut, FaultDetector, FaultState, initial_fault_state
 
 SETTINGS = config()
 ROWS = CalibrationFilter(SETTINGS).subfilters
@@ -22,12 +22,12 @@ def agreeing(heard_ns: dict[str, int]) -> FaultState:
     """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
     beacon.
     """
-    trust = no_doubt(ROWS)
+    trust = initial_fault_state(ROWS)
     seen_ns = trust.innovation_means.heard_ns.copy()
     for name, time_ns in heard_ns.items():
         seen_ns[ROWS.beacons.index(name)] = time_ns
     left_out = {name: LeftOut(Exclusion(0, agrees_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
-    conflict = Conflict(0.0 * trust.innovation_means.running[0, 0, :, :3], lasting=True, agrees_since_ns=AGREED_NS)
+    conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], lasting=True, agrees_since_ns=AGREED_NS)
     return replace(trust, means=replace(trust.innovation_means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
 
 

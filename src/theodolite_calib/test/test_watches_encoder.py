@@ -48,18 +48,18 @@ def stopped(rate: float = 0.02) -> tuple[EncoderWatch, int]:
     watch = EncoderWatch(ARCSEC, FREE)
     for number in range(10):
         assert check(watch, reading(number, 1.0 + rate * number * 0.01)) is None
-        assert not watch.doubt
+        assert not watch.unconfirmed_reason
     check(watch, reading(10, 1.0 + rate * 0.09))
     return watch, 10
 
 
 def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
     watch, number = stopped()
-    assert watch.doubt
+    assert watch.unconfirmed_reason
     watch.confirm((number - 3) * PERIOD_NS)  # of before they stood still
-    assert watch.doubt
+    assert watch.unconfirmed_reason
     watch.confirm((number + 1) * PERIOD_NS)
-    assert not watch.doubt
+    assert not watch.unconfirmed_reason
 
 
 def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
@@ -68,25 +68,25 @@ def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
     for number in range(10):
         check(watch, reading(number, 1.0 + 2e-4 * number))
     jumped = next(n for n in range(10, 40) if check(watch, reading(n, 1.3 + 2e-4 * n)) is None)
-    assert watch.doubt
+    assert watch.unconfirmed_reason
     watch.confirm((jumped - 20) * PERIOD_NS)  # of before the jump
     for _ in range(2):  # the same beacons twice are one time
         watch.confirm((jumped + 1) * PERIOD_NS)
-        assert watch.doubt
+        assert watch.unconfirmed_reason
     watch.confirm((jumped + 2) * PERIOD_NS)
-    assert not watch.doubt
+    assert not watch.unconfirmed_reason
 
 
 def test_slowly_stopping_readings_are_confirmed() -> None:
     watch, _ = stopped(rate=4.0 * ARCSEC / 0.01)  # less than five sigmas a reading
-    assert not watch.doubt
+    assert not watch.unconfirmed_reason
 
 
 def test_motion_across_the_wrap_is_no_jump() -> None:
     watch = EncoderWatch(ARCSEC, FREE)
     for number, azimuth in enumerate([2 * np.pi - 1e-4, 2 * np.pi - 5e-5, 1e-9, 1e-9 + 1e-6]):
         assert check(watch, reading(number, azimuth)) is None
-    assert not watch.doubt
+    assert not watch.unconfirmed_reason
 
 
 def test_a_mount_at_rest_is_never_stuck() -> None:
@@ -127,7 +127,7 @@ def test_angles_are_taken_modulo_a_turn() -> None:
     turns = [6.2 + 0.01 * number - (4.0 * np.pi if number >= 50 else 0.0) for number in range(100)]
     refusals = [check(watch, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)]
     assert refusals == [None] * 100
-    assert watch.doubt == ""
+    assert watch.unconfirmed_reason == ""
     # Plunged, the elevation goes up to three quarters of a turn.
     assert check(EncoderWatch(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
 

@@ -41,7 +41,7 @@ class _Stretch(NamedTuple):
     state: FilterState
     start: int
     stop: int
-    doubts: list[str] | None
+    contradiction_texts: list[str] | None
 
 
 @dataclass
@@ -69,13 +69,13 @@ class InsAhead:
     told: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
     _stretches: list[_Stretch] = field(default_factory=list)
 
-    def commit(self, state: FilterState, stop: int, doubts: list[str] | None) -> None:
+    def commit(self, state: FilterState, stop: int, contradiction_texts: list[str] | None) -> None:
         """Commit the samples before index ``stop``; arguments as the attributes of a segment."""
         start, self.committed_count = self.committed_count, stop
         last = self._stretches[-1] if self._stretches else None
-        if last is not None and last.state is state and last.doubts is None and doubts is None:
+        if last is not None and last.state is state and last.contradiction_texts is None and contradiction_texts is None:
             start = self._stretches.pop().start
-        self._stretches.append(_Stretch(state, start, stop, doubts))
+        self._stretches.append(_Stretch(state, start, stop, contradiction_texts))
 
     def attitudes(
         self,
@@ -104,9 +104,9 @@ class InsAhead:
             pairs = zip(corrected, self._stretches, strict=True)
             found = [self._attitudes_of(one, stretch, moved, config) for one, stretch in pairs]
         for stretch, run in zip(self._stretches, found, strict=True):
-            for number, doubt in enumerate(stretch.doubts or ()):
-                if doubt and isinstance(run, AttitudeRun):
-                    run.status[number], run.text[number] = max(run.status[number], Status.DEGRADED), doubt
+            for number, text in enumerate(stretch.contradiction_texts or ()):
+                if text and isinstance(run, AttitudeRun):
+                    run.status[number], run.text[number] = max(run.status[number], Status.DEGRADED), text
         return [(slice(stretch.start, stretch.stop), run) for stretch, run in zip(self._stretches, found, strict=True)]
 
     @property

@@ -238,10 +238,10 @@ class ShipAttitudeCore:
                 self._shell.add_sample(INS, self._track, ahead.samples[ahead.committed_count], outcome)
                 if outcome.decisions or outcome.failures:
                     ahead.told.append((ahead.committed_count, outcome))
-            doubts = None
+            contradiction_texts = None
             if self._shell.contradictions:
-                doubts = [self._doubt(sample.time_ns) for sample in ahead.samples[ahead.committed_count : end]]
-            ahead.commit(self._shell.state_now, end, doubts)
+                contradiction_texts = [self._contradiction_text(sample.time_ns) for sample in ahead.samples[ahead.committed_count : end]]
+            ahead.commit(self._shell.state_now, end, contradiction_texts)
             self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
             self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._silence_ns)
             self._guards.ins.by_rates = ahead.followed.by_rates(end - 1)
@@ -423,7 +423,7 @@ class ShipAttitudeCore:
     @property
     def is_contradicted(self) -> bool:
         """True if a fault is detected and not isolated, or UTC is not verified."""
-        return self.state.doubt is not None or self.state.utc is not None
+        return self.state.unresolved_fault is not None or self.state.utc is not None
 
     def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
         """Return another estimator that starts from a stored state, else from the saved alignment or the prior.
@@ -542,7 +542,7 @@ class ShipAttitudeCore:
         """Return the attitude at the stamp of the newest INS sample, corrected by a filter state."""
         corrected = self._corrected_by(state)
         ins = self._track.newest_moved(self._moved_s(corrected))
-        return self._doubted(corrected.estimate(time_ns, ins, self.config))
+        return self._degrade_if_contradicted(corrected.estimate(time_ns, ins, self.config))
 
     def _corrected_by(self, state: FilterState) -> CorrectedIns:
         """Return the corrections by a filter state, cached per state."""
@@ -554,14 +554,14 @@ class ShipAttitudeCore:
         """Return the time by which an INS sample is propagated to be the attitude at its stamp, s."""
         return -(self.config.ins.time_offset_s + corrected.time_offset_s)
 
-    def _doubted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
+    def _degrade_if_contradicted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
         """Return the estimate, DEGRADED if one of its sources recently contradicted itself."""
-        doubt = self._doubt(estimate.time_ns)
-        if not doubt:
+        text = self._contradiction_text(estimate.time_ns)
+        if not text:
             return estimate
-        return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=doubt)
+        return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=text)
 
-    def _doubt(self, time_ns: int) -> str:
+    def _contradiction_text(self, time_ns: int) -> str:
         """Return a text about the sources in use that recently contradicted themselves; empty for none."""
         if not self._shell.contradictions:
             return ""

@@ -146,8 +146,8 @@ class CorrectedIns:
 
     def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
         """Return the status of an attitude, and the reason why it is DEGRADED."""
-        if self.state.doubt is not None:
-            return Status.DEGRADED, self.state.doubt.text
+        if self.state.unresolved_fault is not None:
+            return Status.DEGRADED, self.state.unresolved_fault.text
         if math.isnan(star_age_s):
             return Status.DEGRADED, "INS alone, no star yet"
         if self.state.unconfirmed is not None:
@@ -237,12 +237,12 @@ def estimates_by(
     else:
         rotation_nd, parts, vertical_known = _attitudes_on_gravity(corrected, stretches, time_ns, moved)
     for one, some in zip(corrected, stretches, strict=True):
-        if one.state.doubt is not None:
-            parts[some, one.drift_index] += one.state.doubt.covariance_n
+        if one.state.unresolved_fault is not None:
+            parts[some, one.drift_index] += one.state.unresolved_fault.covariance_n
         if INS in one.state.excluded:
             unknown = UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns[some] * 1e-9
             parts[some, one.drift_index] += unknown[:, None, None] * np.eye(3)
-    covariance_n = undisputed_n = parts.sum(axis=1)
+    covariance_n = covariance_without_separation_n = parts.sum(axis=1)
     for one, some in zip(corrected, stretches, strict=True):
         if one.state.separation_covariance_n is not None:
             parts[some, one.drift_index] += one.state.separation_covariance_n
@@ -257,7 +257,7 @@ def estimates_by(
             rotation_nd=rotation_nd[some],
             covariance_parts_n=parts[some],
             covariance_n=covariance_n[some],
-            covariance_without_separation_n=undisputed_n[some],
+            covariance_without_separation_n=covariance_without_separation_n[some],
             rate_d=moved.rate_d[some],
             status=status,
             horizon=horizon[some],

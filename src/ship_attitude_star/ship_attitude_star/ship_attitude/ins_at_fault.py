@@ -145,7 +145,7 @@ class InsAtFault:
         times = state.record.get(INS, 0) + 1
         excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times, is_self_reported=True))
         state = changed(state, excluded=excluded, record=with_entry(state.record, INS, times))
-        return self._doubted(state, time_ns, "the INS is excluded: step of its clock")
+        return self._with_unresolved_fault(state, time_ns, "the INS is excluded: step of its clock")
 
     def contradicted_now(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after a contradiction of an excluded INS: its reinstatement timer restarts.
@@ -155,7 +155,7 @@ class InsAtFault:
         names = state.in_use(self._subfilters.sources, time_ns)
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], on_suspicion=False))
         text = f"the INS is excluded: it reported a jump, and {', '.join(names) or 'all sources'} contradicted it"
-        return self._doubted(changed(state, excluded=excluded), time_ns, text)
+        return self._with_unresolved_fault(changed(state, excluded=excluded), time_ns, text)
 
     def not_compared(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after a measurement that contradicts it too much to be evaluated."""
@@ -188,7 +188,7 @@ class InsAtFault:
         if exclusion is None:
             return state
         distrust = distrusted(state)
-        if state.doubt is not None and not distrust:
+        if state.unresolved_fault is not None and not distrust:
             return state
         since_ns = exclusion.since_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
         after_s = _UNCONTRADICTED_S if exclusion.is_self_reported else must_agree_s(exclusion, self._return_after_s)
@@ -206,11 +206,11 @@ class InsAtFault:
 
     # ---------------------------------------------------------------------------------------------------------
 
-    def _doubted(self, state: FilterState, time_ns: int, text: str) -> FilterState:
+    def _with_unresolved_fault(self, state: FilterState, time_ns: int, text: str) -> FilterState:
         """Return the state with an unresolved fault of the excluded INS, whose consistency starts from this time."""
         names = state.in_use(self._subfilters.sources, time_ns)
-        disputed = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
-        covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in disputed), start=np.zeros((3, 3)))
+        rotations = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
+        covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in rotations), start=np.zeros((3, 3)))
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
         seen = forgotten(state.innovation_means, slice(None), slice(None))
         return changed(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))

@@ -55,8 +55,8 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         )
         names = *names, ALL_STARS
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
-    in_dispute = state.doubt is not None or state.unconfirmed is not None or estimate.status is Status.INVALID
-    checked = asked.check_one_another and not in_dispute
+    has_unresolved_fault = state.doubt is not None or state.unconfirmed is not None or estimate.status is Status.INVALID
+    checked = asked.check_one_another and not has_unresolved_fault
     return integrity_report(estimate.time_ns, config.integrity, suspects.subfilters.k, names, found, excluded, checked)
 
 

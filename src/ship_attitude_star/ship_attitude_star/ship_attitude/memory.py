@@ -93,7 +93,7 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
 
 def is_undisputed(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:
     """True if a state is based on stars, all sources are consistent, none is excluded and no jump is unconfirmed."""
-    is_open = state.doubt is not None or state.separation_covariance_n is not None or state.utc is not None
+    is_open = state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc is not None
     if is_open or state.excluded or state.unconfirmed is not None:
         return False
     refused = max(state.refusals.values(), default=0)

@@ -171,7 +171,7 @@ class FilterState:
     innovation_means: InnovationMeans
     excluded: MappingProxyType[str, Exclusion] = field(default_factory=lambda: MappingProxyType({}))
     record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    doubt: Doubt | None = None
+    unresolved_fault: Doubt | None = None
     last_innovations: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
     lately: MappingProxyType[str, Lately] = field(default_factory=lambda: MappingProxyType({}))
     heard_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))

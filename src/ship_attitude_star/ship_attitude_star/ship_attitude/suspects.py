@@ -85,7 +85,7 @@ class Suspects:
         self._indices = {name: index for index, name in enumerate(self._sources)}
         self.ins = InsAtFault(config, model, self.subfilters)
         self._slow = model.slices["ins.attitude"]
-        self._undisputed = min(INFLATION_START_SIGMAS, self.subfilters.k.false_exclusion)
+        self._consistent_sigmas = min(INFLATION_START_SIGMAS, self.subfilters.k.false_exclusion)
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
         """Return the state before any measurement, with all filters at one mean and covariance.
@@ -198,7 +198,7 @@ class Suspects:
         Returns:
             The state after exclusions and reinstatements, and a text about the source, empty for none.
         """
-        if self._nothing_disputed(state):
+        if self._is_all_consistent(state):
             return state, ""
         state = self.ins.believed_again(state, time_ns)
         if source in state.excluded:
@@ -246,19 +246,19 @@ class Suspects:
             wrong = ()  # Of two sources each explains the contradiction with the other.
         if wrong and not set(in_use).issubset(wrong):
             return self._without(state, wrong, time_ns)
-        doubted = self._in_doubt(state, separations_n, statistic, contradicting)
-        return self._without_stars(doubted, contradicting, shared, time_ns) if contradicting else doubted, ""
+        unresolved = self._with_unresolved_fault(state, separations_n, statistic, contradicting)
+        return self._without_stars(unresolved, contradicting, shared, time_ns) if contradicting else unresolved, ""
 
-    def _nothing_disputed(self, state: FilterState) -> bool:
+    def _is_all_consistent(self, state: FilterState) -> bool:
         """True if all sources are consistent, none is excluded, and no earlier inconsistency is still covered."""
-        if state.excluded or state.doubt is not None or state.separation_covariance_n is not None:
+        if state.excluded or state.unresolved_fault is not None or state.separation_covariance_n is not None:
             return False
         # Written so that NaN is inconsistent.
         return (
             state.absorbed.sigmas <= COMMON_ERROR_START_SIGMAS
             and agrees_with_all(state.innovation_means, self._degraded_after)
             and all(one.sigmas <= INFLATION_START_SIGMAS for one in state.lately.values())
-            and stand_together(state.means, state.stack, self._slow, self._undisputed)
+            and stand_together(state.means, state.stack, self._slow, self._consistent_sigmas)
         )
 
     def _agreed(
@@ -279,7 +279,7 @@ class Suspects:
         within = all(sigmas <= INFLATION_START_SIGMAS for sigmas in statistic.tolist())
         absorbed = state.absorbed.with_unresolved_error(time_ns, round(self._integrity.return_after_s * SECOND_NS))
         suspicion = absorbed.unresolved
-        if within and state.doubt is None and state.separation_covariance_n is None and suspicion is None:
+        if within and state.unresolved_fault is None and state.separation_covariance_n is None and suspicion is None:
             return state
         separation_covariance_n = None if within else separation_inflation(separations_n, statistic)
         if suspicion is not None:
@@ -292,7 +292,7 @@ class Suspects:
 
         After an unresolved fault all filters restart from the main filter, because they differ by that fault.
         """
-        if state.doubt is not None:
+        if state.unresolved_fault is not None:
             means, stack = self.ins.all_filters_at(state.mean, state.parts)
             state = changed(state, means=means, stack=stack)
         if distrusted(state):
@@ -305,7 +305,7 @@ class Suspects:
         The subfilter without the INS is consistent with the stars all the time. Stars that contradicted the INS are
         reset.
         """
-        told = state if state.doubt is None else self.acquitted(state, time_ns)
+        told = state if state.unresolved_fault is None else self.acquitted(state, time_ns)
         if INS in state.excluded or not self.ins.may_be_excluded(told.in_use(self._sources, time_ns)):
             return state
         return self._without(told, (INS,), time_ns)[0]
@@ -319,14 +319,14 @@ class Suspects:
         """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
         seen = forgotten(state.innovation_means, slice(None), slice(None))
-        doubt = state.doubt if distrusted(state) else None
+        unresolved_fault = state.unresolved_fault if distrusted(state) else None
         return changed(
             state,
             excluded=MappingProxyType(knocked),
             seen=seen,
             lately=MappingProxyType({}),
             absorbed=state.absorbed.without_corrections(),
-            doubt=doubt,
+            doubt=unresolved_fault,
             disputed_n=None,
         )
 
@@ -472,7 +472,7 @@ class Suspects:
         """
         since_ns = state.excluded[source].since_ns
         together = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
-        if state.doubt is None or len(together) < len(self.subfilters.stars) or not self.ins.may_be_excluded([*together]):
+        if state.unresolved_fault is None or len(together) < len(self.subfilters.stars) or not self.ins.may_be_excluded([*together]):
             return False
         return all(
             one.farther_since_ns is not None and time_ns - one.farther_since_ns >= _CREEPS_FOR_NS
@@ -521,7 +521,7 @@ class Suspects:
         seen = state.innovation_means
         return not (seen.excess[0, index] <= 1.0 and seen.refused[0, index] < self._degraded_after)
 
-    def _in_doubt(
+    def _with_unresolved_fault(
         self, state: FilterState, separations_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
     ) -> FilterState:
         """Return the state with an unresolved fault; its covariance holds the inconsistent innovations and separations.

@@ -41,8 +41,8 @@ def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> Fi
     """
     step_s = step_ns / SECOND_NS + (0.0 if state.utc is None else state.utc.step_s)
     # An unresolved fault from before belongs to the earlier UTC.
-    doubt = None if state.utc is not None else state.doubt
-    return changed(state, utc=UtcStep(step_s) if _can_tell(state, model, step_s) else None, doubt=doubt)
+    unresolved_fault = None if state.utc is not None else state.unresolved_fault
+    return changed(state, utc=UtcStep(step_s) if _can_tell(state, model, step_s) else None, doubt=unresolved_fault)
 
 
 def with_utc_compared(

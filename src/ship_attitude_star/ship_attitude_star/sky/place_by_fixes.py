@@ -125,8 +125,8 @@ class PlaceByFixes:
     def insert(self, fix: PositionFix) -> int | None:
         """Insert a fix; return the time (ns) after which results may have changed, None if none has."""
         changed_ns = self._fixes.insert(fix.time_ns, _earth_fixed(fix))
-        disputed_ns = self._fixes.disputed_since_ns
-        told_ns = [] if disputed_ns is None else [disputed_ns + self._delay_ns - 1]
+        conflict_ns = self._fixes.conflict_changed_ns
+        told_ns = [] if conflict_ns is None else [conflict_ns + self._delay_ns - 1]
         if changed_ns is not None:
             told_ns.append(self._after_change(changed_ns))
         return min(told_ns, default=None)
@@ -170,7 +170,7 @@ class PlaceByFixes:
         successive fixes are treated as equal, as those of GNSS are; averaging does not reduce them. The error of the
         straight line grows with the time to its two fixes.
         """
-        if self._fixes.is_disputed(time_ns - self._delay_ns):
+        if self._fixes.has_conflict_at(time_ns - self._delay_ns):
             disputed = "the first position fixes contradict one another"
             return Refusal(Reason.NO_FIX, f"{disputed}: no position until {SETTLED_BY_FIXES} in a row are consistent")
         line = self._line(time_ns)

@@ -138,7 +138,7 @@ class StampedValues(Generic[Value]):
         self._beliefs: list[_Belief[Value]] = []
         self._before: _Belief[Value] = _Belief()
         self._forgotten_ns: int | None = None
-        self.disputed_since_ns: int | None = None
+        self.conflict_changed_ns: int | None = None
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
@@ -166,7 +166,7 @@ class StampedValues(Generic[Value]):
 
     def insert(self, time_ns: int, value: Value) -> int | None:
         """Insert a value at its stamp; return the stamp from which accepted values have changed, None for none."""
-        self.disputed_since_ns = None
+        self.conflict_changed_ns = None
         if self._is_forgotten(time_ns):
             return None
         place = bisect.bisect_left(self._stamps, time_ns)
@@ -213,9 +213,9 @@ class StampedValues(Generic[Value]):
         """Return the index of the last value accepted at or before a time; -1 if there is none."""
         return bisect.bisect_right(self.times, time_ns) - 1
 
-    def is_disputed(self, time_ns: int) -> bool:
+    def has_conflict_at(self, time_ns: int) -> bool:
         """True if provisional values are contradicted at a time: a single one by one value, several by two values."""
-        return self._disputes(self._belief_before(bisect.bisect_right(self._stamps, time_ns)))
+        return self._has_conflict(self._belief_before(bisect.bisect_right(self._stamps, time_ns)))
 
     # -- decisions ------------------------------------------------------------------------------------------
 
@@ -225,8 +225,8 @@ class StampedValues(Generic[Value]):
         while place < len(self._taken):
             belief = self._believed(belief, self._taken[place])
             as_before = place > first and belief == self._beliefs[place]
-            if self.disputed_since_ns is None and self._disputes(belief) != self._disputes(self._beliefs[place]):
-                self.disputed_since_ns = self._stamps[place]
+            if self.conflict_changed_ns is None and self._has_conflict(belief) != self._has_conflict(self._beliefs[place]):
+                self.conflict_changed_ns = self._stamps[place]
             self._beliefs[place] = belief
             place += 1
             if as_before:
@@ -283,7 +283,7 @@ class StampedValues(Generic[Value]):
         """True if too few values are consistent with the last accepted one."""
         return belief.agreed < self._limits.settled_by
 
-    def _disputes(self, belief: _Belief[Value]) -> bool:
+    def _has_conflict(self, belief: _Belief[Value]) -> bool:
         """True if a value contradicts a single provisional one, or two values contradict several."""
         opposed = 0 if belief.refused is None else belief.opposed
         return opposed >= min(2, belief.agreed) and self._is_provisional(belief)

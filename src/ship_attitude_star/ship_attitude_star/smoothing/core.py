@@ -46,7 +46,7 @@ class _ToldAtOnce(NamedTuple):
 
     estimate: AttitudeEstimate
     separation_covariance_n: FloatArray | None
-    is_doubtful: bool
+    has_fault: bool
 
 
 class SmoothingCore(ShipAttitudeCore):
@@ -109,8 +109,8 @@ class SmoothingCore(ShipAttitudeCore):
             self._closed.clear()
             return outcome
         for one in outcome.estimates:
-            doubtful = one.state.doubt is not None or INS in one.state.excluded
-            self._told.append(_ToldAtOnce(_alone(one), one.state.disputed_n, doubtful))
+            has_fault = one.state.doubt is not None or INS in one.state.excluded
+            self._told.append(_ToldAtOnce(_alone(one), one.state.disputed_n, has_fault))
             self._chain.ask(one.time_ns)
         return outcome
 
@@ -210,7 +210,7 @@ class SmoothingCore(ShipAttitudeCore):
             *corrected.of_filter[3:],
         )
         for (told, _, ins), rotation_nd, of_source in zip(again, rotations_nd, parts_n, strict=True):
-            undisputed_n = of_source.sum(axis=0)
+            covariance_without_separation_n = of_source.sum(axis=0)
             if told.separation_covariance_n is not None:
                 of_source[corrected.drift_index] += told.separation_covariance_n
             estimates.append(
@@ -219,7 +219,7 @@ class SmoothingCore(ShipAttitudeCore):
                     rotation_nd=rotation_nd,
                     covariance_parts_n=of_source,
                     covariance_n=of_source.sum(axis=0),
-                    undisputed_n=undisputed_n,
+                    undisputed_n=covariance_without_separation_n,
                     rate_d=ins.rate_d,
                 )
             )

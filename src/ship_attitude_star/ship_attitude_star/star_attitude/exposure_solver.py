@@ -14,7 +14,7 @@ from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars, square_roots
 from ship_attitude_star.stars.scale_check import contradicted_scale
 from ship_attitude_star.stars.selection import StarPrior
-from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_in_doubt_alone
+from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_with_fallback
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
 
@@ -156,7 +156,7 @@ def solve_exposure(
     exposure, stars, invisible = visible
     if invisible:
         refused += tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in invisible)
-    solution, against_prior = solve_in_doubt_alone(stars, prior)
+    solution, against_prior = solve_with_fallback(stars, prior)
     contradicted = contradicted_scale(detections, watch, prior, solution.star_count)
     if contradicted is not None:
         return not_solved(detections, refused, contradicted)
@@ -195,7 +195,7 @@ def solve_deck(
     if not seeing:
         refusal = Refusal(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
         return Solved(JOINT, time_ns, no_attitude(np.zeros(0, dtype=bool), refusal), (), ())
-    solution, against_prior = solve_in_doubt_alone(_in_deck(seeing, turn_covariance_d, sensors), prior)
+    solution, against_prior = solve_with_fallback(_in_deck(seeing, turn_covariance_d, sensors), prior)
     rejected = _rejected(solution, seeing)
     known = {(star.source, star.name) for mounted in group for star in mounted.placed.refused} if rejected else set()
     refused = tuple(star for star in rejected if (star.source, star.name) not in known)

@@ -157,7 +157,7 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
     )
 
 
-def solve_in_doubt_alone(stars: SightedStars, prior: StarPrior | None) -> tuple[StarSolution, bool]:
+def solve_with_fallback(stars: SightedStars, prior: StarPrior | None) -> tuple[StarSolution, bool]:
     """Return the solution with the prior; if the stars contradict the prior, the solution by the stars alone.
 
     Args:

@@ -15,7 +15,7 @@ LEAST_AGE_NS = 10 * SECOND_NS
 BEFORE_STEP_NS = 2 * SECOND_NS
 """The same for the state from which a step is measured, ns: a step shows at once, and the INS drifts little."""
 
-LEAST_UNDISPUTED_NS = ENDS_AFTER_NS
+MIN_CONSISTENT_NS = ENDS_AFTER_NS
 """Minimum time of consistency before a state is stored, ns: an earlier state may contain a fault."""
 
 
@@ -32,7 +32,7 @@ class Memory(Generic[State]):
 
     def __init__(self) -> None:
         self._kept: deque[tuple[int, State]] = deque()
-        self._undisputed_since_ns = 0
+        self._consistent_since_ns = 0
 
     def keep(self, time_ns: int, state: State) -> None:
         """Store a consistent state.
@@ -42,7 +42,7 @@ class Memory(Generic[State]):
             state: immutable.
         """
         if not self._kept:
-            self._undisputed_since_ns = time_ns
+            self._consistent_since_ns = time_ns
         self._kept.append((time_ns, state))
         while len(self._kept) > 1 and self._kept[1][0] <= time_ns - LEAST_AGE_NS:
             self._kept.popleft()
@@ -52,7 +52,7 @@ class Memory(Generic[State]):
 
         There is none if the estimator has not been consistent for :data:`MIN_CONSISTENT_NS`.
         """
-        if first_sign_ns - self._undisputed_since_ns < LEAST_UNDISPUTED_NS:
+        if first_sign_ns - self._consistent_since_ns < MIN_CONSISTENT_NS:
             return None
         old = [state for time_ns, state in self._kept if time_ns <= first_sign_ns - least_age_ns]
         return old[-1] if old else None

@@ -60,7 +60,7 @@ class RecoverableCore(Protocol):
         ...
 
     @property
-    def is_undisputed(self) -> bool:
+    def is_consistent(self) -> bool:
         """True if its state results from measurements, no source is excluded, and all sources are consistent."""
         ...
 
@@ -204,7 +204,7 @@ class EstimatorRecovery:
             if was_suspected:
                 self._forget_fault()
             self._memory.replace_all(lambda state: live.propagate_memory(state, jumps) if jumps else state)
-            if live.is_undisputed:
+            if live.is_consistent:
                 self._memory.keep(waiting_ns, live.state)
             return False
         if not was_suspected:

@@ -492,8 +492,8 @@ class ReportingAdapter(ABC):
         if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict or excluded may have biased the state before its rejection.
-        in_doubt = self.conflicts or (self.published_levels.report is not None and self.published_levels.report.excluded)
-        if self.latest is not None and self.latest.status is Status.VALID and not in_doubt:
+        is_suspect = self.conflicts or (self.published_levels.report is not None and self.published_levels.report.excluded)
+        if self.latest is not None and self.latest.status is Status.VALID and not is_suspect:
             self.saved.save_by_itself()
 
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:

@@ -124,7 +124,7 @@ class Watched:
     squares: FloatArray = field(default_factory=lambda: np.zeros(3))
     nees: float = float("nan")
     _excluded: frozenset[str] = frozenset()
-    _in_doubt: bool = False
+    _is_degraded: bool = False
 
     def look_at_sources(self, since_s: float, excluded: frozenset[str]) -> None:
         """Record the excluded sources after a measurement."""
@@ -133,9 +133,9 @@ class Watched:
 
     def look_at_status(self, since_s: float, status: Status, text: str) -> None:
         """Record the beginning of a DEGRADED status."""
-        if status is Status.DEGRADED and not self._in_doubt and since_s >= SETTLED_S:
+        if status is Status.DEGRADED and not self._is_degraded and since_s >= SETTLED_S:
             self.doubts.append((since_s, text))
-        self._in_doubt = status is Status.DEGRADED
+        self._is_degraded = status is Status.DEGRADED
 
     def look_at_output(
         self, since_s: float, status: Status, report: IntegrityReport, error: FloatArray, covariance: FloatArray
@@ -186,8 +186,8 @@ def _sail_ship(run: SimulatedRun, watched: Watched) -> None:
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
             watched.look_at_sources(since_s, frozenset(core.state.excluded))
-            if core.state.doubt is not None:
-                watched.look_at_status(since_s, Status.DEGRADED, core.state.doubt.text)
+            if core.state.unresolved_fault is not None:
+                watched.look_at_status(since_s, Status.DEGRADED, core.state.unresolved_fault.text)
         for estimate in outcome.estimates:
             truth_nd = run.truth.rotation_nd[rows[estimate.time_ns]]
             _look(watched, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False)

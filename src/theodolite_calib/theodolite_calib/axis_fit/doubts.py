@@ -127,7 +127,7 @@ _LEAST_COSINE = 1e-3
 """Minimum cosine of the elevation, used near the zenith where it is a divisor."""
 
 
-def doubts(sightings: Sightings, fixed: Mapping[str, float]) -> list[str]:
+def table_warnings(sightings: Sightings, fixed: Mapping[str, float]) -> list[str]:
     """Return warnings about the table as it was read.
 
     Args:

@@ -12,7 +12,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import add_force, check_folder
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.axis_fit.doubts import doubts
+from theodolite_calib.axis_fit.doubts import table_warnings
 from theodolite_calib.axis_fit.report import MEANINGS, summary, write_tables
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABEL_COLUMN, TIME_COLUMN, read_sightings
@@ -100,24 +100,24 @@ def _run(options: argparse.Namespace) -> int:
     sightings = read_sightings(options.sightings)
     result = _fitted(options.sightings, sightings, fixed)
     options.out.mkdir(parents=True, exist_ok=True)
-    doubted = doubts(sightings, fixed)
-    write_tables(result, sightings, doubted, options.out)
-    saved = _calibration(result, sightings, doubted, options)
+    warnings = table_warnings(sightings, fixed)
+    write_tables(result, sightings, warnings, options.out)
+    saved = _calibration(result, sightings, warnings, options)
     # Imported late: loading the figures' library takes longer than the fit.
     from theodolite_calib.axis_fit.figures import draw_figures
 
     draw_figures(result, sightings, options.out)
-    sys.stdout.write(f"{summary(result, sightings, doubted)}\n{saved}\nwritten: {options.out}\n")
+    sys.stdout.write(f"{summary(result, sightings, warnings)}\n{saved}\nwritten: {options.out}\n")
     return EXIT_DONE
 
 
-def _calibration(result: AxisFit, sightings: Sightings, doubted: list[str], options: argparse.Namespace) -> str:
+def _calibration(result: AxisFit, sightings: Sightings, table_warnings: list[str], options: argparse.Namespace) -> str:
     """Write the calibration that optical_axis starts from, if the fit gives one; return the text about it."""
     path = options.out / CALIBRATION
-    if doubted or not result.sigmas_known:
+    if table_warnings or not result.sigmas_known:
         # A calibration of an earlier table must not be taken for one of this table.
         path.unlink(missing_ok=True)
-        why = "of the warnings about the table" if doubted else "no sigma is known"
+        why = "of the warnings about the table" if table_warnings else "no sigma is known"
         return f"not written: calibration.yaml, because {why}"
     CALIBRATION_FILE.save(path, _fitted_calibration(result, sightings.time_s, options.serial))
     dated = "" if sightings.time_s is not None else f", treated as old: without {TIME_COLUMN} its age is unknown"

@@ -28,13 +28,13 @@ _WIDE_GAP = np.pi / 2.0
 """Gap in azimuth above which the tilt of the vertical axis is determined by half of the sky alone, rad."""
 
 
-def summary(fit: AxisFit, sightings: Sightings, doubted: list[str]) -> str:
+def summary(fit: AxisFit, sightings: Sightings, table_warnings: list[str]) -> str:
     """Return the result as text for the terminal, the last line without a line break."""
     lines = [
         *_coverage(sightings),
         _first_row(sightings),
         *(f"repeated, counted once: observation {repeated}" for repeated in sightings.repeated),
-        *(f"warning: {text}" for text in doubted),
+        *(f"warning: {text}" for text in table_warnings),
         "",
         *_terms(fit),
         "",
@@ -138,7 +138,7 @@ VERSION = 1
 _RESIDUALS = ("before", "after", "left_out")
 
 
-def write_tables(fit: AxisFit, sightings: Sightings, doubted: list[str], folder: Path) -> list[Path]:
+def write_tables(fit: AxisFit, sightings: Sightings, table_warnings: list[str], folder: Path) -> list[Path]:
     """Write every table into an existing folder; return the files.
 
     Args:
@@ -149,7 +149,7 @@ def write_tables(fit: AxisFit, sightings: Sightings, doubted: list[str], folder:
     """
     names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]
     return [
-        _write_yaml(folder / "axes.yaml", fit, sightings, doubted),
+        _write_yaml(folder / "axes.yaml", fit, sightings, table_warnings),
         write_csv(folder / "axes.csv", ("term", "value_arcsec", "sigma_arcsec", "fitted"), _term_rows(fit)),
         write_csv(folder / "correlation.csv", ("term", *fit.fitted), _correlation_rows(fit)),
         write_csv(
@@ -160,7 +160,7 @@ def write_tables(fit: AxisFit, sightings: Sightings, doubted: list[str], folder:
     ]
 
 
-def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, doubted: list[str]) -> Path:
+def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, table_warnings: list[str]) -> Path:
     values = fit.errors.vector() / ARCSEC
     open_combinations = unobservable(fit)
     document = {
@@ -173,7 +173,7 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, doubted: list[st
         "covariance_rad2": fit.covariance.tolist() if fit.sigmas_known else None,
         "neighbours_correlation": fit.neighbours,
         "rms_of_shared_errors_arcsec": rms(fit.shared) / ARCSEC,
-        "doubts": doubted,
+        "doubts": table_warnings,
         "given_again": list(sightings.repeated),
         "unobservable": list(open_combinations.names) if open_combinations else [],
         "poorly_told_apart": [list(combination.names) for combination in poorly_told_apart(fit)],

@@ -23,7 +23,7 @@ from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorPro
 from theodolite_calib.filter.observability import Observability, Unaided
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.star_comparison import StarComparison, StarModel
-from theodolite_calib.filter.trust import FaultState, no_doubt
+from theodolite_calib.filter.trust import FaultState, initial_fault_state
 from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 
@@ -141,7 +141,7 @@ class CalibrationFilter:
         alternatives = self.subfilters.start(mean, parts.sum(axis=0))
         solution_separation = np.zeros(len(self.subfilters.sources))
         return CalibrationState(
-            None, mean, parts, self.observability.start(), alternatives, no_doubt(self.subfilters), solution_separation
+            None, mean, parts, self.observability.start(), alternatives, initial_fault_state(self.subfilters), solution_separation
         )
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:

@@ -207,7 +207,7 @@ class SightingStep:
             source = self._faulty(source, explaining, time_ns)
         if source is not None:
             return self._attributed(replace(after, refusals=held.refusals + 1), source, decision, found)
-        trust = self._fault_detector.disagreed(trust, _spread_n(comparison), lasting=is_detected)
+        trust = self._fault_detector.disagreed(trust, _disagreement_n(comparison), lasting=is_detected)
         return held_back(replace(held, alternatives=alternatives, trust=trust), decision, self._gate, "lights")
 
     def _isolate_by_streams(
@@ -349,7 +349,7 @@ def _sigma_seen(comparison: Comparison) -> float:
     return float(np.sqrt(1.0 / max(np.linalg.eigvalsh(information)[0], 1.0)))
 
 
-def _spread_n(comparison: Comparison) -> FloatArray:
+def _disagreement_n(comparison: Comparison) -> FloatArray:
     """Return the rotation between the telescope by the beacons and its prediction, as a covariance in n, rad²."""
     by_attitude = comparison.prediction.by_attitude_n
     turned_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual

@@ -63,7 +63,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Conflict:
+class UnresolvedFault:
     """Unresolved fault: beacons contradict the encoders and the ship's attitude, and no single source explains it.
 
     Attributes:
@@ -91,7 +91,7 @@ class FaultState:
 
     innovation_means: InnovationMeans
     left_out: Mapping[str, LeftOut] = field(default_factory=dict)
-    conflict: Conflict | None = None
+    conflict: UnresolvedFault | None = None
     jumped_ns: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -109,7 +109,7 @@ def isolate_step_fault(source: str, explaining: Set[str], told: Streams, off_rad
         told: largest steps of the two streams since the last accepted sighting.
         off_rad: offset of the beacons on the sky, rad.
     """
-    if told.ship_in_doubt:
+    if told.is_ship_unreliable:
         return SHIP if SHIP in explaining else None
     steps = {ENCODER: told.encoder, SHIP: told.ship}
     stepped = [name for name, step in steps.items() if step is not None and step.is_there(off_rad)]
@@ -143,7 +143,7 @@ def isolate_drift_fault(source: str | None, explaining: Set[str], alike: bool, s
     return source if source in CHAIN else None
 
 
-def no_doubt(subfilters: SourceRows) -> FaultState:
+def initial_fault_state(subfilters: SourceRows) -> FaultState:
     """Return the initial state: no source is excluded and no fault is unresolved."""
     return FaultState(no_means(1 + len(subfilters.sources), len(subfilters.beacons)))
 
@@ -318,13 +318,13 @@ class FaultDetector:
             left_out[source] = replace(left_out[source], exclusion=exclusion)
         return replace(fault_state, means=means, left_out=left_out, jumped_ns=jumped_ns)
 
-    def disagreed(self, fault_state: FaultState, spread_n: FloatArray, lasting: bool) -> FaultState:
+    def disagreed(self, fault_state: FaultState, disagreement_n: FloatArray, lasting: bool) -> FaultState:
         """Record a fault that no single source explains."""
         before = fault_state.conflict
-        if before is not None and np.trace(before.spread_n) > np.trace(spread_n):
-            spread_n = before.spread_n
+        if before is not None and np.trace(before.spread_n) > np.trace(disagreement_n):
+            disagreement_n = before.spread_n
         lasting = lasting or (before is not None and before.lasting)
-        return replace(fault_state, conflict=Conflict(spread_n, lasting))
+        return replace(fault_state, conflict=UnresolvedFault(disagreement_n, lasting))
 
     def agreed(self, fault_state: FaultState, time_ns: int) -> FaultState:
         """Record an accepted sighting: end an unresolved fault, at once or after a period of consistency."""

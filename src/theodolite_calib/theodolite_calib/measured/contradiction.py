@@ -84,7 +84,7 @@ class Streams:
 
     encoder: LargestStep | None
     ship: LargestStep | None
-    ship_in_doubt: bool
+    is_ship_unreliable: bool
 
 
 def streams_since(
@@ -103,7 +103,7 @@ def streams_since(
         gaps_ns: maximum intervals of readings, and of attitudes; larger ones are gaps.
         ship_sigma_rad: noise of an attitude about each axis.
     """
-    doubt = _gap(ship, gaps_ns[1]) or any(sample.status is Status.DEGRADED for sample in ship)
+    is_ship_unreliable = _gap(ship, gaps_ns[1]) or any(sample.status is Status.DEGRADED for sample in ship)
     by_encoder = None
     if encoder and not _gap(encoder, gaps_ns[0]):
         turns = short_way(np.diff(np.array([sample.vector for sample in encoder]), axis=0))
@@ -115,7 +115,7 @@ def streams_since(
     by_ship = None
     if ship and not _gap(ship, gaps_ns[1]):
         by_ship = _ships_step(ship, since_ns, ship_sigma_rad)
-    return Streams(by_encoder, by_ship, doubt)
+    return Streams(by_encoder, by_ship, is_ship_unreliable)
 
 
 def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) -> bool | None:

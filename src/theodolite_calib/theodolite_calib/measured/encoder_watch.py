@@ -89,7 +89,7 @@ class EncoderWatch:
         self._newest_ns: int | None = None
         self._wrong_unit, self._otherwise = False, 0
         self._still_since_ns: int | None = None
-        self._in_doubt_since_ns: int | None = None
+        self._halted_since_ns: int | None = None
         self._unconfirmed: Unconfirmed | None = None
         self._steps = EncoderSteps()
         self._stepped: tuple[int, float] | None = None
@@ -102,11 +102,11 @@ class EncoderWatch:
         self._max_acceleration = max_acceleration
 
     @property
-    def doubt(self) -> str:
+    def unconfirmed_reason(self) -> str:
         """Reason why the readings are unconfirmed until the next beacon; empty if they are confirmed."""
         if self._unconfirmed is not None:
             return self._unconfirmed.text
-        if self._in_doubt_since_ns is not None:
+        if self._halted_since_ns is not None:
             return "the encoders stopped during a motion: at rest, or stuck"
         if self._stepped is not None:
             return f"the encoders have stepped by {self._stepped[1] / ARCSEC:.0f}″, not yet confirmed by a light"
@@ -115,7 +115,7 @@ class EncoderWatch:
         return ""
 
     @property
-    def doubt_rad(self) -> float:
+    def unconfirmed_sigma_rad(self) -> float:
         """Standard deviation of the readings about each axis while unconfirmed, in addition to their noise, rad."""
         return math.hypot(self._steps.off_rad, 0.0 if self._stepped is None else self._stepped[1])
 
@@ -163,8 +163,8 @@ class EncoderWatch:
 
     def confirm(self, time_ns: int) -> None:
         """Record that beacons were consistent with the readings at a time."""
-        if self._in_doubt_since_ns is not None and time_ns > self._in_doubt_since_ns:
-            self._in_doubt_since_ns = None
+        if self._halted_since_ns is not None and time_ns > self._halted_since_ns:
+            self._halted_since_ns = None
         if self._unconfirmed is not None:
             self._unconfirmed = self._unconfirmed.after_agreement(time_ns)
         self.believe_lights(time_ns)
@@ -248,9 +248,9 @@ class EncoderWatch:
         step = short_way(sample.vector - last.vector)
         interval_s = (sample.time_ns - last.time_ns) * 1e-9
         if step.any():
-            self._witnesses, self._still_since_ns, self._in_doubt_since_ns = {}, sample.time_ns, None
-        elif np.abs(rate).max() * interval_s > _SIGMAS * self._sigma_rad and self._in_doubt_since_ns is None:
-            self._in_doubt_since_ns = sample.time_ns
+            self._witnesses, self._still_since_ns, self._halted_since_ns = {}, sample.time_ns, None
+        elif np.abs(rate).max() * interval_s > _SIGMAS * self._sigma_rad and self._halted_since_ns is None:
+            self._halted_since_ns = sample.time_ns
         self._last = sample, step / interval_s
 
 

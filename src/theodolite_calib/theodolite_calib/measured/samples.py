@@ -61,14 +61,14 @@ class EncoderRun:
     time_ns: StampArray
     angles: FloatArray
     variance: FloatArray
-    doubt: list[str]
+    unconfirmed_reasons: list[str]
 
     @classmethod
-    def of(cls, samples: Sequence[EncoderSample], doubts: Sequence[str], doubts_rad: Sequence[float]) -> "EncoderRun":
+    def of(cls, samples: Sequence[EncoderSample], unconfirmed_reasons: Sequence[str], unconfirmed_sigmas_rad: Sequence[float]) -> "EncoderRun":
         """Return the series of some readings; ``doubts_rad`` is an additional standard deviation of each angle."""
-        variances = [sample.sigma**2 + doubt_rad**2 for sample, doubt_rad in zip(samples, doubts_rad, strict=True)]
+        variances = [sample.sigma**2 + unconfirmed_sigma_rad**2 for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)]
         times_ns = np.array([sample.time_ns for sample in samples])
-        return cls(times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(doubts))
+        return cls(times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(unconfirmed_reasons))
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ class ShipWatch:
         if self._unconfirmed is not None:
             self._unconfirmed = self._unconfirmed.after_agreement(time_ns)
 
-    def doubt(self, time_ns: int) -> str:
+    def unconfirmed_reason(self, time_ns: int) -> str:
         """Return the reason why the attitude at a time is unconfirmed; empty if it is confirmed."""
         jumped = self._unconfirmed
         return jumped.text if jumped is not None and time_ns > jumped.since_ns else ""

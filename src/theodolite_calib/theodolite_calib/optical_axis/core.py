@@ -84,8 +84,8 @@ class _WaitingReading(NamedTuple):
     """Encoder reading that waits for the ship's attitude, with the reason and sigma if it is unconfirmed."""
 
     sample: EncoderSample
-    doubt: str
-    doubt_rad: float
+    unconfirmed_reason: str
+    unconfirmed_sigma_rad: float
 
 
 class OpticalAxisCore:
@@ -216,7 +216,7 @@ class OpticalAxisCore:
             self._watch_time()
         elif track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
-            self._waiting.append(_WaitingReading(sample, self._watch.doubt, self._watch.doubt_rad))
+            self._waiting.append(_WaitingReading(sample, self._watch.unconfirmed_reason, self._watch.unconfirmed_sigma_rad))
             self._publish(outcome, arrival_ns)
         return outcome
 
@@ -367,8 +367,8 @@ class OpticalAxisCore:
     def is_undisputed(self) -> bool:
         """True if the state rests on beacons or stars, and no source is excluded, contradictory or unconfirmed."""
         now_ns = self._shell.window.newest_ns
-        doubt = self._watch.doubt or self._ship_watch.doubt(now_ns) or self._contradiction(now_ns)
-        return is_undisputed(self.state) and not doubt
+        unconfirmed_reason = self._watch.unconfirmed_reason or self._ship_watch.unconfirmed_reason(now_ns) or self._contradiction(now_ns)
+        return is_undisputed(self.state) and not unconfirmed_reason
 
     @property
     def is_contradicted(self) -> bool:
@@ -578,11 +578,11 @@ class OpticalAxisCore:
         covered_ns, too_old_ns = self._ship_covered_until_ns, self._shell.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
-            sample, doubt, doubt_rad = self._waiting.popleft()
-            doubt = doubt or self._ship_watch.doubt(sample.time_ns) or self._contradiction(sample.time_ns)
+            sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting.popleft()
+            unconfirmed_reason = unconfirmed_reason or self._ship_watch.unconfirmed_reason(sample.time_ns) or self._contradiction(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
-                due = DuePointing(sample, ship, doubt, doubt_rad, self._shell.state_now)
+                due = DuePointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._shell.state_now)
                 self._put_out(outcome, due, waiting_ns)
 
     def _put_out(self, outcome: PointingOutcome, due: DuePointing, waiting_ns: int) -> None:

@@ -42,7 +42,7 @@ class PointingLevels:
         self._subfilter_indices = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
         self._names = tuple([sources[row] for row in self._subfilter_indices])
         self._excluded = tuple(sorted(excluded.items()))
-        self._in_dispute = state.fault_state.conflict is not None or state.refusals > 0
+        self._has_unresolved_fault = state.fault_state.conflict is not None or state.refusals > 0
 
     def of(self, estimate: PointingEstimate) -> IntegrityReport:
         """Return the integrity of a pointing."""
@@ -63,9 +63,9 @@ class PointingLevels:
         )
         # Without beacons and stars nothing checks encoders and ship's attitude; stars alone are not checked either.
         alone = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
-        in_doubt = self._in_dispute or estimate.mode is Mode.ENCODER or alone or estimate.status is Status.INVALID
+        is_unchecked = self._has_unresolved_fault or estimate.mode is Mode.ENCODER or alone or estimate.status is Status.INVALID
         return integrity_report(
-            estimate.time_ns, self._config, self._k, self._names, found, self._excluded, checked=not in_doubt
+            estimate.time_ns, self._config, self._k, self._names, found, self._excluded, checked=not is_unchecked
         )
 
 

@@ -143,8 +143,8 @@ class DuePointing(NamedTuple):
 
     sample: EncoderSample
     ship: ShipAt
-    doubt: str
-    doubt_rad: float
+    unconfirmed_reason: str
+    unconfirmed_sigma_rad: float
     state: CalibrationState
 
     @property
@@ -194,8 +194,8 @@ class PointingOutput:
         return self._run_of([due]).one(0)
 
     def _run_of(self, due: Sequence[DuePointing]) -> PointingRun:
-        samples, ships, doubts, doubts_rad, states = zip(*due, strict=True)
-        return self.estimates(EncoderRun.of(samples, doubts, doubts_rad), ShipRun.of(ships), states[0])
+        samples, ships, unconfirmed_reasons, unconfirmed_sigmas_rad, states = zip(*due, strict=True)
+        return self.estimates(EncoderRun.of(samples, unconfirmed_reasons, unconfirmed_sigmas_rad), ShipRun.of(ships), states[0])
 
     def estimates(self, encoders: EncoderRun, ship: ShipRun, state: CalibrationState) -> PointingRun:
         """Return the pointings at N readings; a single reading gives, to the last bit, the same as among others.
@@ -213,12 +213,12 @@ class PointingOutput:
         lights, stars = self._recent(time_ns, state.used_ns), self._recent(time_ns, state.stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
-        undisputed_n, covariance_n = compiled_mounts.totals(
+        covariance_without_separation_n, covariance_n = compiled_mounts.totals(
             axes.parts_n, axes.by_error_n, self._corrected.separation_inflation, recent.view(np.uint8), self._disagreement
         )
         mode = np.where(lights, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
         mode = np.where(stars, np.where(lights, _STARS_AND_LIGHTS, _STARS), mode)
-        worth = self._worths(state, mode.tolist(), ship.status, encoders.doubt)
+        worth = self._worths(state, mode.tolist(), ship.status, encoders.unconfirmed_reasons)
         rotation_nt = axes.rotation_nm @ self._corrected.rotation_mt
         rotation_nt[~lights] = np.nan
         if ship.chord_nd is None:
@@ -230,7 +230,7 @@ class PointingOutput:
             rotation_nm=axes.rotation_nm,
             parts_n=axes.parts_n,
             covariance_n=covariance_n,
-            undisputed_n=undisputed_n,
+            undisputed_n=covariance_without_separation_n,
             rotation_nt=rotation_nt,
             mode=mode,
             status=[status for status, _ in worth],
@@ -266,22 +266,22 @@ class PointingOutput:
                     run.status[number], run.text[number] = Status.DEGRADED, text
 
     def _worths(
-        self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], doubts: list[str]
+        self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], unconfirmed_reasons: list[str]
     ) -> list[tuple[Status, str]]:
         """Return status and reason of each pointing; the reason is empty if it is VALID."""
         known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
         worths = []
-        for kind in zip(modes, ship_statuses, doubts, strict=True):
+        for kind in zip(modes, ship_statuses, unconfirmed_reasons, strict=True):
             worth = known.get(kind)
             if worth is None:
                 worth = known[kind] = self._worth(state, *kind)
             worths.append(worth)
         return worths
 
-    def _worth(self, state: CalibrationState, mode: int, ship_status: Status, doubt: str) -> tuple[Status, str]:
+    def _worth(self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str) -> tuple[Status, str]:
         """Return status and reason of a pointing; the reason is empty if it is VALID."""
-        if doubt:
-            return Status.DEGRADED, doubt
+        if unconfirmed_reason:
+            return Status.DEGRADED, unconfirmed_reason
         if state.refusals:
             text = "the last lights or stars were inconsistent with encoders and ship's attitude: "
             return Status.DEGRADED, text + state.refused_for

@@ -148,17 +148,17 @@ class TargetAnswers:
             assert encoder is not None
         angles = np.array([encoder.azimuth, encoder.elevation])
         reading = EncoderSample(sample.time_ns, angles, float(np.sqrt(encoder.noise)))
-        doubts = [due.doubt for due in beside if due.doubt]
-        doubt_rad = max(due.doubt_rad for due in beside)
-        due = DuePointing(reading, ship, doubts[-1] if doubts else "", doubt_rad, state)
+        unconfirmed_reasons = [due.unconfirmed_reason for due in beside if due.unconfirmed_reason]
+        unconfirmed_sigma_rad = max(due.unconfirmed_sigma_rad for due in beside)
+        due = DuePointing(reading, ship, unconfirmed_reasons[-1] if unconfirmed_reasons else "", unconfirmed_sigma_rad, state)
         pointing = self._pointing.estimate(due)
         status, text = max(
             [(each.status, each.text) for each in (pointing, *map(self._pointing.estimate, beside))],
             key=lambda worth: worth[0],
         )
-        doubt = self._waiting.doubt(sample.time_ns)
-        if doubt and status is not Status.DEGRADED:
-            status, text = Status.DEGRADED, doubt
+        conflict_text = self._waiting.conflict_text(sample.time_ns)
+        if conflict_text and status is not Status.DEGRADED:
+            status, text = Status.DEGRADED, conflict_text
         return self._directions.estimate(sample, point_m, due, pointing, status, text)
 
     def _beside(self, time_ns: int) -> tuple[DuePointing, DuePointing] | None:

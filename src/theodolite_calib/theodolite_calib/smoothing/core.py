@@ -43,7 +43,7 @@ class _RestsOn(NamedTuple):
 
     sample: EncoderSample
     ship: ShipAt
-    disputed_n: FloatArray
+    separation_covariance_n: FloatArray
 
 
 class _ToldAtOnce(NamedTuple):
@@ -128,7 +128,7 @@ class SmoothingAxisCore(OpticalAxisCore):
 
     def _keep(self, estimate: PointingEstimate, due: DuePointing) -> None:
         rests_on = None
-        if not (due.doubt or _in_doubt(due.state)):
+        if not (due.unconfirmed_reason or _has_unresolved_fault(due.state)):
             rests_on = _RestsOn(due.sample, due.ship, estimate.covariance_n - estimate.undisputed_n)
             if due.ship.slow_covariance_n is not None:
                 self._stated_n[due.time_ns] = due.ship.slow_covariance_n
@@ -166,7 +166,7 @@ class _SmoothedOutput:
 
     def again(self, told: PointingEstimate, rests_on: _RestsOn, known: Known) -> PointingEstimate:
         """Return a pointing from the smoothed states at its own time."""
-        sample, ship, disputed_n = rests_on
+        sample, ship, separation_covariance_n = rests_on
         mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.parts)
         mean[self._rows], parts[self._source, self._rows[:, None], self._rows] = known
         # The ship's error is as the messages state it at that time: no further step.
@@ -176,12 +176,12 @@ class _SmoothedOutput:
         corrected = CorrectedAxis(self._filter, state)
         axes = corrected.axes(ShipRun.of([ship]), EncoderRun.of([sample], [""], [0.0]))
         (rotation_nm,), (parts_n,) = axes.rotation_nm, axes.parts_n
-        undisputed_n = parts_n.sum(axis=0)
+        covariance_without_separation_n = parts_n.sum(axis=0)
         return replace(
             told,
             rotation_nm=rotation_nm,
-            covariance_n=undisputed_n + disputed_n,
-            undisputed_n=undisputed_n,
+            covariance_n=covariance_without_separation_n + separation_covariance_n,
+            undisputed_n=covariance_without_separation_n,
             # Without beacons the telescope's attitude is not published.
             rotation_nt=np.where(np.isfinite(told.rotation_nt), rotation_nm @ corrected.rotation_mt, np.nan),
             by_error_n=axes.by_error_n[0],
@@ -189,7 +189,7 @@ class _SmoothedOutput:
         )
 
 
-def _in_doubt(state: CalibrationState) -> bool:
+def _has_unresolved_fault(state: CalibrationState) -> bool:
     """True if beacons or stars are inconsistent with encoders and ship, or one of these is excluded."""
     return bool(state.refusals) or state.fault_state.conflict is not None or bool(state.fault_state.excluded & CHAIN)
 

@@ -250,14 +250,14 @@ class TriangulationCore:
         status, text = placed.status, ""
         if status is not Status.VALID:
             text = f"a direction to it is {status.name}"
-        doubt = self._doubt(time_ns, placed.stations)
-        if doubt and status is not Status.DEGRADED:
-            status, text = Status.DEGRADED, doubt
+        conflict_text = self._conflict_text(time_ns, placed.stations)
+        if conflict_text and status is not Status.DEGRADED:
+            status, text = Status.DEGRADED, conflict_text
         return PlaceEstimate(
             time_ns, target_id, place.position_n, place.covariance_n, status, text, placed.stations, place, None
         )
 
-    def _doubt(self, time_ns: int, stations: tuple[str, ...]) -> str:
+    def _conflict_text(self, time_ns: int, stations: tuple[str, ...]) -> str:
         """Return the text of conflicting directions of some theodolites; empty if there are none."""
         sources = {f"station.{name}" for name in stations}
         return self._contradictions.text(sources & self._contradictions.at(time_ns).keys())

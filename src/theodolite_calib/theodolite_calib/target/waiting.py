@@ -65,7 +65,7 @@ class WaitingTargets:
         if len(self._order) > _MOST_ANSWERED:
             del self._answered[self._order.popleft()]
 
-    def doubt(self, time_ns: int) -> str:
+    def conflict_text(self, time_ns: int) -> str:
         """Return the reason why images of a time are unreliable: their source sent conflicting ones; else empty.
 
         It applies to all targets together, because their names come from outside and could be any number.
