@@ -34,7 +34,7 @@ def environment(tmp_path_factory):
             LiveProcess(suite, folder / "suite.log", environment) as process,
             LiveProcess(alerts, folder / "alerts.log", environment),
         ):
-            assert observer.wait_for({"/alpha/ship/attitude": 1, "/alpha/ship/alerts": 1}, timeout_s=60), process.log()
+            assert observer.wait_for({"/alpha/ship/attitude": 1, "/alpha/ship/alerts": 1}, timeout_s=60), process.log_text()
             yield environment
 
 

@@ -117,8 +117,8 @@ def test_files_named_by_the_other_commands_of_a_page_exist(page: Path) -> None:
 def wait_until_it_listens(process: LiveProcess) -> None:
     """Return when a node or a recorder has printed its first line."""
     end_s = time.monotonic() + START_S
-    while not process.log().strip():
-        assert time.monotonic() < end_s, process.log()
+    while not process.log_text().strip():
+        assert time.monotonic() < end_s, process.log_text()
         time.sleep(0.05)
 
 
@@ -144,8 +144,8 @@ def test_the_three_terminals_of_a_page(page: Path, checkout: Path, monkeypatch: 
         wait_until_it_listens(node_process)
         wait_until_it_listens(recorder_process)
         subprocess.run(player, check=True, capture_output=True, timeout=120, env=environment)
-        assert node_process.end() == 0, node_process.log()
-        assert recorder_process.end() == 0, recorder_process.log()
+        assert node_process.end() == 0, node_process.log_text()
+        assert recorder_process.end() == 0, recorder_process.log_text()
     for command in afterwards:
         subprocess.run(command, check=True, capture_output=True, timeout=120)
     recorded = checkout / recorder[recorder.index("--out") + 1]

@@ -133,9 +133,9 @@ def test_every_parameter_is_below_a_comment_or_in_a_commented_group(path: Path) 
 def wait_for(text: str, process: LiveProcess) -> None:
     """Return when a process has printed a text."""
     end_s = time.monotonic() + START_S
-    while text not in process.log():
-        assert time.monotonic() < end_s, process.log()
-        assert process.exit_code is None, process.log()
+    while text not in process.log_text():
+        assert time.monotonic() < end_s, process.log_text()
+        assert process.exit_code is None, process.log_text()
         time.sleep(0.02)
 
 
@@ -159,7 +159,7 @@ def test_a_node_starts_with_its_example_without_warnings(
     with LiveProcess(command, tmp_path / "node.log", live_environment(free_domain_id(), tmp_path / "ros")) as process:
         wait_for("names no topic and policy", process)
         assert process.end() == 0
-        told = [line for line in process.log().splitlines() if "[WARN]" in line or "[ERROR]" in line]
+        told = [line for line in process.log_text().splitlines() if "[WARN]" in line or "[ERROR]" in line]
     assert len(told) == 1
 
 
@@ -171,4 +171,4 @@ def test_a_node_without_sensors_warns_at_its_start(tmp_path: Path) -> None:
     with LiveProcess(command, tmp_path / "node.log", live_environment(free_domain_id(), tmp_path / "ros")) as process:
         wait_for("no star_sensors, no references and no ship_baseline are configured", process)
         assert process.end() == 0
-        assert "no section is for node '/ship_attitude', its sections are '/**/radar'" in process.log()
+        assert "no section is for node '/ship_attitude', its sections are '/**/radar'" in process.log_text()

@@ -170,7 +170,7 @@ def run_live_once(node: Node, path: Path, folder: Path, rate: float) -> tuple[Ou
         answer = client.call_async(Trigger.Request())
         assert run.observer.spin_until(answer.done)
         assert answer.result().success, answer.result().message
-        assert run.node.end() == 0, run.node.log()
+        assert run.node.end() == 0, run.node.log_text()
     counts: dict[str, int] = {}
     cut: dict[str, int] = {}
     attitudes = []

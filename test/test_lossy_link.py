@@ -80,9 +80,9 @@ def crossing(tmp_path_factory):
         cut_ns = link.cut()
         time.sleep(CUT_S)
         mended_ns = link.mend()
-        assert player.wait(MOST_START_S) == 0, player.log()
-        assert recorder.end() == 0, recorder.log()
-        assert started.end() == 0, started.log()
+        assert player.wait(MOST_START_S) == 0, player.log_text()
+        assert recorder.end() == 0, recorder.log_text()
+        assert started.end() == 0, started.log_text()
     (box,) = (folder / "box").glob("ship_attitude*.mcap")
     return Crossing(
         sent,

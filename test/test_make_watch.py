@@ -30,18 +30,18 @@ def test_the_page_of_the_voyage_is_served_and_all_ends_with_ctrl_c(tmp_path):
     with LiveProcess(watch(port), tmp_path / "watch.log", environment) as process:
         address, deadline_s = f"http://127.0.0.1:{port}/", time.monotonic() + START_S
         # The address is printed at the start, and again by the page, which may be later than the outputs.
-        while process.log().count(address) < 2 or not all(
-            words in process.log() for words in ("attitude: VALID", "pointing: VALID")
+        while process.log_text().count(address) < 2 or not all(
+            words in process.log_text() for words in ("attitude: VALID", "pointing: VALID")
         ):
-            assert process.exit_code is None, process.log()
-            assert time.monotonic() < deadline_s, process.log()
+            assert process.exit_code is None, process.log_text()
+            assert time.monotonic() < deadline_s, process.log_text()
             time.sleep(0.2)
         with urllib.request.urlopen(address, timeout=20.0) as page:
             assert page.status == 200
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         # Three nodes, the alerts, the page and the player; of the nodes another process each in reserve.
         assert len({Path(f"/proc/{child}/cmdline").read_bytes() for child in children}) == 6
-        assert process.end() == 0, process.log()
+        assert process.end() == 0, process.log_text()
     assert not [child for child in children if Path(f"/proc/{child}").exists()]
 
 

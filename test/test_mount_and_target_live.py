@@ -51,7 +51,7 @@ def live_and_offline(
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         with LiveRun(bag, adapter, "theodolite_calib", folder / "live", parameters) as run:
             run.play(rate)
-            assert run.node.end() == 0, run.node.log()
+            assert run.node.end() == 0, run.node.log_text()
     replay(bag, folder / "offline.mcap", ADAPTERS)
     return messages(run.recorded_path), messages(folder / "offline.mcap")
 

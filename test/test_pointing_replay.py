@@ -57,7 +57,7 @@ def worst_valid_sigmas(path: Path) -> float:
             truth.add(record.decode())
         for record in bag.records({POINTING.topic}):
             message = record.decode()
-            truth_nm = truth.exactly_at(ns_from_stamp(message.header.stamp))
+            truth_nm = truth.rotation_at_stamp(ns_from_stamp(message.header.stamp))
             if message.status == VALID and truth_nm is not None:
                 angles = POINTING.angles_of(message)
                 sigma_arcsec = np.sqrt(np.diag(message.covariance.reshape(3, 3))) / ARCSEC

@@ -75,12 +75,12 @@ def test_every_program_has_rights_for_its_network_entities(tmp_path, domain):
         LiveProcess(command, tmp_path / "suite.log", environment) as suite,
         LiveProcess(record, tmp_path / "record.log", environment),
     ):
-        assert observer.spin_until(lambda: names <= set(observer.node.get_node_names()), 60.0), suite.log()
+        assert observer.spin_until(lambda: names <= set(observer.node.get_node_names()), 60.0), suite.log_text()
         there = {"/demo/ship/attitude": 1, "/demo/ship/alerts": 1, "/demo/reference/s330/imu": 1}
-        assert observer.wait_for(there), suite.log()
+        assert observer.wait_for(there), suite.log_text()
         # The last of all: the recorder takes what others publish when it has found it.
-        assert observer.spin_until(lambda: "/demo/ship/alerts" in seen(observer.node, ["record"])[1]), suite.log()
-        assert observer.spin_until(lambda: "/demo/ship/attitude" in seen(observer.node, ["monitor"])[1]), suite.log()
+        assert observer.spin_until(lambda: "/demo/ship/alerts" in seen(observer.node, ["record"])[1]), suite.log_text()
+        assert observer.spin_until(lambda: "/demo/ship/attitude" in seen(observer.node, ["monitor"])[1]), suite.log_text()
         for program, nodes in programs.items():
             granted = rights[f"/demo/{program}"]
             allowed = (granted.publishes, granted.subscribes, granted.serves, granted.requests)

@@ -166,18 +166,18 @@ def test_the_error_of_the_joint_solution_of_streaks_fits_its_covariance() -> Non
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(joint_nees(SEEDS, exposure_s=0.2)) < high
     # Where the streaks are taken for short ones, the stars do not even fit one another (NaN).
-    assert not np.mean(joint_nees(5, exposure_s=0.2, believed_psf_px=100.0)) < high
+    assert not np.mean(joint_nees(5, exposure_s=0.2, configured_psf_px=100.0)) < high
 
 
-def joint_nees(seeds: int, exposure_s: float = 0.0, believed_psf_px: float | None = None) -> list[float]:
+def joint_nees(seeds: int, exposure_s: float = 0.0, configured_psf_px: float | None = None) -> list[float]:
     """Return NEES of one joint solution of each of many voyages."""
     scenario = dataclasses.replace(load_scenario(ROOT / "bags" / "scenarios" / "paper_stars.yaml"), duration_s=1.0)
     sensors = {id_: dataclasses.replace(s, exposure_s=exposure_s) for id_, s in scenario.star_sensors.items()}
     scenario = dataclasses.replace(scenario, star_sensors=sensors)
     values = star_attitude_configuration(scenario)
-    if believed_psf_px is not None:
+    if configured_psf_px is not None:
         for sensor in values["star_sensors"].values():
-            sensor["camera"]["psf_sigma_px"] = believed_psf_px
+            sensor["camera"]["psf_sigma_px"] = configured_psf_px
     config = build(StarAttitudeConfig, values)
     nees = []
     for seed in range(seeds):

@@ -100,8 +100,8 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
     environment = live_environment(domain, tmp_path)
     # At 20 times its speed the bag takes more than a core: the attitude is INVALID.
     with LiveProcess(suite("--bag", DEMO, "--rate", "8"), tmp_path / "suite.log", environment) as process:
-        assert process.wait(120) == 0, process.log()
-        log = process.log()
+        assert process.wait(120) == 0, process.log_text()
+        log = process.log_text()
     assert re.search(r"^\[ship_attitude\] .*attitude: VALID: INS and stars", log, re.MULTILINE), log
     assert re.search(r"^\[suite\] play ended after .*: exit code 0; the suite ends with it$", log, re.MULTILINE), log
     assert "suite.yaml: ship_attitude has no alignment_file" in log
@@ -125,10 +125,10 @@ def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         end_s = time.monotonic() + 60.0
         while not (told.exists() and told.read_text().count(",S*") > 50):
-            assert time.monotonic() < end_s, process.log()
+            assert time.monotonic() < end_s, process.log_text()
             time.sleep(0.1)
         process.end()
-        assert "nmea_in" not in process.log()
+        assert "nmea_in" not in process.log_text()
     lines = told.read_text().split()
     headings = [line for line in lines if line.startswith("$INHDT")]
     others = [line for line in lines if line not in headings]
@@ -147,8 +147,8 @@ def test_a_port_in_use_ends_nmea_out_and_not_the_suite(tmp_path, domain):
         path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + sink)
         command = suite(path, "--bag", DEMO, "--rate", "20")
         with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
-            assert process.wait(120) == 2, process.log()
-            log = process.log()
+            assert process.wait(120) == 2, process.log_text()
+            log = process.log_text()
     line = path.read_text().splitlines().index(sink.splitlines()[-1]) + 1
     told = rf"^\[nmea_out\] nmea_out: {path}:{line}: parameter 'sinks.bridge.port' = .* in use"
     assert re.search(told, log, re.MULTILINE), log
@@ -189,7 +189,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
             take = functools.partial(hear_frames, frames, name)
             observer.node.create_subscription(TFMessage, f"/{name}/{topic}", take, 100)
         there = {"/alpha/ship/attitude": 1, "/alpha/clock": 1, "/beta/theodolite/pointing": 1, "/beta/clock": 1}
-        assert observer.wait_for(there, {"/beta/ship/attitude": 1}, 60.0), alpha.log() + beta.log()
+        assert observer.wait_for(there, {"/beta/ship/attitude": 1}, 60.0), alpha.log_text() + beta.log_text()
         names = dict(observer.node.get_topic_names_and_types())
         assert not [name for name in names if not name.startswith(("/alpha/", "/beta/", "/rosout", "/parameter_events"))
                     and name != "/diagnostics"]  # fmt: skip
@@ -256,15 +256,15 @@ def killed_once(folder, environment):
         ]
         process = running.enter_context(LiveProcess(commands["suite"], folder / "suite.log", environment))
         wait_for(lambda: saved.exists() and has_reserve(process.pid, "ship_attitude"), process)
-        assert re.search(r"no alignment at", process.log())
+        assert re.search(r"no alignment at", process.log_text())
         os.kill(node_of(process.pid, "ship_attitude"), signal.SIGKILL)
         killed_ns = time.time_ns()
         # The successor has begun with what was saved, has used stars, and has saved what it learned.
-        wait_for(lambda: ", 0 min old" in process.log() and saved.stat().st_mtime_ns > killed_ns, process)
+        wait_for(lambda: ", 0 min old" in process.log_text() and saved.stat().st_mtime_ns > killed_ns, process)
         assert process.end(signal.SIGTERM) == 0
         for other in others:
-            assert other.end() == 0, other.log()
-        log = process.log()
+            assert other.end() == 0, other.log_text()
+        log = process.log_text()
     with read_bag(recorded) as bag:
         stamps = {ns_from_stamp(record.decode().header.stamp) for record in bag.records()}
     # A second of the bag is one of the clock on the wall.
@@ -277,15 +277,15 @@ def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
     command = suite("--bag", DEMO, "--loop", "0", "--frozen-report", "2", "--frozen-restart", "5")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         valid = "[ship_attitude]: attitude: VALID"
-        wait_for(lambda: valid in process.log() and has_reserve(process.pid, "ship_attitude"), process)
+        wait_for(lambda: valid in process.log_text() and has_reserve(process.pid, "ship_attitude"), process)
         time.sleep(2.0)  # the reserve's own heartbeat
         pids = processes_of(process.pid, "ship_attitude")
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
-        wait_for(lambda: process.log().count(valid) > 1, process)
+        wait_for(lambda: process.log_text().count(valid) > 1, process)
         assert not set(pids) & set(processes_of(process.pid, "ship_attitude"))
         assert process.end(signal.SIGTERM) == 0
-        log = process.log()
+        log = process.log_text()
     assert re.search(r"\[suite\] ship_attitude is frozen: no heartbeat for \d+ s", log)
     assert re.search(r"\[suite\] ship_attitude sent no heartbeat for \d+ s: killed", log)
     assert log.count("[suite] ship_attitude ended") == 1, log

@@ -284,10 +284,10 @@ def test_late_subscribers_receive_the_sensor_frames(tmp_path, monkeypatch):
     environment = live_environment(domain, tmp_path)
     with GraphObserver(domain) as observer, LiveProcess(command, tmp_path / "node.log", environment) as process:
         observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
-        assert observer.spin_until(lambda: heard, 60.0), process.log()
+        assert observer.spin_until(lambda: heard, 60.0), process.log_text()
         # The node publishes it again only after a minute: this subscriber receives the latched message.
         observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
-        assert observer.spin_until(lambda: len(heard) > 1), process.log()
+        assert observer.spin_until(lambda: len(heard) > 1), process.log_text()
         assert process.end() == 0
     assert {(t.header.frame_id, t.child_frame_id) for t in heard[1].transforms} == {
         ("deck", "star_fore"), ("deck", "star_starboard"),

@@ -247,9 +247,9 @@ def test_a_suite_is_played_recorded_and_replayed_under_the_names_of_the_ship(ren
         LiveProcess(recorder, tmp_path / "record.log", environment) as recording,
         LiveProcess(suite, tmp_path / "suite.log", environment) as running,
     ):
-        assert observer.spin_until(lambda: running.exit_code is not None, 120), running.log()
-        assert running.exit_code == 0, running.log()
-        assert recording.end() == 0, recording.log()
+        assert observer.spin_until(lambda: running.exit_code is not None, 120), running.log_text()
+        assert running.exit_code == 0, running.log_text()
+        assert recording.end() == 0, recording.log_text()
     with read_bag(recorded) as bag:
         assert {"/imu/data", "/truth/attitude"} <= bag.topics.keys()
         assert "/ins/imu" not in bag.topics

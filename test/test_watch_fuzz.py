@@ -68,7 +68,7 @@ def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None
                 assert sound or angle.safety is Safety.UNSAFE
     assert tried > 2000
     watch.take("ship/alerts", AlertArray(), voyage[-1][0])  # alerts are what outlives a fresh start
-    watch.start_anew()
+    watch.reset()
     fresh = Watch()
     for time_ns, topic, message in voyage:
         watch.take(topic, message, time_ns)

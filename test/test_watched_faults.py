@@ -106,7 +106,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
         if time_ns > start_ns + END_S[bag] * NS_PER_S:
             break
         while due_ns <= time_ns:
-            keeper.look(due_ns, due_ns)
+            keeper.update(due_ns, due_ns)
             named.note_picture(watch.look(due_ns), watch.history)
             for alert in keeper.alerts:
                 named.note("alerts", alert.source, due_ns)
@@ -169,8 +169,8 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
     try:
         deadline_s = time.monotonic() + 240.0
         while not (picture := suite.look(named)).utc_ns or named.seconds(picture.utc_ns) < END_S[bag]:
-            assert suite.process.exit_code is None, suite.process.log()
-            assert time.monotonic() < deadline_s, suite.process.log()
+            assert suite.process.exit_code is None, suite.process.log_text()
+            assert time.monotonic() < deadline_s, suite.process.log_text()
             alert = shown_alert(picture.alerts)
             if alert is not None and not alert.is_acknowledged and not acknowledged:
                 acknowledged = suite.watch.acknowledge(alert.id, alert.instance)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench_rows import WITH_INTEGRITY, Row, by_turns, own_cpu_s
-from ship_replay.campaign.items import items_of
+from ship_replay.campaign.items import campaign_items
 from ship_replay.campaign.one_item import make
 from ship_replay.campaign.processes import in_processes
 from ship_replay.trials.monte_carlo import final_error
@@ -36,7 +36,7 @@ def campaign_workers() -> list[Row]:
         scenario = Path(name) / "voyage.yaml"
         text = (SCENARIOS / "demo.yaml").read_text(encoding="utf-8")
         scenario.write_text(text.replace("duration_s: 120.0", "duration_s: 10.0"), encoding="utf-8")
-        items = items_of([scenario], [], range(6))
+        items = campaign_items([scenario], [], range(6))
         _wall_s(items[:1], 1)  # starts the fork server
         by_one_s, by_two_s = by_turns(ROUNDS, lambda: _wall_s(items, 1), lambda: _wall_s(items, 2))
     one_s, two_s = min(by_one_s), min(by_two_s)

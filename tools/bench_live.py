@@ -180,7 +180,7 @@ class _RoundTrips:
         deadline_s = time.monotonic() + _START_S
         while not (self._publisher.get_subscription_count() and ends.node.count_publishers(back)):
             if process.exit_code is not None or time.monotonic() > deadline_s:
-                raise LiveFailure(f"{there}: no subscriber; the log of the program:\n{process.log()}")
+                raise LiveFailure(f"{there}: no subscriber; the log of the program:\n{process.log_text()}")
             time.sleep(_LOOK_S)
 
     def run(self, rate_hz: float, duration_s: float) -> Passage:

@@ -127,9 +127,9 @@ def _monitor(run: LiveRun, folder: Path) -> Iterator[LiveProcess]:
     command = [*executable("ship_monitor", "monitor"), "--port", str(_PAGE_PORT)]
     with LiveProcess(command, folder / "monitor.log", run.environment) as monitor:
         deadline_s = time.monotonic() + _START_S
-        while "http://" not in monitor.log():
+        while "http://" not in monitor.log_text():
             if monitor.exit_code is not None or time.monotonic() > deadline_s:
-                raise LiveFailure(f"the monitor did not start; its log:\n{monitor.log()}")
+                raise LiveFailure(f"the monitor did not start; its log:\n{monitor.log_text()}")
             time.sleep(0.1)
         yield monitor
 

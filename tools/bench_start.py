@@ -105,7 +105,7 @@ def _started(
     with LiveProcess(command, log, environment) as process:
         while not observer.node.count_subscribers(topic):
             if process.exit_code is not None or time.monotonic() > begin_s + _START_S:
-                raise LiveFailure(f"{command[1]} did not start; its log:\n{process.log()}")
+                raise LiveFailure(f"{command[1]} did not start; its log:\n{process.log_text()}")
             time.sleep(_LOOK_S)
         taken_s = time.monotonic() - begin_s, process_cpu_s(process.pid)
     while observer.node.count_subscribers(topic):

@@ -81,8 +81,8 @@ def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
             run.play(rate, plan.watch)
             plan.finish()
             if run.node.end() != 0:
-                raise LiveFailure(run.node.log())
-            boxes.append(_box_path(run.node.log()))
+                raise LiveFailure(run.node.log_text())
+            boxes.append(_box_path(run.node.log_text()))
     return boxes
 
 

@@ -105,11 +105,11 @@ def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray,
     with GraphObserver(domain_id) as observer, LiveProcess(node_command, folder / "node.log", environment) as node:
         there = {"/ship/attitude": 1}
         if not observer.wait_for(there, timeout_s=_START_S, unless=lambda: node.exit_code is not None):
-            raise LiveFailure(f"the node does not start:\n{node.log()}")
+            raise LiveFailure(f"the node does not start:\n{node.log_text()}")
         with LiveProcess(play_command, folder / "play.log", environment) as player:
             samples, told_ns = _watched(node, player, observer, rate)
         if player.exit_code != 0:
-            raise LiveFailure(f"play ended with exit code {player.exit_code}:\n{player.log()}")
+            raise LiveFailure(f"play ended with exit code {player.exit_code}:\n{player.log_text()}")
     missed_s = scenario.duration_s - (told_ns - start_of(scenario.start_utc)) / NS_PER_S
     if missed_s > _MOST_MISSED_S:
         raise LiveFailure(f"the node published its last alignment {missed_s:.0f} s before the voyage's end")
@@ -130,7 +130,7 @@ def _watched(
     begin_s = time.monotonic()
     while player.exit_code is None:
         if node.exit_code is not None:
-            raise LiveFailure(f"the node ended with exit code {node.exit_code}:\n{node.log()}")
+            raise LiveFailure(f"the node ended with exit code {node.exit_code}:\n{node.log_text()}")
         samples.append((rate * (time.monotonic() - begin_s) / 3600.0, _resident_mb(node.pid)))
         observer.spin_until(lambda: False, _LOOK_S)
     return samples, told_ns

@@ -89,10 +89,10 @@ class LossyLink:
 
     def __enter__(self) -> "LossyLink":
         deadline_s = time.monotonic() + _START_S
-        while "ready" not in self._relay.log():
+        while "ready" not in self._relay.log_text():
             if self._relay.exit_code is not None or time.monotonic() > deadline_s:
                 self._running.close()
-                raise OSError(f"no link: {self._relay.log()}")
+                raise OSError(f"no link: {self._relay.log_text()}")
             time.sleep(0.02)
         return self
 

@@ -9,7 +9,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC
-from ship_replay.ins_noise.session import NoiseSession, PairsHeard, session_config, session_of
+from ship_replay.ins_noise.session import NoiseSession, PairsHeard, session_config, noise_session
 from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
@@ -68,7 +68,7 @@ def noise_session(of: Scenario, seed: int, told: dict[str, Any] | None = None, w
     source: Any = _WithFixes(run) if with_fixes else run
     for outcome in attitude_outcomes(core, source, set()):
         heard.take(core, outcome.decisions)
-    return session_of("voyage", config, core, heard, [])
+    return noise_session("voyage", config, core, heard, [])
 
 
 class GaussMarkovProcess(NamedTuple):

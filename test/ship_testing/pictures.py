@@ -43,7 +43,7 @@ def angle(name: str, **changes: Any) -> AngleShown:
         name=name,
         value=float(np.deg2rad(_VALUES_DEG[name])),
         accuracy_95=_ACCURACIES[name] * ARCSEC,
-        limit=LIMITS.of_angle(name),
+        limit=LIMITS.angle_limit(name),
         protection_level=math.nan,
         safety=Safety.SAFE,
         reason="",
@@ -62,7 +62,7 @@ def lost(name: str, because_of: str = "") -> AngleShown:
 
 def over(name: str, because_of: str = "", share: float = 1.5) -> AngleShown:
     """Return an angle above its limit, by this share."""
-    limit = LIMITS.of_angle(name)
+    limit = LIMITS.angle_limit(name)
     changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_s": 7.0}
     return angle(name, because_of=because_of, **changes)
 

@@ -61,7 +61,7 @@ def exposure_of(
 ) -> StarExposure:
     """Return the brightest stars in a sensor's field, with noise if ``rng`` is given."""
     catalogue = watch.catalogue
-    rows = catalogue.brighter_than(MAGNITUDE_LIMIT)
+    rows = catalogue.rows_brighter_than(MAGNITUDE_LIMIT)
     apparent = watch.at(time_ns).apparent(catalogue.at_j2000[rows])
     angles = SENSORS[id_]
     rotation_ns = ROTATION_ND @ rotation_from_angles(*np.deg2rad([angles["azimuth_deg"], angles["elevation_deg"], 0.0]))

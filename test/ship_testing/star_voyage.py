@@ -114,7 +114,7 @@ def true_directions(rows: FloatArray, since_ns: int) -> FloatArray:
 
 @functools.cache
 def _bright_rows() -> FloatArray:
-    return hipparcos().brighter_than(5.0)
+    return hipparcos().rows_brighter_than(5.0)
 
 
 def seen(topic: str, since_ns: int, count: int = STARS) -> tuple[FloatArray, FloatArray]:

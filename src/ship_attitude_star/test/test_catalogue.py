@@ -56,10 +56,10 @@ def test_unknown_stars_have_a_reason():
     # HIP 421 is the first number missing in hip2.dat.
     found = catalogue.rows(np.array([[92_420, 0], [421, 120_405]], dtype=np.uint32))
     assert (found == UNKNOWN).tolist() == [[False, True], [True, True]]
-    assert catalogue.reason_against(4_294_967_295) == (
+    assert catalogue.missing_star_reason(4_294_967_295) == (
         "HIP 4294967295 is not in Hipparcos-2 (117955 stars, HIP 1 to 120404)"
     )
-    assert catalogue.reason_against(92_420) is None
+    assert catalogue.missing_star_reason(92_420) is None
 
 
 def test_lookup_finds_each_star_in_its_row():
@@ -69,7 +69,7 @@ def test_lookup_finds_each_star_in_its_row():
 
 def test_bright_stars():
     catalogue = hipparcos()
-    bright = catalogue.brighter_than(1.0)
+    bright = catalogue.rows_brighter_than(1.0)
     assert np.all(catalogue.magnitude[bright] <= 1.0)
     # Sirius, Canopus, Rigil Kentaurus, Arcturus, Vega, Capella, Rigel.
     assert {32_349, 30_438, 71_683, 69_673, 91_262, 24_608, 24_436} <= set(catalogue.hip[bright].tolist())

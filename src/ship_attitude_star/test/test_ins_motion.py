@@ -53,13 +53,13 @@ def exposure_at(time_ns: int) -> StarExposure:
 
 def turn_of(some: InsMotion, to_ms: int, from_ms: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the rotation from one time to another, and its covariance."""
-    turns = some.turns(START_NS + to_ms * MS, [exposure_at(START_NS + from_ms * MS)])
+    turns = some.deck_turns(START_NS + to_ms * MS, [exposure_at(START_NS + from_ms * MS)])
     return turns.rotations[0], turns.covariance_d[0, :, 0]
 
 
 def test_deck_attitude_and_covariance_are_those_of_the_ins() -> None:
     config = StarInsConfig(tilt_sigma_arcsec=10.0, heading_sigma_arcsec=72.0, time_offset_sigma_s=0.0)
-    prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
+    prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck_prior(START_NS + 80 * MS)
     np.testing.assert_allclose(prior.rotation_nb, attitude(0.08, HEADING_DEG), atol=1e-12)
     sigma = np.sqrt(np.diagonal(prior.covariance_n)) / ARCSEC
     # North, Up, East, with a white arcsecond.
@@ -68,7 +68,7 @@ def test_deck_attitude_and_covariance_are_those_of_the_ins() -> None:
 
 def test_the_effect_of_a_time_offset_is_proportional_to_the_rate() -> None:
     config = StarInsConfig(tilt_sigma_arcsec=0.0, heading_sigma_arcsec=0.0, white_sigma_arcsec=0.0)
-    prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
+    prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck_prior(START_NS + 80 * MS)
     rate_n = attitude(0.08, HEADING_DEG) @ rate_d(0.08)
     along_n = rate_n / np.linalg.norm(rate_n)
     expected = 0.005 * np.linalg.norm(rate_n)
@@ -78,7 +78,7 @@ def test_the_effect_of_a_time_offset_is_proportional_to_the_rate() -> None:
 
 def test_samples_are_taken_at_their_stamp_plus_the_offset() -> None:
     config = StarInsConfig(time_offset_s=0.02)
-    prior = motion(config, *(sample(t, offset_s=0.02) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
+    prior = motion(config, *(sample(t, offset_s=0.02) for t in range(0, 200, 40))).deck_prior(START_NS + 80 * MS)
     # Half way between two samples: the cubic between them is good to a tenth of an arcsecond.
     assert np.linalg.norm(log_rotation(prior.rotation_nb @ attitude(0.08, HEADING_DEG).T)) < 0.1 * ARCSEC
 
@@ -151,7 +151,7 @@ def test_rotations_over_short_times_have_only_the_noise_not_shared(
             some.track.insert(replace(one, rotation_nd=noise @ one.rotation_nd))
         start_ms = rng.uniform(4.0, 5.0) * period_ms
         to_ns, *from_ns = (START_NS + round((start_ms + k * periods * period_ms) * MS) for k in range(3))
-        turns = some.turns(to_ns, [exposure_at(time_ns) for time_ns in from_ns])
+        turns = some.deck_turns(to_ns, [exposure_at(time_ns) for time_ns in from_ns])
         to_nd, *from_nd = (attitude(1e-9 * (t - START_NS), HEADING_DEG) for t in (to_ns, *from_ns))
         errors = [log_rotation(to_nd.T @ one @ turn.T) for one, turn in zip(from_nd, turns.rotations, strict=True)]
         if periods == 0.0:
@@ -173,7 +173,7 @@ def test_streaks_of_two_sensors_at_one_time_share_the_noise_of_their_correction(
     streak = replace(exposure_at(START_NS + 1013 * MS), length=ExposureLength(0.2, camera, 0.8))
     middle = some.at_middle(streak, MountingConfig(azimuth_deg=0.0, elevation_deg=45.0))
     assert middle.noise_variance > (0.3 * ARCSEC) ** 2
-    covariance_d = some.turns(streak.time_ns, [middle.exposure, middle.exposure]).covariance_d
+    covariance_d = some.deck_turns(streak.time_ns, [middle.exposure, middle.exposure]).covariance_d
     for one, other in itertools.product(range(2), range(2)):
         np.testing.assert_allclose(covariance_d[one, :, other], middle.noise_variance * np.eye(3), rtol=1e-12)
 
@@ -187,9 +187,9 @@ def test_no_rotation_needs_no_ins() -> None:
 
 def test_without_ins_samples_nothing_is_known() -> None:
     some = motion(StarInsConfig(), *(sample(t) for t in range(0, 200, 40)))
-    assert some.deck(START_NS + 200 * MS) is None
+    assert some.deck_prior(START_NS + 200 * MS) is None
     assert not some.tells_turn(START_NS, START_NS + 200 * MS)
-    assert motion(StarInsConfig()).deck(START_NS) is None
+    assert motion(StarInsConfig()).deck_prior(START_NS) is None
 
 
 def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
@@ -207,27 +207,27 @@ def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
         some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
         refusals = [some.add(s) for s in (sample(0), pair[0], pair[1], sample(80))]
         assert [None if r is None else r.reason for r in refusals] == [None, None, Reason.CONFLICT, None]
-        assert some.deck(START_NS + 40 * MS) is None
+        assert some.deck_prior(START_NS + 40 * MS) is None
         assert not some.awaited(START_NS + 100 * MS)
         for ms in later_ms:
             assert some.add(sample(ms)) is None
-        assert some.deck(START_NS + 10_035 * MS) is None
-        decks.append(some.deck(START_NS + 10_050 * MS).rotation_nb)
+        assert some.deck_prior(START_NS + 10_035 * MS) is None
+        decks.append(some.deck_prior(START_NS + 10_050 * MS).rotation_nb)
     np.testing.assert_array_equal(decks[0], decks[1])
     assert motion(StarInsConfig(), one).add(one).reason is Reason.DUPLICATE
 
 
 def test_a_late_sample_takes_its_place() -> None:
     some = motion(StarInsConfig(), sample(0), sample(80), sample(40))
-    np.testing.assert_array_equal(some.deck(START_NS + 40 * MS).rotation_nb, sample(40).rotation_nd)
+    np.testing.assert_array_equal(some.deck_prior(START_NS + 40 * MS).rotation_nb, sample(40).rotation_nd)
 
 
 def test_dropped_data_are_not_needed() -> None:
     some = motion(StarInsConfig(), *(sample(t) for t in range(0, 2000, 40)))
-    before = some.deck(START_NS + 500 * MS)
+    before = some.deck_prior(START_NS + 500 * MS)
     some.drop_before(START_NS + 500 * MS)
-    np.testing.assert_array_equal(some.deck(START_NS + 500 * MS).rotation_nb, before.rotation_nb)
-    assert some.deck(START_NS + 100 * MS) is None
+    np.testing.assert_array_equal(some.deck_prior(START_NS + 500 * MS).rotation_nb, before.rotation_nb)
+    assert some.deck_prior(START_NS + 100 * MS) is None
 
 
 def jumped_motion(size_rad: float) -> InsMotion:
@@ -243,11 +243,11 @@ def jumped_motion(size_rad: float) -> InsMotion:
 
 def test_after_a_jump_the_covariance_holds_it_and_no_rotation_spans_it() -> None:
     some = jumped_motion(0.01)
-    before, after = (some.deck(START_NS + time_ms * MS) for time_ms in (700, 1500))
+    before, after = (some.deck_prior(START_NS + time_ms * MS) for time_ms in (700, 1500))
     sigma_up = [np.sqrt(prior.covariance_n[1, 1]) for prior in (before, after)]
     assert sigma_up[0] < 0.001
     assert sigma_up[1] == pytest.approx(0.01, rel=0.02)
-    assert some.deck(START_NS + 900 * MS) is None
+    assert some.deck_prior(START_NS + 900 * MS) is None
     assert not some.tells_turn(START_NS + 700 * MS, START_NS + 1500 * MS)
     assert some.tells_turn(START_NS + 1400 * MS, START_NS + 1500 * MS)
 

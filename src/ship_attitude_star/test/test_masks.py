@@ -62,6 +62,6 @@ def test_a_field_stays_over_the_horizon_as_the_ship_moves() -> None:
         for pitch in np.linspace(-4.0, 4.0, 9)
         for roll in np.linspace(-10.0, 14.0, 13)
     )
-    over = Obstructions.from_config(config).over_horizon(0, np.deg2rad([[50.0, 40.0, 20.0]]))
+    over = Obstructions.from_config(config).horizon_margin(0, np.deg2rad([[50.0, 40.0, 20.0]]))
     assert np.rad2deg(over[0]) == pytest.approx(lowest - 3.0, abs=0.02)
     assert 10.0 < lowest < 25.0

@@ -70,7 +70,7 @@ def test_the_mean_number_of_stars_is_that_of_the_whole_sky() -> None:
     """All stars to 6.0 times the field's share of the sphere; Liebe's 6.57 exp(1.08 m) is for V, a tenth off Hp."""
     optics = Optics(**OPTICS)
     found = over_sky(optics)
-    count = len(hipparcos().brighter_than(6.0))
+    count = len(hipparcos().rows_brighter_than(6.0))
     assert count == pytest.approx(6.57 * np.exp(1.08 * 6.0), rel=0.1)
     half = np.arctan(optics.half_field())
     share = np.arcsin(np.sin(half[0]) * np.sin(half[1])) / np.pi

@@ -13,7 +13,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import Doubt
 from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_estimation.exclusion import Exclusion
-from ship_estimation.hypotheses import covariances
+from ship_estimation.hypotheses import filter_covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
@@ -101,8 +101,8 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     assert not after.stays  # the effect of earlier stars is gone
     for row in range(rows):
         parts = np.zeros_like(initial.parts)
-        parts[0] = covariances(stack, rows)[row]
+        parts[0] = filter_covariances(stack, rows)[row]
         one = replace(together, means=means[row : row + 1], stack=parts)
         alone = FILTER.opened(FILTER.predicted(one, 31_000_000_000), jump)
         assert after.means[row].tobytes() == alone.mean.tobytes()
-        np.testing.assert_allclose(covariances(after.stack, rows)[row], alone.covariance, rtol=1e-12, atol=1e-20)
+        np.testing.assert_allclose(filter_covariances(after.stack, rows)[row], alone.covariance, rtol=1e-12, atol=1e-20)

@@ -30,7 +30,7 @@ def moment(*args, **kwargs) -> SkyMoment:
 def stars():
     """Stars brighter than 3 mag and above 20°: lower, refraction varies too much."""
     watch = told()
-    rows = watch.catalogue.brighter_than(3.0)
+    rows = watch.catalogue.rows_brighter_than(3.0)
     elevation = watch.at(TIME_NS).apparent(watch.catalogue.at_j2000[rows]).elevation
     return watch.catalogue.at_j2000[rows[elevation > np.deg2rad(20.0)]]
 

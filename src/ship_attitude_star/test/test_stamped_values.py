@@ -10,7 +10,7 @@ from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
 from ship_estimation.refusals import Reason
 
 SECOND_NS = 1_000_000_000
-LIMITS = JumpLimits(at_once=10.0, per_s=2.0, lasts_s=60.0, unit="m")
+LIMITS = JumpLimits(at_once=10.0, per_s=2.0, confirmation_s=60.0, unit="m")
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ def told(*stamped: tuple[float, float], sigma: float = 0.0) -> tuple[StampedValu
     return values, refused
 
 
-def believed(values: StampedValues[Reading]) -> list[tuple[int, float, bool]]:
-    return [(t, v.value, a) for t, v, a in zip(values.times, values.values, values.anew, strict=True)]
+def accepted_values(values: StampedValues[Reading]) -> list[tuple[int, float, bool]]:
+    return [(t, v.value, a) for t, v, a in zip(values.times, values.values, values.follows_jump, strict=True)]
 
 
 STEADY = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 1e-9), (4.0, 0.0)]
@@ -58,7 +58,7 @@ def test_a_value_within_its_limit_is_accepted() -> None:
 def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
     values, refused = told(*STEADY, (5.0, 100.0), (6.0, 101.0))
     assert refused == [5.0, 6.0]
-    assert believed(values)[-1] == (ns(4), 0.0, False)
+    assert accepted_values(values)[-1] == (ns(4), 0.0, False)
     refusal = values.refusal(ns(7), Reading(102.0))
     assert refusal.reason is Reason.JUMP
     assert refusal.text == (
@@ -87,7 +87,7 @@ def test_values_consistent_with_a_jump_have_no_time_dependent_limit() -> None:
 def test_a_jump_is_accepted_after_the_confirmation_time() -> None:
     values, refused = told(*STEADY, *((float(t), 500.0) for t in range(5, 68)))
     assert refused == [float(t) for t in range(5, 65)]
-    assert believed(values)[4:7] == [(ns(4), 0.0, False), (ns(65), 500.0, True), (ns(66), 500.0, False)]
+    assert accepted_values(values)[4:7] == [(ns(4), 0.0, False), (ns(65), 500.0, True), (ns(66), 500.0, False)]
 
 
 def test_inconsistent_values_are_never_accepted() -> None:
@@ -98,7 +98,7 @@ def test_inconsistent_values_are_never_accepted() -> None:
 def test_two_values_that_contradict_a_first_one_are_accepted() -> None:
     values, refused = told((0.0, 500.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0))
     assert refused == [1.0]
-    assert believed(values) == [(0, 500.0, False), (ns(2), 1.0, True), (ns(3), 2.0, False)]
+    assert accepted_values(values) == [(0, 500.0, False), (ns(2), 1.0, True), (ns(3), 2.0, False)]
     # A first value that another one confirms is established.
     assert told((0.0, 500.0), (1.0, 500.0), (2.0, 0.0), (3.0, 1.0))[1] == [2.0, 3.0]
 
@@ -134,7 +134,7 @@ def test_a_good_source_is_not_rejected() -> None:
     assert refused == 0
 
 
-BRIEF = JumpLimits(at_once=10.0, per_s=2.0, lasts_s=8.0, unit="m")
+BRIEF = JumpLimits(at_once=10.0, per_s=2.0, confirmation_s=8.0, unit="m")
 
 
 def drawn(rng: np.random.Generator) -> list[tuple[int, Reading]]:
@@ -158,24 +158,24 @@ def put(stamped: list[tuple[int, Reading]], order: Iterable[int]) -> StampedValu
 def test_the_drawn_values_have_rejected_and_accepted_jumps() -> None:
     runs = [put(stamped, range(len(stamped))) for stamped in map(drawn, map(np.random.default_rng, range(40)))]
     assert sum(len(values.times) < 35 for values in runs) > 20
-    assert sum(any(values.anew) for values in runs) > 10
+    assert sum(any(values.follows_jump) for values in runs) > 10
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_any_order_of_arrival_gives_the_same_values(seed: int) -> None:
     rng = np.random.default_rng(seed)
     stamped = sorted(drawn(rng), key=lambda one: one[0])
-    expected = believed(put(stamped, range(len(stamped))))
-    assert believed(put(stamped, rng.permutation(len(stamped)))) == expected
+    expected = accepted_values(put(stamped, range(len(stamped))))
+    assert accepted_values(put(stamped, rng.permutation(len(stamped)))) == expected
     # Up to 10 s late; older values are dropped.
     late, newest_ns, forgotten = StampedValues[Reading](BRIEF), 0, []
     for index in np.argsort([time_ns + rng.uniform(0.0, ns(10)) for time_ns, _ in stamped]):
         late.insert(*stamped[index])
         newest_ns = max(newest_ns, stamped[index][0])
-        before = believed(late)
+        before = accepted_values(late)
         late.drop_before(newest_ns - ns(10), keep=2)
         forgotten += before[: len(before) - len(late.times)]
-    assert forgotten + believed(late) == expected
+    assert forgotten + accepted_values(late) == expected
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -183,9 +183,9 @@ def test_accepted_values_before_the_returned_stamp_are_unchanged(seed: int) -> N
     rng = np.random.default_rng(seed)
     stamped, values = drawn(rng), StampedValues[Reading](BRIEF)
     for index in rng.permutation(len(stamped)):
-        before = believed(values)
+        before = accepted_values(values)
         changed_ns = values.insert(*stamped[index])
-        after = believed(values)
+        after = accepted_values(values)
         if changed_ns is None:
             assert after == before
         else:
@@ -207,7 +207,7 @@ def test_a_long_jump_takes_limited_memory_and_older_values_are_late() -> None:
     assert values.refusal(ns(1002), Reading(0.0)) is None
 
 
-SETTLES = JumpLimits(at_once=10.0, per_s=2.0, lasts_s=60.0, unit="m", settled_by=4)
+SETTLES = JumpLimits(at_once=10.0, per_s=2.0, confirmation_s=60.0, unit="m", settled_by=4)
 
 
 def settling(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
@@ -277,5 +277,5 @@ def test_any_order_of_arrival_gives_the_same_conflicts(seed: int) -> None:
         changed = [t for t, was in zip(moments, before, strict=True) if shuffled.has_conflict_at(t) != was]
         since_ns = shuffled.conflict_changed_ns
         assert not changed or (since_ns is not None and since_ns <= changed[0])
-    assert believed(shuffled) == believed(in_order)
+    assert accepted_values(shuffled) == accepted_values(in_order)
     assert [shuffled.has_conflict_at(t) for t in moments] == [in_order.has_conflict_at(t) for t in moments]

@@ -23,7 +23,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.suspects import Suspects
-from ship_estimation.hypotheses import covariances
+from ship_estimation.hypotheses import filter_covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError, build
@@ -606,7 +606,7 @@ def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
     ins = core.filter.model.slices["ins.attitude"]
     row = core.filter.fault_detector.subfilters.names.index("star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
-    covariance = covariances(core.state.stack, len(core.state.means))[row]
+    covariance = filter_covariances(core.state.stack, len(core.state.means))[row]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
 
 
@@ -706,7 +706,7 @@ def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
     ins = core.filter.model.slices["ins.attitude"]
     row = core.filter.fault_detector.subfilters.names.index("star.aft+star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
-    covariance = covariances(core.state.stack, len(core.state.means))[row]
+    covariance = filter_covariances(core.state.stack, len(core.state.means))[row]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
 
 

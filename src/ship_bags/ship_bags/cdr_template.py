@@ -274,7 +274,7 @@ class _Walk:
         return lambda data: SimpleNamespace(**{field: read(data) for field, read in readers})
 
     def _number(self, code: str, name: str) -> _Reader:
-        offset = self._place(code, name, 1)
+        offset = self._add_numbers(code, name, 1)
         unpack = struct.Struct("<" + code).unpack_from
         return lambda data: unpack(data, offset)[0]
 
@@ -282,10 +282,10 @@ class _Walk:
         if count == 0:
             # An empty sequence has no alignment.
             return lambda _data: np.empty(0, dtype="<" + code)
-        offset, dtype = self._place(code, name, count), np.dtype("<" + code)
+        offset, dtype = self._add_numbers(code, name, count), np.dtype("<" + code)
         return lambda data: np.frombuffer(data, dtype, count, offset)
 
-    def _place(self, code: str, name: str, count: int) -> int:
+    def _add_numbers(self, code: str, name: str, count: int) -> int:
         """Add contiguous numbers; return their offset."""
         size = struct.calcsize("<" + code)
         self._skip_to(self._aligned(size))

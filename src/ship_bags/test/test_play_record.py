@@ -49,15 +49,15 @@ class Live:
 
     def start_recorder(self, path, *options):
         recorder = self.start(*RECORD, "--out", str(path), *options)
-        assert self.observer.spin_until(lambda: "recording to" in recorder.log())
+        assert self.observer.spin_until(lambda: "recording to" in recorder.log_text())
         return recorder
 
     def play(self, path, *options):
         """Play to the end; return the printed text."""
         player = self.start(*PLAY, str(path), *options)
-        assert self.observer.spin_until(lambda: player.exit_code is not None, 60), player.log()
-        assert player.exit_code == 0, player.log()
-        return player.log()
+        assert self.observer.spin_until(lambda: player.exit_code is not None, 60), player.log_text()
+        assert player.exit_code == 0, player.log_text()
+        return player.log_text()
 
     def close(self):
         for process in self._processes:

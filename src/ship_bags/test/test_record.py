@@ -85,7 +85,7 @@ class Recording:
     def connect(self):
         assert self.graph.spin_until(
             lambda: self.publisher.get_subscription_count() > 0 or self.process.exit_code is not None, 60
-        ), self.process.log()
+        ), self.process.log_text()
 
     def send(self, count):
         for _ in range(count):
@@ -174,10 +174,10 @@ class TestLive:
 
             # The first sample on the disk has waited for the first clock; the file itself grows before.
             at_clock(1000, lambda: samples_on_disk(path) > 0)
-            at_clock(400, lambda: "stepped by" in recording.process.log())
+            at_clock(400, lambda: "stepped by" in recording.process.log_text())
             recording.send(20)
             assert recording.process.end() == 0
-            said = recording.process.log()
+            said = recording.process.log_text()
         assert said.count("stepped by") == 1
         assert "/clock stepped by -600.000 s to 1970-01-01T00:06:40.000Z; recording goes on" in said
         with read_bag(path) as bag:
@@ -237,7 +237,7 @@ class TestLive:
                     lambda: recording.send(50) or recording.process.exit_code is not None, timeout_s=60
                 )
                 assert recording.process.exit_code == 2
-                last = recording.process.log().splitlines()[-1]
+                last = recording.process.log_text().splitlines()[-1]
             assert last.startswith(f"record: {path}: recording failed: No space left on device; ")
             assert "use record --recover to finish it" in last
             assert list(path.parent.rglob("*.part")) == []
@@ -254,7 +254,7 @@ class TestLive:
             path = tmp_path / "disk" / out
             with Recording(tmp_path, "--out", str(path)) as recording:
                 assert recording.process.wait(30) == 2
-            (line,) = recording.process.log().splitlines()
+            (line,) = recording.process.log_text().splitlines()
             assert line.startswith(f"record: {path}: cannot be ")
             assert line.endswith("Read-only file system")
 

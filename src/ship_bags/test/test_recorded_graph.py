@@ -55,13 +55,13 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
         # In the graph with its services, but without answers.
         mute = rclpy.create_node("mute", context=observer.node.context)
         there = observer.wait_for({"/aurora/ship/attitude": 1}, {"/aurora/ship/attitude": 1, "/aurora/ins/imu": 1})
-        assert there, running.log() + recording.log()
+        assert there, running.log_text() + recording.log_text()
         with LiveProcess(player, tmp_path / "play.log", environment) as playing:
-            assert observer.spin_until(lambda: playing.exit_code is not None, 30), playing.log()
-        assert recording.end() == 0, recording.log()
-        assert "record: /mute did not report its parameters" in recording.log()
-        assert "ship_attitude did not say" not in recording.log()
-        assert running.exit_code is None, running.log()
+            assert observer.spin_until(lambda: playing.exit_code is not None, 30), playing.log_text()
+        assert recording.end() == 0, recording.log_text()
+        assert "record: /mute did not report its parameters" in recording.log_text()
+        assert "ship_attitude did not say" not in recording.log_text()
+        assert running.exit_code is None, running.log_text()
         mute.destroy_node()
     with read_bag(out) as recorded:
         text = recorded.attachments["suite.yaml"].decode()

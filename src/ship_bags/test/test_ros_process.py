@@ -17,7 +17,7 @@ from ship_bags.live.dds import (
     dds_has_security,
     is_demanded,
     loaded_libraries,
-    spelled_demand,
+    security_environment,
     use_dds_profile,
 )
 from ship_testing.places import RELAY_PROGRAM
@@ -57,16 +57,16 @@ def test_any_other_spelling_requests_security(spelling: str, strategy: str) -> N
     demand = {ENABLE: spelling, STRATEGY: strategy}
     assert is_demanded(demand)
     with pytest.raises(BadInput, match=r"requests DDS security, and the DDS of this installation was built without it"):
-        spelled_demand(demand, has_security=False)
+        security_environment(demand, has_security=False)
     enforced = strategy in ("Enforce", "enforce")
     # ROS takes only these spellings for a demand.
     spelled = {ENABLE: "true", STRATEGY: "Enforce"} if enforced else {ENABLE: "true"}
-    assert spelled_demand(demand, has_security=True) == spelled
+    assert security_environment(demand, has_security=True) == spelled
     if enforced:
-        assert spelled_demand(demand, has_security=None) == spelled
+        assert security_environment(demand, has_security=None) == spelled
     else:
         with pytest.raises(BadInput, match=r"this DDS has it: set ROS_SECURITY_STRATEGY=Enforce"):
-            spelled_demand(demand, has_security=None)
+            security_environment(demand, has_security=None)
 
 
 @pytest.mark.parametrize(("spelling", "strategy"), [("true", "Permissive"), ("1", "Enforce"), ("true", "Enforce")])

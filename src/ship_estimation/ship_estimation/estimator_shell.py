@@ -349,7 +349,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.state = state
         self._jumped = False
         self.window = LagWindow(self._lag_s)
-        self.contradictions.forget()
+        self.contradictions.reset()
         self._overtaking: dict[str, _Allowance] = {}
         self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
         if clock_jumped:

@@ -165,7 +165,7 @@ class ExcessNoise:
             return self._use(found._replace(first_ns=newest_ns), self._fastest2)
         return self._end(found, newest_ns)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Drop all measurements: the rates have changed, or are not measured."""
         self._sums.clear()
         self._collected.clear()
@@ -291,7 +291,7 @@ class ExcessNoise:
     def _end(self, found: MeasuredNoise, time_ns: int) -> ExtraNoise:
         """Return an excess of zero from a stamp on; the time of its end is known to a second or two."""
         self.found = None
-        self.forget()
+        self.reset()
         return ExtraNoise(time_ns, 0.0, 0.0, _DELAY_SIGMAS * math.sqrt(found.jitter_s2))
 
 

@@ -187,7 +187,7 @@ def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> i
     return farthest if clear else None
 
 
-def judge_return(
+def evaluate_reinstatement(
     exclusion: Exclusion,
     means: InnovationMeans,
     source: int,

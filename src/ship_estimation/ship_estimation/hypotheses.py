@@ -45,7 +45,7 @@ class FilterInnovations(NamedTuple):
     whitening_root: FloatArray
 
 
-def covariances(stack: FloatArray, filter_count: int) -> FloatArray:
+def filter_covariances(stack: FloatArray, filter_count: int) -> FloatArray:
     """Return the covariance of each of h filters, shape (h, n, n), from their stack.
 
     Example:
@@ -141,7 +141,7 @@ def promoted(stack: FloatArray, filter_count: int, subfilter: int) -> FloatArray
         >>> print(promoted(stack, 2, row=1).ravel())
         [2. 6. 8.]
     """
-    both = covariances(stack, filter_count)[[0, subfilter]]
+    both = filter_covariances(stack, filter_count)[[0, subfilter]]
     sigma = np.sqrt(np.diagonal(both[0]))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     values, vectors = np.linalg.eigh(both / (scale[:, None] * scale))

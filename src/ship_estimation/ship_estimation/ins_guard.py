@@ -367,7 +367,7 @@ class InsGuard:
             # The rates were found to be wrong; only other sources can confirm the attitudes.
             jumps, self._unresolved_jump = (self._unresolved_jump,), None
         elif jumped:
-            jumps = (self._believed(match),)
+            jumps = (self._accepted_jump(match),)
         if not jumps and match.fits:
             jumps = self._kept(seen)
             refusal = _stepped(jumps)
@@ -386,7 +386,7 @@ class InsGuard:
             refusal = self._units_refusal()
         return JudgedIns(seen.sample, refusal, jumps, wrong_after_ns)
 
-    def _believed(self, match: Match) -> InsJump:
+    def _accepted_jump(self, match: Match) -> InsJump:
         """Return the jump that is accepted after samples that were rejected for it."""
         first, clock_s = self._jumps_with, math.nan
         if first is not None and first.rate_d is not None and self._rates.rates is Rates.MEASURED:
@@ -409,8 +409,8 @@ class InsGuard:
         if noise is None:
             return judged
         self._set_sigma()
-        self._steps.forget()
-        self._leads.by_rates.forget()
+        self._steps.reset_statistics()
+        self._leads.by_rates.reset()
         return judged._replace(noise=noise)
 
     def _crept_since(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
@@ -455,10 +455,10 @@ class InsGuard:
             sample.time_ns, seen.number, sample.rotation_nd, integrated, self.noise_rad, rate_noise_rad
         )
         if wrong_after_ns is not None:
-            self._leads.by_rates.forget()
-            self._steps.forget()
-            self._slopes.forget()
-            self._excess.forget()
+            self._leads.by_rates.reset()
+            self._steps.reset_statistics()
+            self._slopes.reset()
+            self._excess.reset()
         # The status of the rates may have changed with this sample.
         if not self._rates.usable:
             self.by_rates = None

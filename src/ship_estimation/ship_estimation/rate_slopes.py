@@ -55,7 +55,7 @@ class SlopeWatch:
         self._fastest = 0.0
         self._fresh = -1
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset the spread of slopes: the rates, or their calibration, have changed."""
         self._square, self._known, self._fresh = np.zeros(3), 0, -1
         self._fastest = 0.0

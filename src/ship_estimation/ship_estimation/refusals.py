@@ -193,13 +193,13 @@ class Contradictions:
 
     def __init__(self) -> None:
         self.contested: dict[str, tuple[int, str]] = {}
-        self.forget()
+        self.reset()
 
     def __bool__(self) -> bool:
         """True if any source has had a conflict or has two publishers."""
         return bool(self.latest_ns or self.contested)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Clear the conflicts; two publishers remain recorded until :meth:`set_duplicate_publishers` ends it.
 
         They then apply to all stamps, because stamps may restart before the one of the detection.
@@ -228,8 +228,8 @@ class Contradictions:
             latest_ns = self.latest_ns.get(source, time_ns)
             since_ns = self.since_ns.get(source, time_ns)
             # A conflict long after the last one, or long before the first, starts a new series.
-            begins_anew = time_ns - latest_ns > _AGREES_AGAIN_AFTER_NS
-            if begins_anew or since_ns - _AGREES_AGAIN_AFTER_NS <= time_ns < since_ns:
+            is_new = time_ns - latest_ns > _AGREES_AGAIN_AFTER_NS
+            if is_new or since_ns - _AGREES_AGAIN_AFTER_NS <= time_ns < since_ns:
                 since_ns = time_ns
             self.since_ns[source], self.latest_ns[source] = since_ns, max(time_ns, latest_ns)
 

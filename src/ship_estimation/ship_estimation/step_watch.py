@@ -121,7 +121,7 @@ class StepWatch:
             if self._period.ns:
                 self._make_plan()
 
-    def forget(self) -> None:
+    def reset_statistics(self) -> None:
         """Reset the statistics of the samples: the rates, or their calibration, have changed."""
         self._learns = 0
         self._high[:] = 0.0
@@ -303,7 +303,7 @@ class StepWatch:
         self._times = np.zeros(len(self._rows), dtype=np.int64)
         self._learn_every = max(round(per_s / _LEARN_HZ), 1)
         self._high = np.zeros(len(self._full.counts))
-        self.forget()
+        self.reset_statistics()
 
     def _learn(self) -> None:
         """Update the statistics of apparent steps, and change to a longer line if possible."""

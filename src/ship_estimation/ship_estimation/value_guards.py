@@ -280,9 +280,9 @@ class Continuation:
 
     def __init__(self, sigma_rad: float) -> None:
         self.sigma_rad = sigma_rad
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset the statistics of the differences."""
         self.typical_rad = self._mean_square = 0.0
         self.noise_rad = math.inf

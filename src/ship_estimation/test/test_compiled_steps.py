@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_steps
-from ship_estimation.hypotheses import FilterInnovations, add_error, compare_rows, covariances, update_rows
+from ship_estimation.hypotheses import FilterInnovations, add_error, compare_rows, filter_covariances, update_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
@@ -79,8 +79,8 @@ def test_predicted_covariances_equal_numpy(shape: tuple[int, int, int, int]) -> 
         expected[[source, *range(sources, len(stack))], state, state] += noise[state]
     equal(predict(stack, decay, noise, source_of, rows), expected)
     total = stack[:sources].sum(axis=0)
-    equal(covariances(stack, rows), np.concatenate([total[None], stack[sources:]]))
-    np.testing.assert_array_equal(compiled_steps.total(stack, sources), covariances(stack, rows)[0])
+    equal(filter_covariances(stack, rows), np.concatenate([total[None], stack[sources:]]))
+    np.testing.assert_array_equal(compiled_steps.total(stack, sources), filter_covariances(stack, rows)[0])
 
 
 @pytest.mark.parametrize("dt_s", [1e-9, 0.2, 3600.0])
@@ -125,7 +125,7 @@ def test_innovations_of_all_filters_equal_numpy(shape: tuple[int, int, int, int]
     stack, means, measured, by_turn = case(shape)
     at_mean = means[-1] + 0.1
     found = compare_rows(means, stack, measured, at_mean, by_turn)
-    expected = numpy_innovations(means, covariances(stack, shape[3]), measured, at_mean, by_turn)
+    expected = numpy_innovations(means, filter_covariances(stack, shape[3]), measured, at_mean, by_turn)
     for name in expected._fields:
         equal(getattr(found, name), getattr(expected, name))
 
@@ -152,7 +152,7 @@ def test_unobserved_rotation_has_no_whitened_innovation() -> None:
     found = compare_rows(means, stack, measured, means[0], by_turn)
     np.testing.assert_array_equal(found.whitened_innovation[:, 2], 0.0)
     np.testing.assert_array_equal(found.whitening_root[:, 2], 0.0)
-    equal(found.whitened_innovation, numpy_innovations(means, covariances(stack, 2), measured, means[0], by_turn).whitened_innovation)
+    equal(found.whitened_innovation, numpy_innovations(means, filter_covariances(stack, 2), measured, means[0], by_turn).whitened_innovation)
 
 
 @pytest.mark.parametrize("wrong", [-1e6, np.nan])

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.exclusion import Exclusion, find_fault, judge_return
+from ship_estimation.exclusion import Exclusion, find_fault, evaluate_reinstatement
 from ship_estimation.hypotheses import compare_rows, update_rows
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.protection import IntegrityConfig
@@ -215,15 +215,15 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
 def test_source_is_reinstated_after_an_unbroken_time_of_consistency():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
     for second in range(30):
-        exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0)
+        exclusion, back = evaluate_reinstatement(exclusion, means, 0, second * SECOND_NS, 60.0)
         assert not back
     means.excess[0, 0] = 0.6
-    exclusion, _ = judge_return(exclusion, means, 0, 30 * SECOND_NS, 60.0)
+    exclusion, _ = evaluate_reinstatement(exclusion, means, 0, 30 * SECOND_NS, 60.0)
     means = forgotten(means, slice(None), [0])
     for second in range(31, 91):
-        exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0)
+        exclusion, back = evaluate_reinstatement(exclusion, means, 0, second * SECOND_NS, 60.0)
         assert not back
-    assert judge_return(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
+    assert evaluate_reinstatement(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
 
 
 def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanished():
@@ -231,7 +231,7 @@ def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanishe
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0, offset=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
         share = 1.0 if second < 100 else 0.07
-        exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0, share)
+        exclusion, back = evaluate_reinstatement(exclusion, means, 0, second * SECOND_NS, 60.0, share)
         if back:
             break
     assert 160 + 6 <= second <= 160 + 8
@@ -242,7 +242,7 @@ def test_gross_error_delays_a_reinstatement_by_some_measurements_only(gross):
     """After eight of them the mean over 20 is 1.1, and after eight right ones 0.5 again."""
     exclusion, agreed = Exclusion(since_ns=0, offset=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
     for second, share in enumerate([gross] * 8 + [0.0] * 14):
-        exclusion, _ = judge_return(exclusion, no_means(1, 1), 0, second * SECOND_NS, 60.0, share)
+        exclusion, _ = evaluate_reinstatement(exclusion, no_means(1, 1), 0, second * SECOND_NS, 60.0, share)
         agreed.append(exclusion.agrees_since_ns is not None)
     assert not any(agreed[3:14])
     assert all(agreed[17:])

@@ -41,7 +41,7 @@ class Voyage:
                 start_ns = due_ns = time_ns
                 keeper = AlertKeeper(Limits(), state, time_ns, self.said.append)
             while due_ns <= time_ns:
-                for change in keeper.look(due_ns, CLOCK_NS):
+                for change in keeper.update(due_ns, CLOCK_NS):
                     self.changes.append(((due_ns - start_ns) / NS_PER_S, change))
                     if acknowledge:
                         keeper.acknowledge(change.alert.id, change.alert.instance, CLOCK_NS)
@@ -131,7 +131,7 @@ def test_crash_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
         states = {alert.id: alert.state for alert in again.alerts}
         # No data for nine seconds after the start: no alert ends, none is raised twice.
         for tenth in range(90):
-            assert again.look(before.end_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
+            assert again.update(before.end_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
         assert {alert.id: alert.state for alert in again.alerts} == states
         assert before.said == []
 
@@ -147,7 +147,7 @@ def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> 
     assert str(state) in said[0]
     assert "\n" not in said[0]
     for second in range(20):
-        keeper.look(second * NS_PER_S, CLOCK_NS)
+        keeper.update(second * NS_PER_S, CLOCK_NS)
     assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
     assert json.loads(state.read_text())["alerts"][0]["id"] == "attitude.silent"
 
@@ -159,11 +159,11 @@ def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
     keeper = AlertKeeper(Limits(), state, 0, said.append)
     state.parent.write_text("a file in the place of the folder")
     for tenth in range(150):
-        keeper.look(tenth * NS_PER_S // 10, CLOCK_NS)
+        keeper.update(tenth * NS_PER_S // 10, CLOCK_NS)
     assert len(said) == 1
     assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
     state.parent.unlink()
-    keeper.look(151 * NS_PER_S // 10, CLOCK_NS)
+    keeper.update(151 * NS_PER_S // 10, CLOCK_NS)
     assert json.loads(state.read_text())["alerts"][0]["state"] == AlertState.ACTIVE_UNACKNOWLEDGED
 
 
@@ -173,7 +173,7 @@ def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
     before = voyage.keeper.alerts
     later_ns = voyage.end_ns + 3600 * NS_PER_S
     for tenth in range(90):
-        assert voyage.keeper.look(later_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
+        assert voyage.keeper.update(later_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
     assert repr(voyage.keeper.alerts) == repr(before)
 
 
@@ -183,11 +183,11 @@ def test_node_status_expires() -> None:
     ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing failed: No space left on device")
     for second in range(8):
         keeper.take_status(ended, second * NS_PER_S)
-        keeper.look(second * NS_PER_S, CLOCK_NS)
+        keeper.update(second * NS_PER_S, CLOCK_NS)
     assert [alert.id for alert in keeper.alerts] == ["ship_attitude.box"]
     states = set()
     for second in range(8, 30):
-        keeper.look(second * NS_PER_S, CLOCK_NS)
+        keeper.update(second * NS_PER_S, CLOCK_NS)
         states |= {alert.state for alert in keeper.alerts if alert.id == "ship_attitude.box"}
     assert states == {AlertState.ACTIVE_UNACKNOWLEDGED, AlertState.RECTIFIED_UNACKNOWLEDGED}
 
@@ -199,7 +199,7 @@ def test_full_or_missing_disk_raises_an_alert(tmp_path: Path) -> None:
         limits = Limits(machine=type(machine)(disk_path=str(path), disk_free_gb=1e6))
         keeper = AlertKeeper(limits, None, 0, lambda _: None)
         for tenth in range(5):
-            keeper.look(tenth * LOOK_NS, CLOCK_NS)
+            keeper.update(tenth * LOOK_NS, CLOCK_NS)
         assert [alert.id for alert in keeper.alerts] == ["disk.full"]
 
 
@@ -208,5 +208,5 @@ def test_number_of_statuses_is_bounded():
     for number in range(3 * MOST_STATUSES):
         keeper.take_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)
     assert len(keeper._statuses) == MOST_STATUSES
-    keeper.look(STATUS_AGE_NS + 3 * MOST_STATUSES, CLOCK_NS)
+    keeper.update(STATUS_AGE_NS + 3 * MOST_STATUSES, CLOCK_NS)
     assert not keeper._statuses

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 
-from ship_monitor.page.curves import fixed_step, gaps_before, placed, signed, thinned
+from ship_monitor.page.curves import fixed_step, gap_rows, placed, signed, thinned
 from ship_monitor.page.trails import TimePlots, Trail
 from ship_watch.history import newer
 
@@ -107,10 +107,10 @@ def test_restarted_data_are_drawn_again() -> None:
 
 def test_gap_is_three_periods_and_at_least_two_seconds() -> None:
     time_ns = np.array([0, 1, 4, 5, 15]) * SECOND_NS
-    assert list(gaps_before(time_ns, None, 1.0 * SECOND_NS)) == [4]
-    assert list(gaps_before(time_ns, None, 0.1 * SECOND_NS)) == [2, 4]
-    assert list(gaps_before(time_ns + 9 * SECOND_NS, 0, 5.0 * SECOND_NS)) == []
-    assert list(gaps_before(time_ns + 9 * SECOND_NS, 0, 2.0 * SECOND_NS)) == [0, 4]
+    assert list(gap_rows(time_ns, None, 1.0 * SECOND_NS)) == [4]
+    assert list(gap_rows(time_ns, None, 0.1 * SECOND_NS)) == [2, 4]
+    assert list(gap_rows(time_ns + 9 * SECOND_NS, 0, 5.0 * SECOND_NS)) == []
+    assert list(gap_rows(time_ns + 9 * SECOND_NS, 0, 2.0 * SECOND_NS)) == [0, 4]
 
 
 def test_axes_have_fixed_steps() -> None:

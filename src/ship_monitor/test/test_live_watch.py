@@ -148,13 +148,13 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
         return [[(angle.limit, angle.safety, angle.reason) for angle in angles[:3]] for angles in shown]
 
     try:
-        wanted = tight.of_angle("heading")
+        wanted = tight.angle_limit("heading")
         by_page, by_terminal = until(lambda: (now := words()) and now[0][0][0] == now[1][0][0] == wanted and now)
         assert by_page == by_terminal
         assert by_page[0][1] is not Safety.SAFE
         alerts.stop()
         thread.join()
-        own = Limits().of_angle("heading")
+        own = Limits().angle_limit("heading")
         assert until(lambda: (now := words()) and now[0][0][0] == now[1][0][0] == own)
     finally:
         alerts.stop()

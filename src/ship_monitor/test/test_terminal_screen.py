@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import Look, Pen, plain_text
-from ship_monitor.terminal.screen import View, choices, screen, shown_alert
+from ship_monitor.terminal.screen import View, selectable_names, screen, shown_alert
 from ship_testing.pictures import KNOCKED, KNOCKED_ALERT, KNOCKED_INPUT, NOW_NS, angle, knocked, out, silent, source
 from ship_watch.picture import ANGLES, Event, Priority, Safety
 
@@ -278,4 +278,4 @@ def test_fitted_text_has_the_given_width(text, width, to_right, is_ascii):
 
 
 def test_selection_goes_downward():
-    assert choices(knocked())[:6] == (*ANGLES, "star.starboard")
+    assert selectable_names(knocked())[:6] == (*ANGLES, "star.starboard")

@@ -58,14 +58,14 @@ def opened_serial(device: str, baud: int, wait_s: float) -> serial.Serial:
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL)) from problem
 
 
-def words(problem: Exception) -> str:
+def error_text(problem: Exception) -> str:
     """Return the text of an error in one line, without additions of a library."""
     if isinstance(problem, OSError) and problem.errno and not isinstance(problem, socket.gaierror):
         return os.strerror(problem.errno)
     return one_line(getattr(problem, "strerror", None) or str(problem) or type(problem).__name__)
 
 
-def refusal(problem: Exception, prefix: str, config: Any, named_by: Mapping[str, tuple[str, str]]) -> BadInput | None:
+def permanent_error(problem: Exception, prefix: str, config: Any, named_by: Mapping[str, tuple[str, str]]) -> BadInput | None:
     """Return the error of a first opening if waiting cannot clear it, otherwise None.
 
     Args:
@@ -84,4 +84,4 @@ def refusal(problem: Exception, prefix: str, config: Any, named_by: Mapping[str,
     to_do = _TO_DO_OF_KIND.get((config.kind, number)) or _TO_DO.get(number)
     advice = f": {to_do}" if to_do else ""
     name = f"{prefix}.{parameter}"
-    return BadInput(f"parameter '{name}' = {value!r}: {words(problem)}{advice}", parameters=(name,), value=value)
+    return BadInput(f"parameter '{name}' = {value!r}: {error_text(problem)}{advice}", parameters=(name,), value=value)

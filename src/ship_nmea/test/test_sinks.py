@@ -13,7 +13,7 @@ import tty
 import pytest
 
 from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.opening import refusal
+from ship_nmea.opening import permanent_error
 from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.network_outlets import MOST_OF_A_HOST
 from ship_nmea.out.outlet import command_texts
@@ -361,14 +361,14 @@ def test_full_disk_leaves_no_half_sentence(tmp_path):
 ])  # fmt: skip
 def test_advice_on_missing_permission_depends_on_the_kind(kind, told):
     named_by = {kind: ("port", "address")}
-    assert told in str(refusal(PermissionError(errno.EACCES, "no"), "sinks.bridge", SinkConfig(kind=kind), named_by))
+    assert told in str(permanent_error(PermissionError(errno.EACCES, "no"), "sinks.bridge", SinkConfig(kind=kind), named_by))
 
 
 def test_unsupported_rate_names_its_parameter():
     problem, named_by = OSError(errno.EINVAL, "no"), {"serial": ("device", "baud")}
-    told = str(refusal(problem, "sinks.gyro", SinkConfig(kind="serial", baud=12345), named_by))
+    told = str(permanent_error(problem, "sinks.gyro", SinkConfig(kind="serial", baud=12345), named_by))
     assert told.startswith("parameter 'sinks.gyro.baud' = 12345: Invalid argument: expected a rate")
-    assert refusal(OSError(errno.ENOENT, "no"), "sinks.gyro", SinkConfig(kind="serial"), named_by) is None
+    assert permanent_error(OSError(errno.ENOENT, "no"), "sinks.gyro", SinkConfig(kind="serial"), named_by) is None
 
 
 def test_duplicate_sentence_is_refused():

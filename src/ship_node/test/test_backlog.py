@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_node.live.backlog import Backlog, Change, overload
+from ship_node.live.backlog import Backlog, Change, current_overload
 
 MS = 1_000_000
 STEP_NS = 10 * MS
@@ -115,7 +115,7 @@ def test_working_time_before_a_clock_jump_back_delays_no_detection() -> None:
 
 
 def test_overload_text() -> None:
-    told = overload(3_240 * MS, {"ins/imu": 320})
+    told = current_overload(3_240 * MS, {"ins/imu": 320})
     assert (told.behind_s, told.cut) == (3.24, {"ins/imu": 320})
     assert told.cores >= 1
     assert told.text("relay").startswith("relay is 3.2 s behind: the computer is too slow (")

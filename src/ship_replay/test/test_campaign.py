@@ -17,7 +17,7 @@ import pytest
 from distributed import LocalCluster
 
 from ship_replay.campaign.cluster import in_cluster
-from ship_replay.campaign.items import items_of, seeds_of
+from ship_replay.campaign.items import campaign_items, seeds_of
 from ship_replay.campaign.one_item import failed, make
 from ship_replay.campaign.page import page
 from ship_replay.campaign.pooled import pools, worst_items
@@ -68,7 +68,7 @@ class TestKeys:
         return tmp_path
 
     def key(self, folder, source="voyage.yaml", seeds=(1,), **others):
-        (item,) = items_of([folder / source], [folder / "suite.yaml"], seeds, **others)
+        (item,) = campaign_items([folder / source], [folder / "suite.yaml"], seeds, **others)
         return item.key
 
     @pytest.mark.parametrize("name", ["voyage.yaml", "suite.yaml", "night.mcap"])
@@ -90,11 +90,11 @@ class TestKeys:
         assert self.key(given, namespace="ship") == self.key(given)
 
     def test_no_parameter_set_is_another_key(self, given):
-        (item,) = items_of([given / "voyage.yaml"], [], [1])
+        (item,) = campaign_items([given / "voyage.yaml"], [], [1])
         assert item.key != self.key(given)
 
     def test_the_code_is_in_the_key(self, given):
-        (item,) = items_of([given / "voyage.yaml"], [], [1])
+        (item,) = campaign_items([given / "voyage.yaml"], [], [1])
         assert dataclasses.replace(item, code="another").key != item.key
 
     def test_the_code_is_its_source_files_wherever_they_lie(self, given):
@@ -126,7 +126,7 @@ class TestKeys:
         assert self.key(given, "ride.yaml") != before
 
     def test_an_item_whose_file_was_changed_meanwhile_fails(self, given):
-        (item,) = items_of([given / "night.mcap"], [], [])
+        (item,) = campaign_items([given / "night.mcap"], [], [])
         (given / "night.mcap").write_bytes(b"another night")
         ((_, result),) = in_processes(make, [item], 1)
         assert result["error"] == f"{given}/night.mcap: has changed since the campaign began"
@@ -218,7 +218,7 @@ class TestKilled:
     def made(self, make, scenario, tmp_path, workers=2):
         path = tmp_path / "short.yaml"
         shutil.copy(scenario, path)
-        made = list(in_processes(make, items_of([path], [], range(1, 5)), workers))
+        made = list(in_processes(make, campaign_items([path], [], range(1, 5)), workers))
         return {item.seed: result for item, result in made}
 
     def test_the_item_of_a_killed_worker_is_made_again(self, scenario, tmp_path):
@@ -328,7 +328,7 @@ class TestCluster:
     def test_the_item_of_a_killed_worker_is_made_again(self, scenario, tmp_path, address):
         path = tmp_path / "short.yaml"
         shutil.copy(scenario, path)
-        made = list(in_cluster(dies_once, items_of([path], [], range(1, 5)), address))
+        made = list(in_cluster(dies_once, campaign_items([path], [], range(1, 5)), address))
         assert (tmp_path / "died").exists()
         assert sorted((item.seed, result["error"], result["values"]["seed"]) for item, result in made) == [
             (seed, None, float(seed)) for seed in range(1, 5)
@@ -375,7 +375,7 @@ class TestPooled:
 
     @pytest.fixture
     def made(self, scenario):
-        items = items_of([scenario], [], [1, 2, 3])
+        items = campaign_items([scenario], [], [1, 2, 3])
         return [
             (items[0], self.result(samples=100.0, rms=3.0, sigma=2.0, nees=6.0, independent=10.0, valid=90)),
             (items[1], self.result(samples=300.0, rms=5.0, sigma=5.0, nees=2.0, independent=30.0, valid=10)),
@@ -422,7 +422,7 @@ class TestPooled:
 
 
 def test_a_result_of_another_item_is_refused(scenario, tmp_path):
-    one, two = items_of([scenario], [], [1, 2])
+    one, two = campaign_items([scenario], [], [1, 2])
     folder = ResultFolder(tmp_path / "out")
     folder.keep(one, failed("") | {"error": None})
     folder.path(one).rename(folder.path(two))

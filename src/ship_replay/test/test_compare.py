@@ -19,7 +19,7 @@ from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.report.configurations import parameter_differences, text_differences
-from ship_replay.report.pair import origin, read_pair
+from ship_replay.report.pair import input_sentences, read_pair
 from ship_replay.report.pair_page import PAIR_SECTIONS, pair_page
 from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, only_one_has
 from ship_replay.report.pair_verdict import pair_verdict
@@ -156,7 +156,7 @@ class TestAnotherConfiguration:
         assert any(re.match(r"A was SAFE longer in .*pitch", text) for text in sentences(pair))
 
     def test_the_voyage_is_the_same(self, pair):
-        assert origin(pair)[0].startswith("The inputs are the same simulated voyage")
+        assert input_sentences(pair)[0].startswith("The inputs are the same simulated voyage")
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
@@ -297,7 +297,7 @@ def test_injected_faults_are_other_inputs(plain, folder):
         writer.add_metadata("injection", {"seed": "7"})
         for record in bag.records():
             writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
-    told = origin(read_pair(plain, folder / "injected.mcap"))
+    told = input_sentences(read_pair(plain, folder / "injected.mcap"))
     assert told == ["The inputs are not the same: faults were injected (seed 7 in B only)."]
 
 
@@ -336,7 +336,7 @@ def test_partly_at_other_times(tmp_path):
     a = write_attitudes(tmp_path / "a.mcap", 40, offset_rad=2 * ARCSEC)
     b = write_attitudes(tmp_path / "b.mcap", 40, start_s=30, offset_rad=-1 * ARCSEC)
     pair = read_pair(a, b)
-    assert any("The times differ" in text and "10 s in common" in text for text in origin(pair))
+    assert any("The times differ" in text and "10 s in common" in text for text in input_sentences(pair))
     assert pair.differences[0].alone == (300, 300)
     assert pair.differences[0].difference_arcsec[:, 0] == pytest.approx([-3.0] * 100)
     heading = error_rows(pair)[0]

@@ -19,7 +19,7 @@ from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_geometry.rotations import ARCSEC
 from ship_replay.ins_noise.likelihood import log_likelihoods
 from ship_replay.ins_noise.processes import GaussMarkovModel, SchulerModel
-from ship_replay.ins_noise.session import NoiseSession, place_of
+from ship_replay.ins_noise.session import NoiseSession, mean_location
 from ship_replay.ins_noise.star_record import star_record
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_testing.noise_sessions import STILL, noise_session, scenario
@@ -123,7 +123,7 @@ class Sensors(NamedTuple):
 
 @pytest.mark.parametrize("damping_time_s", [0.0, 100.0])
 def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: float) -> None:
-    sensors, here = Sensors(), place_of(session.pairs)
+    sensors, here = Sensors(), mean_location(session.pairs)
     assert here is not None
     assert here.latitude == pytest.approx(np.deg2rad(40.0), abs=1e-4)
     # 8 m/s, which the first of twelve epochs does not know yet: it takes two fixes.

@@ -7,7 +7,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters import build
 from ship_replay.commands.check_config import main
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.preflight.load import load_text, load_warnings, loads, measured_slowness
+from ship_replay.preflight.load import load_text, load_warnings, node_loads, measured_slowness
 from ship_testing.hand_made_bags import START_NS, imu
 
 CONFIGS = {
@@ -23,7 +23,7 @@ def adapters():
 
 
 def shares(adapters, rates_hz, slowness=1.0):
-    return {load.node: load.share for load in loads(adapters, rates_hz, slowness)}
+    return {load.node: load.share for load in node_loads(adapters, rates_hz, slowness)}
 
 
 def test_the_load_grows_with_the_rates_and_with_the_slowness_of_the_computer(adapters):
@@ -41,7 +41,7 @@ def test_what_one_node_gives_another_comes_at_the_rate_of_what_it_is_made_of(ada
 
 
 def test_too_much_for_one_core_and_for_all_of_them_is_named(adapters):
-    few, many = (loads(adapters, {"ins/imu": rate_hz}, 1.0) for rate_hz in (100.0, 2000.0))
+    few, many = (node_loads(adapters, {"ins/imu": rate_hz}, 1.0) for rate_hz in (100.0, 2000.0))
     assert list(load_warnings(few, cores=2)) == []
     one, other, both = load_warnings(many, cores=2)
     assert "% of one core, limit 70 %: it may fall behind. Most of it is ins/imu at 2000 Hz" in one + other

@@ -73,7 +73,7 @@ def test_directions_with_air_are_those_of_atco13():
     weather = dataclasses.replace(paper_stars().weather, pressure_sigma_hpa=30.0, temperature_sigma_k=10.0)
     sky = drawn(1, earth_rotation_sigma_s=1.0, weather=weather)
     assert abs(sky.ut1_error_s) > 0.1
-    rows = sky.catalogue.brighter_than(4.0)
+    rows = sky.catalogue.rows_brighter_than(4.0)
     time_ns = np.array([START_NS, START_NS + 3600 * SECOND_NS])
     ours = sky.directions(sky.positions[rows], time_ns[:, None])
     for moment, direction_n in zip(time_ns, ours, strict=True):
@@ -87,7 +87,7 @@ def test_directions_with_air_are_those_of_atco13():
 def test_a_moving_ship_has_its_position_and_aberration():
     scenario = with_position(paper_stars(), speed_m_per_s=15.0, course_deg=60.0)
     sky = draw_sky(scenario, ShipTrack(scenario.position, START_NS), seed=1)
-    rows = sky.catalogue.brighter_than(4.0)
+    rows = sky.catalogue.rows_brighter_than(4.0)
     later_ns = START_NS + 600 * SECOND_NS
     ours = sky.directions(sky.positions[rows], np.array(later_ns))
     high = elevation_of(ours) > np.deg2rad(15.0)
@@ -105,7 +105,7 @@ def test_a_moving_ship_has_its_position_and_aberration():
 def test_the_almanacs_refraction_is_another():
     weather = dataclasses.replace(paper_stars().weather, refraction_model="almanac")
     erfas, almanacs = drawn(1), drawn(1, weather=weather)
-    rows = erfas.catalogue.brighter_than(2.0)
+    rows = erfas.catalogue.rows_brighter_than(2.0)
     ours, theirs = (sky.directions(sky.positions[rows], np.array(START_NS)) for sky in (erfas, almanacs))
     elevation = elevation_of(ours)
     # models.md §2: 0.4″ apart at 42°; none below 14° and 5°.
@@ -148,7 +148,7 @@ def test_the_horizon_rotation_equals_that_of_erfas_cirs_chain():
 
 def test_the_refraction_rotation_is_about_the_horizontal():
     sky = drawn(1)
-    rows = sky.catalogue.brighter_than(3.0)
+    rows = sky.catalogue.rows_brighter_than(3.0)
     stars = sky.positions[rows]
     seen = sky.directions(stars, np.array(START_NS))
     without_air = directions(stars, np.array(START_NS), observer_of(sky), sky.orientation(np.array(START_NS)))

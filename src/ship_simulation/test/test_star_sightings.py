@@ -234,7 +234,7 @@ def test_false_stars_are_poisson_uniform_in_the_field_with_any_identity():
     assert cells.sum() == false.sum()
     # The identity is independent of the position: distributed as the catalogue's stars, rarely in the field itself.
     rows = sky.catalogue.rows(said.stars.hip[false])
-    bright = sky.catalogue.brighter_than(6.0)
+    bright = sky.catalogue.rows_brighter_than(6.0)
     north = np.mean(sky.catalogue.at_j2000.declination[bright] > 0.0)
     low, high = share_band(rows.size, north)
     assert low <= np.count_nonzero(sky.catalogue.at_j2000.declination[rows] > 0.0) <= high

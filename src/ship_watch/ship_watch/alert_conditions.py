@@ -103,18 +103,18 @@ def conditions(picture: Picture, limits: Limits, machine: Machine | None = None)
     shown = functions(replace(picture, angles=tuple(angle.held_by_nothing for angle in picture.angles)))
     machine = machine or Machine()
     return [
-        *_outputs(picture, shown, limits),
-        *_sources_out(picture, shown),
+        *_output_conditions(picture, shown, limits),
+        *_source_conditions(picture, shown),
         *_unreported(picture),
-        *_ages(picture, limits),
-        *(found for source in picture.sources for found in _rate(source, limits.of_input(source.name))),
-        *_clock(picture, limits),
-        *_nodes(machine.statuses, limits),
-        *_disk(machine, limits),
+        *_age_conditions(picture, limits),
+        *(found for source in picture.sources for found in _rate_conditions(source, limits.input_limits(source.name))),
+        *_clock_conditions(picture, limits),
+        *_node_conditions(machine.statuses, limits),
+        *_disk_conditions(machine, limits),
     ]
 
 
-def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits) -> Iterable[Condition]:
+def _output_conditions(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits) -> Iterable[Condition]:
     """Yield the situations of outputs without data and of functions not SAFE; a source that is OUT may explain them."""
     outs = (STARS_OUT, *(f"{source.name}.out" for source in picture.sources))
     for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
@@ -124,7 +124,7 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits)
             never = all(math.isinf(one.angle.age_s) for one in silent)
             yield Condition(
                 f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
-                f"{topic} never received" if never else _lost_first(silent, f"no data on {topic}"),
+                f"{topic} never received" if never else _alert_text(silent, f"no data on {topic}"),
                 becomes_alarm=never, may_be_startup=never, is_blind=never,
                 under=above[:1] if never else (), lost=_lost(silent),
             )
@@ -134,7 +134,7 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits)
             worst = max(members, key=lambda one: (one.priority or 0, one.accuracy_arcsec))
             priority = worst.priority or Priority.CAUTION
             yield Condition(
-                f"{output}.degraded", priority, "", _lost_first(members, worst.reason), worst.accuracy_arcsec,
+                f"{output}.degraded", priority, "", _alert_text(members, worst.reason), worst.accuracy_arcsec,
                 worst.limit_arcsec, "arcsec", becomes_alarm=priority is Priority.WARNING,
                 may_be_startup=True, under=(*above, *outs), lost=_lost(members),
             )
@@ -145,7 +145,7 @@ def _is_over_for_a_moment(function: FunctionShown, limits: Limits) -> bool:
     return function.priority is Priority.WARNING and function.over_s < limits.alerts.over_after_s
 
 
-def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
+def _source_conditions(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
     """Yield the situations of sources: OUT by a fault of their own, corrected, or reinstated with a shifted mounting.
 
     All star sensors OUT for the same reason are one situation.
@@ -193,7 +193,7 @@ def _out(
     lost, shown_name, reason = _lost(taken), name or "all star sensors", still(source.reason)
     is_late = reason.endswith(_LATE)
     cause = f"{shown_name} arrives late" if is_late else f"{shown_name} {_VERBS.get(reason, '')}{reason}"
-    text = _lost_first(taken, cause) if lost else f"{shown_name} out: {'arrives late' if is_late else reason}"
+    text = _alert_text(taken, cause) if lost else f"{shown_name} out: {'arrives late' if is_late else reason}"
     value, unit = (source.residual, "sigma") if math.isfinite(source.residual) else (math.nan, "")
     if source.reason.endswith(_SILENT):
         value, unit = source.age_s, "s"
@@ -203,7 +203,7 @@ def _out(
     return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), under=under, lost=lost)
 
 
-def _ages(picture: Picture, limits: Limits) -> Iterable[Condition]:
+def _age_conditions(picture: Picture, limits: Limits) -> Iterable[Condition]:
     """Yield the situations of stars and lights that were last used too long ago; a source that is OUT explains them."""
     outs = tuple(f"{source.name}.out" for source in picture.sources)
     for what, limit_s, above in (
@@ -218,7 +218,7 @@ def _ages(picture: Picture, limits: Limits) -> Iterable[Condition]:
             )
 
 
-def _rate(source: SourceShown, limits: InputLimits) -> Iterable[Condition]:
+def _rate_conditions(source: SourceShown, limits: InputLimits) -> Iterable[Condition]:
     if source.presence is Presence.IN and source.rate_hz < limits.rate_hz:
         yield Condition(
             f"{source.name}.rate", Priority.CAUTION, source.name, f"rate of {source.name} too low",
@@ -226,7 +226,7 @@ def _rate(source: SourceShown, limits: InputLimits) -> Iterable[Condition]:
         )
 
 
-def _clock(picture: Picture, limits: Limits) -> Iterable[Condition]:
+def _clock_conditions(picture: Picture, limits: Limits) -> Iterable[Condition]:
     """Yield the situation of stamps in the future: the clock of an instrument or of the computer is wrong."""
     ahead = [one for one in picture.inputs if one.latency_s < -limits.machine.clock_offset_s]
     if ahead:
@@ -237,7 +237,7 @@ def _clock(picture: Picture, limits: Limits) -> Iterable[Condition]:
         )
 
 
-def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition]:
+def _node_conditions(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition]:
     for status in statuses:
         if status.name == _RECOVERY and _RECOVERED in status.values:
             text = f"{status.node} recovered: a second estimator was adopted"
@@ -251,7 +251,7 @@ def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition
             priority, words = _LINE_STATUSES[kind]
             yield Condition(f"{status.node}.{kind}.{line}", priority, "", f"{status.node}: {words} {line}")
         if status.name == _OVERLOAD:
-            yield _overload(status)
+            yield _overload_condition(status)
         if status.name not in _NODE_STATUSES:
             continue
         ending, priority = _NODE_STATUSES[status.name]
@@ -264,7 +264,7 @@ def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition
         yield Condition(f"{status.node}.{ending}", priority, "", text, *value)
 
 
-def _overload(status: NodeStatus) -> Condition:
+def _overload_condition(status: NodeStatus) -> Condition:
     output = POINTING if status.node == "optical_axis" else ATTITUDE
     value = float(status.values.get("behind [s]", "nan"))
     return Condition(
@@ -273,7 +273,7 @@ def _overload(status: NodeStatus) -> Condition:
     )
 
 
-def _disk(machine: Machine, limits: Limits) -> Iterable[Condition]:
+def _disk_conditions(machine: Machine, limits: Limits) -> Iterable[Condition]:
     if machine.disk_free_gb < limits.machine.disk_free_gb:
         yield Condition(
             "disk.full", Priority.WARNING, "", f"the disk of {limits.machine.disk_path} is nearly full",
@@ -285,7 +285,7 @@ def _faulty_sources(picture: Picture) -> list[SourceShown]:
     return [one for one in picture.sources if one.presence is Presence.OUT and not one.because_of]
 
 
-def _lost_first(taken: Iterable[FunctionShown], cause: str) -> str:
+def _alert_text(taken: Iterable[FunctionShown], cause: str) -> str:
     """Return the text of an alert from its functions, the worst first, and its cause.
 
     Functions that are only unchecked are named if no other is worse. An example is "Heading lost, tilt over its limit:
@@ -295,11 +295,11 @@ def _lost_first(taken: Iterable[FunctionShown], cause: str) -> str:
     by_words: dict[str, list[str]] = {}
     for one in sorted([one for one in taken if one.is_over] or taken, key=lambda one: -(one.priority or 0)):
         by_words.setdefault(one.text.partition(" ")[2], []).append(one.name)
-    text = ", ".join(f"{_and(names)} {words}" for words, names in by_words.items())
+    text = ", ".join(f"{_joined_names(names)} {words}" for words, names in by_words.items())
     return f"{text[:1].upper()}{text[1:]}: {cause}"
 
 
-def _and(names: list[str]) -> str:
+def _joined_names(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 

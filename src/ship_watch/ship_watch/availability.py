@@ -110,7 +110,7 @@ class AvailabilityRecord:
         if not decided:
             return None
         accuracies = np.array([max(angle.accuracy_95 for angle in each.angles) for each in decided]) / ARCSEC
-        limit_arcsec = float(np.degrees(self._limits.of_angle(QUANTITIES[quantity][0])) * 3600.0)
+        limit_arcsec = float(np.degrees(self._limits.angle_limit(QUANTITIES[quantity][0])) * 3600.0)
         for proposed_arcsec in _round_limits(float(np.min(accuracies))):
             share = self._share(quantity, proposed_arcsec)
             if share >= WANTED_SHARE or (1.0 - MARGIN) * proposed_arcsec > np.max(accuracies):

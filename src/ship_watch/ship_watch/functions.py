@@ -140,7 +140,7 @@ class Branch:
     text: str
 
 
-def tree(picture: Picture, limits: Limits) -> tuple[Branch, ...]:
+def diagnostic_entries(picture: Picture, limits: Limits) -> tuple[Branch, ...]:
     """Return the functions with their limits, each followed by the sources it depends on."""
     limit_arcsec = {
         "heading": limits.heading_arcsec, "tilt": limits.tilt_arcsec, "pointing": limits.pointing_arcsec
@@ -148,7 +148,7 @@ def tree(picture: Picture, limits: Limits) -> tuple[Branch, ...]:
     branches = []
     for function in functions(picture):
         path = f"{function.name} within {limit_arcsec[function.name]:g}″"
-        branches.append(Branch(path, _level(function), _line(function)))
+        branches.append(Branch(path, _level(function), _function_text(function)))
         configured = (source for source in function.sources if source.presence is not Presence.OFF)
         branches += [_source_branch(path, function, source) for source in configured]
     return tuple(branches)
@@ -165,7 +165,7 @@ def _source_branch(path: str, function: FunctionShown, source: SourceShown) -> B
     return Branch(f"{path}/{source.name}", level, ", ".join(filter(None, parts)))
 
 
-def _line(function: FunctionShown) -> str:
+def _function_text(function: FunctionShown) -> str:
     if function.safety is None:
         return "not in use: only a pointing was received, no attitude"
     accuracy = f"{function.accuracy_arcsec:.1f}″ (95 %)" if math.isfinite(function.accuracy_arcsec) else "no accuracy"

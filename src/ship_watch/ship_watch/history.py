@@ -237,7 +237,7 @@ def newer(points: Sequence[Point], taken_ns: int | None) -> list[Point]:
     return list(takewhile(lambda point: point.utc_ns > taken_ns, reversed(points)))[::-1]
 
 
-def extremes(values: FloatArray, starts: Sequence[int]) -> NDArray[np.intp]:
+def extreme_rows(values: FloatArray, starts: Sequence[int]) -> NDArray[np.intp]:
     """Return the rows with the minimum and maximum of each column in each section, for a line of few points.
 
     Args:

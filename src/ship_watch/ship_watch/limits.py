@@ -161,7 +161,7 @@ class Limits:
                     f"inputs.{name}", value=name,
                 )
 
-    def of_angle(self, angle: str) -> float:
+    def angle_limit(self, angle: str) -> float:
         """Return the limit of one of :data:`ship_watch.suite_state.ANGLES`, rad.
 
         Raises:
@@ -173,7 +173,7 @@ class Limits:
         }
         return float(np.radians(limits_arcsec[angle] / 3600.0))
 
-    def of_input(self, source: str) -> InputLimits:
+    def input_limits(self, source: str) -> InputLimits:
         """Return the limits of a source by its name: its own, else those of its kind, else those of every input."""
         own = self.inputs.get(source.replace(".", "_"))
         return own or self.inputs.get(source.partition(".")[0], self.every_input)

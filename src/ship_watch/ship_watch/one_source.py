@@ -8,7 +8,7 @@ from ship_estimation.refusals import Reason
 from ship_watch.picture import ITS_NODE, Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
 from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, Streak
-from ship_watch.topics import member_of
+from ship_watch.topics import source_member
 from ship_watch.verdict import NisWindow
 
 _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
@@ -126,7 +126,7 @@ class HeardSource:
             return SourceFault(_with_members("no data", silent, topics), since_ns)
         worst: tuple[str, Streak] | None = None
         for key, streak in self.streaks.items():
-            streak.used_silently(now_ns, self.period_ns, self.used - self.used_at_refusal.get(key, 0))
+            streak.reinstate_if_used(now_ns, self.period_ns, self.used - self.used_at_refusal.get(key, 0))
             if streak.is_out and (worst is None or streak.refused > worst[1].refused):
                 worst = key[1], streak
         since_ns = min(worst[1].out_since_ns, now_ns + utc_offset_ns) if worst else 0  # stamps may lie in the future
@@ -217,11 +217,11 @@ def _refusal_text(source: str, name: str, streak: Streak) -> str:
 
 
 def _with_member(text: str, name: str) -> str:
-    member = member_of(name)
+    member = source_member(name)
     return f"{member} {text}" if member else text
 
 
 def _with_members(text: str, topics: list[TopicReports], all_topics: list[TopicReports]) -> str:
     """Return the text, with the names of the members if it does not apply to the whole source."""
-    members = sorted({member_of(topic.topic) for topic in topics} - {""})
+    members = sorted({source_member(topic.topic) for topic in topics} - {""})
     return f"{', '.join(members)} {text}" if members and len(topics) < len(all_topics) else text

@@ -81,8 +81,8 @@ class StarsSeenBook:
             rejected_count=max(left_out, 0),
             azimuth=float(solution.azimuth) if solution is not None else math.nan,
             elevation=float(solution.elevation) if solution is not None else math.nan,
-            residual_right=_of_stars(names, residuals, "right"),
-            residual_up=_of_stars(names, residuals, "up"),
+            residual_right=_star_residuals(names, residuals, "right"),
+            residual_up=_star_residuals(names, residuals, "up"),
         )
 
 
@@ -137,7 +137,7 @@ def _by_part(verdict: Any) -> Mapping[str, dict[str, float]]:
     return found
 
 
-def _of_stars(names: list[str], residuals: Mapping[str, dict[str, float]], axis: str) -> FloatArray:
+def _star_residuals(names: list[str], residuals: Mapping[str, dict[str, float]], axis: str) -> FloatArray:
     """Return the residuals of stars along an axis, rad, NaN for stars without one; empty if no star has one."""
     if not any(name in residuals for name in names):
         return _NOWHERE

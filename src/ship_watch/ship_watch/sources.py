@@ -16,7 +16,7 @@ from ship_watch.one_source import HeardSource, SourceFault, standing_off
 from ship_watch.picture import Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
 from ship_watch.streak import Streak
-from ship_watch.topics import place_of, source_of_name, source_of_topic
+from ship_watch.topics import display_order, source_of_name, source_of_topic
 
 STAR_INNOVATION = "star/innovation"
 """Innovations of single stars against the solution of their own sensor, along its own axes."""
@@ -72,14 +72,14 @@ class SourceBook:
             return False
         if topic not in self._reports:
             name = source_of_topic(topic)
-            reports = self._reports[topic] = TopicReports(topic, self._limits.of_input(name).age_s)
+            reports = self._reports[topic] = TopicReports(topic, self._limits.input_limits(name).age_s)
             if name and has_room(self._sources, name, "source"):
-                self._source(name).add(reports)
+                self._source_record(name).add(reports)
             self.has_theodolite |= topic.startswith("theodolite/")
             self.beacon_count += topic.startswith("beacon/") and topic.endswith("/baseline")
         has_started = self._reports[topic].note(message, now_ns)
         if (name := source_of_topic(topic)) in self._sources:
-            self._source(name).note_reports()
+            self._source_record(name).note_reports()
         return has_started
 
     def heard(self, topic: str, now_ns: int) -> None:
@@ -92,7 +92,7 @@ class SourceBook:
         name, key = self._who(str(message.source)), (topic, str(message.source))
         if not name or not has_room(self._sources, name, "source"):
             return ""
-        source, stamp_ns = self._source(name), ns_from_stamp(message.header.stamp)
+        source, stamp_ns = self._source_record(name), ns_from_stamp(message.header.stamp)
         if not has_room(source.streaks, key, "name of a source"):
             return ""
         streak = self._streak(source, key)
@@ -108,7 +108,7 @@ class SourceBook:
     def note_solution(self, name: str, message: Any, now_ns: int) -> None:
         """Record the solution of a star sensor: `star/innovation` contains only rejected stars, not accepted ones."""
         if name and has_room(self._sources, name, "source"):
-            streak = self._streak(self._source(name), (STAR_INNOVATION, name))
+            streak = self._streak(self._source_record(name), (STAR_INNOVATION, name))
             is_used = message.status != _STAR_INVALID
             streak.note_whole(ns_from_stamp(message.header.stamp), is_used, now_ns)
 
@@ -117,7 +117,7 @@ class SourceBook:
         excluded = {self._who(str(name)) for name in message.excluded[:MOST_NAMES]} - {""}
         excluded = {name for name in excluded if has_room(self._sources, name, "source")}
         for name in excluded:
-            self._source(name).excluded_since.setdefault(topic, utc_ns)
+            self._source_record(name).excluded_since.setdefault(topic, utc_ns)
         for name, source in self._sources.items():
             if name not in excluded:
                 source.excluded_since.pop(topic, None)
@@ -155,7 +155,7 @@ class SourceBook:
     def _streak(self, source: HeardSource, key: tuple[str, str]) -> Streak:
         streak = source.streaks.get(key)
         if streak is None:
-            limits = self._limits.of_input(source.name)
+            limits = self._limits.input_limits(source.name)
             streak = source.streaks[key] = Streak(limits.refusals, limits.accepted)
         return streak
 
@@ -165,7 +165,7 @@ class SourceBook:
         is_ins = source == "ship_attitude" and "ship/attitude" not in self._reports and "ins/imu" in self._reports
         return "ins" if is_ins else source
 
-    def _source(self, name: str) -> HeardSource:
+    def _source_record(self, name: str) -> HeardSource:
         if name not in self._sources:
             self._sources[name] = HeardSource(name)
         return self._sources[name]
@@ -195,7 +195,7 @@ def newest_age_s(first_word: str, sources: Iterable[SourceShown], used_age_s: fl
 
 def _order(source: SourceStanding) -> tuple[bool, bool, bool, tuple[int, str]]:
     presence = source.presence
-    return presence is not Presence.OUT, presence is Presence.OFF, bool(source.because_of), place_of(source.name)
+    return presence is not Presence.OUT, presence is Presence.OFF, bool(source.because_of), display_order(source.name)
 
 
 def _causes_first(sources: list[SourceStanding]) -> list[SourceStanding]:

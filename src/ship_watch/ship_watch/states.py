@@ -195,7 +195,7 @@ class ShownWord(NamedTuple):
         """
         if self.better is None:
             return now.reason
-        good = f"within {words.limit_size(limit)} again" if self.cause.startswith("over ") else "good again"
+        good = f"within {words.limit_text(limit)} again" if self.cause.startswith("over ") else "good again"
         return f"{now.reason or good}{COUNTDOWN}{self.better.name} in {-(-self.better_in_ns // NS_PER_S)} s"
 
 

@@ -86,7 +86,7 @@ class Streak:
         self._insert(stamp_ns, is_used, False, math.nan)
         self._decide()
 
-    def used_silently(self, now_ns: int, period_ns: float, used_since: int) -> None:
+    def reinstate_if_used(self, now_ns: int, period_ns: float, used_since: int) -> None:
         """Set a source IN of which only rejections are reported: none for some periods, and enough used since.
 
         Args:
@@ -99,7 +99,7 @@ class Streak:
         least_ns = SHOWN_NS if math.isnan(period_ns) else max(SHOWN_NS, self._in_after * period_ns)
         if now_ns - self.refused_at_ns >= least_ns and used_since >= self._in_after:
             self._verdicts.clear()
-            self._come_in()
+            self._reinstate()
             self.refused = 0
 
     @property
@@ -146,9 +146,9 @@ class Streak:
             self.is_out = True
             self.out_since_ns = self._verdicts[-min(self.refused, len(self._verdicts))][0]
         elif self.is_out and self.accepted_again >= self._in_after:
-            self._come_in()
+            self._reinstate()
 
-    def _come_in(self) -> None:
+    def _reinstate(self) -> None:
         self.is_out, self.out_since_ns = False, 0
         self._off.clear()
 
@@ -182,11 +182,11 @@ def disagreement(messages: "deque[Any]") -> Disagreement:
     axes: dict[str, list[tuple[float, float]]] = {}
     for name, values in parts.items():
         axes.setdefault(name.rpartition(" ")[2], []).extend(values)
-    best = max(((name, *np.mean(values, axis=0)) for name, values in axes.items()), key=_far, default=None)
-    worst = max(((name, *np.mean(values, axis=0)) for name, values in parts.items()), key=_far, default=None)
+    best = max(((name, *np.mean(values, axis=0)) for name, values in axes.items()), key=_size_in_sigmas, default=None)
+    worst = max(((name, *np.mean(values, axis=0)) for name, values in parts.items()), key=_size_in_sigmas, default=None)
     if best is None or worst is None:
         return NO_DISAGREEMENT
-    name, residual, sigmas = best if _far(best) >= max(1.0, 0.3 * _far(worst)) else worst
+    name, residual, sigmas = best if _size_in_sigmas(best) >= max(1.0, 0.3 * _size_in_sigmas(worst)) else worst
     return Disagreement(f"{name} {angle_text(residual)}", float(sigmas))
 
 
@@ -198,5 +198,5 @@ def angle_text(angle: float) -> str:
     return f"{'−' if arcsec < 0.0 else '+'}{text}"
 
 
-def _far(entry: tuple[str, float, float]) -> float:
+def _size_in_sigmas(entry: tuple[str, float, float]) -> float:
     return abs(entry[2])

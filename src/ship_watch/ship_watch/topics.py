@@ -98,7 +98,7 @@ def source_of_name(name: str) -> str:
     return whole.get(first, "")
 
 
-def node_of(topic: str) -> str:
+def reading_node(topic: str) -> str:
     """Return the node that reads an input topic, for people; some topics have several readers."""
     if topic.startswith(("theodolite/", "beacon/", "ship/")):
         return "optical_axis"
@@ -107,7 +107,7 @@ def node_of(topic: str) -> str:
     return f"a node that reads {topic}"
 
 
-def member_of(name: str) -> str:
+def source_member(name: str) -> str:
     """Return the member of a source in a name or topic: "a" of "baseline.a" and "beacon/a/imu"; empty for all."""
     if "/" in name:
         words = name.split("/")
@@ -122,7 +122,7 @@ _PLACES = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_a
 
 
 @functools.lru_cache(256)
-def place_of(source: str) -> tuple[int, str]:
+def display_order(source: str) -> tuple[int, str]:
     """Return the sort key of a source in the fixed order of all sources."""
     first = source.partition(".")[0]
     return (_PLACES.index(first) if first in _PLACES else len(_PLACES), source)

@@ -57,7 +57,7 @@ class NisWindow:
         fits = abs(ratio - 1.0) <= band
         if not band <= WIDEST_BAND or ratio == 0.0:
             return NisVerdict(ratio, degrees, "", fits)
-        return NisVerdict(ratio, degrees, f"σ {as_stated(ratio) if fits else misfit(ratio)}", fits)
+        return NisVerdict(ratio, degrees, f"σ {consistent_text(ratio) if fits else inconsistent_text(ratio)}", fits)
 
     def _forget(self, now_ns: int) -> None:
         entries = self._entries
@@ -70,12 +70,12 @@ class NisWindow:
             self._nis = 0.0  # remove rounding errors
 
 
-def as_stated(ratio: float) -> str:
+def consistent_text(ratio: float) -> str:
     """Return the text of a consistent ratio of real to stated sigma: "as stated (1.01)"."""
     return f"as stated ({ratio:.2f})"
 
 
-def misfit(ratio: float) -> str:
+def inconsistent_text(ratio: float) -> str:
     """Return the text of an inconsistent ratio: "optimistic by 1.6" if errors exceed the stated sigma."""
     factor = ratio if ratio > 1.0 else 1.0 / ratio
     # Two digits if one would round to 1.0.

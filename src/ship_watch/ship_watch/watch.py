@@ -38,7 +38,7 @@ from ship_watch.picture import (
 from ship_watch.published_state import PublishedState, published_state
 from ship_watch.sources import STAR_INNOVATION, SourceBook, first_faulty_source, newest_age_s
 from ship_watch.states import COUNTDOWN, AngleClaim, HeldWord, TimeOver, angle_word
-from ship_watch.topics import node_of, source_of_topic, watched_topic
+from ship_watch.topics import reading_node, source_of_topic, watched_topic
 
 STEP_NS = 100_000_000
 """Period at which safety and events are evaluated, ns."""
@@ -83,7 +83,7 @@ class Watch:
         """History for plots; a new object after a reset."""
         return self._keeper.history
 
-    def start_anew(self) -> None:
+    def reset(self) -> None:
         """Reset everything except the alerts, as when a bag is played in a loop."""
         self._forget()
 
@@ -194,7 +194,7 @@ class Watch:
         self._note_time(ns_from_stamp(message.header.stamp), now_ns)
         has_started = self._book.note_health(message, now_ns)
         if has_started and self._first_ns is not None and now_ns - self._first_ns > SETTLED_NS:
-            self._events.tell_start(node_of(str(message.topic)), ns_from_stamp(message.header.stamp))
+            self._events.tell_start(reading_node(str(message.topic)), ns_from_stamp(message.header.stamp))
 
     def _take_alerts(self, message: Any, now_ns: int) -> None:
         alerts = alerts_shown(message)
@@ -319,7 +319,7 @@ class Watch:
             is_old=output.is_old(now_ns),
             value=output.values.get(name, math.nan),
             accuracy_95=output.accuracies_95.get(name, math.nan),
-            limit=self.limits.of_angle(name),
+            limit=self.limits.angle_limit(name),
             unsafe_factor=self.limits.unsafe_factor,
             status=output.status,
             hint=output.hint(now_ns, beacons),

@@ -27,7 +27,7 @@ class Reading(NamedTuple):
     sense: str
 
 
-def reading(angle: AngleShown) -> Reading:
+def angle_reading(angle: AngleShown) -> Reading:
     """Return an angle in degrees: 034.39° true, 0.1° bow down, 359.88°, +68.74°; a dash if unknown or too old."""
     if not math.isfinite(angle.value) or (angle.is_old and angle.age_s > DASHES_AFTER_S):
         return Reading(NO_VALUE, "true" if angle.name == "heading" else "")
@@ -42,7 +42,7 @@ def reading(angle: AngleShown) -> Reading:
     return Reading(f"{round(degrees % 360.0, 2) % 360.0:06.2f}°", "true" if angle.name == "heading" else "")
 
 
-def angle_size(value: float) -> str:
+def small_angle(value: float) -> str:
     """Return the size of a small angle: 4.2″, 120″, 1.3°; a dash if unknown.
 
     Args:
@@ -56,19 +56,19 @@ def angle_size(value: float) -> str:
     return f"{arcsec:.0f}″" if arcsec < 3599.5 else f"{math.degrees(abs(value)):.1f}°"
 
 
-def limit_size(value: float) -> str:
+def limit_text(value: float) -> str:
     """Return a limit: 5″, 2.5″; a dash without one. ``value`` in rad."""
     return f"{abs(value) / ARCSEC:.6g}″" if math.isfinite(value) else NO_VALUE
 
 
-def accuracy(angle: AngleShown) -> str:
+def accuracy_text(angle: AngleShown) -> str:
     """Return the 95 % accuracy of an angle, ±4.2″; for an old value its age, OLD 12 s."""
     if angle.is_old:
-        return f"OLD {age(angle.age_s)}" if math.isfinite(angle.age_s) else NO_VALUE
-    return f"±{angle_size(angle.accuracy_95)}" if math.isfinite(angle.accuracy_95) else NO_VALUE
+        return f"OLD {age_text(angle.age_s)}" if math.isfinite(angle.age_s) else NO_VALUE
+    return f"±{small_angle(angle.accuracy_95)}" if math.isfinite(angle.accuracy_95) else NO_VALUE
 
 
-def age(seconds: float) -> str:
+def age_text(seconds: float) -> str:
     """Return a time span with one unit: 0.5 s, 12 s, 5 min, 3 h, 2 d; "never" if infinite, a dash if unknown."""
     if math.isnan(seconds):
         return NO_VALUE
@@ -82,7 +82,7 @@ def age(seconds: float) -> str:
     return f"{seconds / 86400:.0f} d"
 
 
-def clock(utc_ns: int) -> str:
+def utc_clock(utc_ns: int) -> str:
     """Return the time of day, UTC: 12:00:07; dashes for 0. ``utc_ns`` is POSIX time in ns."""
     return f"{datetime.fromtimestamp(utc_ns // 1_000_000_000, timezone.utc):%H:%M:%S}" if utc_ns > 0 else "--:--:--"
 

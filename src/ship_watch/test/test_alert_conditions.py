@@ -22,7 +22,7 @@ from ship_watch.alert_advice import ADVICE, kind_of
 from ship_watch.alert_conditions import Machine, NodeStatus, conditions
 from ship_watch.alert_states import Condition
 from ship_watch.alerts import AlertBook
-from ship_watch.functions import functions, tree
+from ship_watch.functions import functions, diagnostic_entries
 from ship_watch.limits import InputLimits, Limits
 from ship_watch.picture import Picture, Presence, Priority, Safety
 
@@ -119,7 +119,7 @@ def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
     """The diagnostics of a function within its limit again have the current reason."""
     reason = "within 3″ again; SAFE in 4 s"
     well_again = replace(over("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
-    branches = {branch.path: (branch.level, branch.text) for branch in tree(picture(well_again), PICTURED)}
+    branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(picture(well_again), PICTURED)}
     assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ (95 %), limit 3″")
 
 
@@ -241,7 +241,7 @@ def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
     """Each function is listed with its limit and its sources; the source that causes a loss is an error."""
     angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
     shown = picture(out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
-    branches = {branch.path: (branch.level, branch.text) for branch in tree(shown, PICTURED)}
+    branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(shown, PICTURED)}
     assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy, limit 5″")
     assert branches["heading within 5″/ins"] == (2, "out: 81 rejected in a row, up +100″, therefore heading lost")
     assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ (95 %), limit 3″")
@@ -250,4 +250,4 @@ def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
     assert branches["pointing within 10″/ins"][0] == 1
     assert "heading within 5″/lights" not in branches
     off = picture(source("gnss", presence=Presence.OFF))
-    assert not any(branch.path.endswith("/gnss") for branch in tree(off, PICTURED))
+    assert not any(branch.path.endswith("/gnss") for branch in diagnostic_entries(off, PICTURED))

@@ -15,7 +15,7 @@ ARCSEC = 4.84813681109536e-06
 def test_defaults_are_those_of_the_suite() -> None:
     """Defaults: heading 6″, tilt 4″, pointing 12″ at 95 %, one second for both outputs."""
     limits = Limits()
-    in_arcsec = {angle: limits.of_angle(angle) / ARCSEC for angle in ANGLES}
+    in_arcsec = {angle: limits.angle_limit(angle) / ARCSEC for angle in ANGLES}
     assert in_arcsec == pytest.approx({"heading": 6, "pitch": 4, "roll": 4, "azimuth": 12, "elevation": 12})
     assert (limits.attitude_age_s, limits.pointing_age_s, limits.unsafe_factor) == (1.0, 1.0, 3.0)
     assert limits == build(Limits, {})
@@ -29,12 +29,12 @@ def test_file_of_a_ship_changes_only_its_own_limits(tmp_path: Path) -> None:
         "  gnss: {age_s: 20}\nalerts: {clear_after_s: 9.0}\n"
     )
     limits = read_limits(path)
-    assert limits.of_angle("heading") == pytest.approx(8.0 * ARCSEC)
+    assert limits.angle_limit("heading") == pytest.approx(8.0 * ARCSEC)
     assert limits.tilt_arcsec == Limits().tilt_arcsec
-    assert limits.of_input("star.bow") == InputLimits(rate_hz=2.0)
-    assert limits.of_input("star.starboard") == InputLimits(rate_hz=1.0)
-    assert limits.of_input("gnss").age_s == 20.0
-    assert limits.of_input("ins").refusals == 7
+    assert limits.input_limits("star.bow") == InputLimits(rate_hz=2.0)
+    assert limits.input_limits("star.starboard") == InputLimits(rate_hz=1.0)
+    assert limits.input_limits("gnss").age_s == 20.0
+    assert limits.input_limits("ins").refusals == 7
     assert limits.alerts.clear_after_s == 9.0
 
 
@@ -70,7 +70,7 @@ def test_sources_are_not_accepted_as_angles() -> None:
     """A kind of source is not an angle."""
     for kind in INPUT_KINDS:
         with pytest.raises(KeyError):
-            Limits().of_angle(kind)
+            Limits().angle_limit(kind)
 
 
 def test_documented_example_is_valid() -> None:
@@ -78,5 +78,5 @@ def test_documented_example_is_valid() -> None:
     page = (Path(__file__).parents[3] / "docs/reference/limits.md").read_text(encoding="utf-8")
     shown = "\n".join(line[4:] for line in page.splitlines() if line.startswith("    "))
     limits = read_limits(shown)
-    assert (limits.heading_arcsec, limits.of_input("star.bow").rate_hz) == (8.0, 2.0)
+    assert (limits.heading_arcsec, limits.input_limits("star.bow").rate_hz) == (8.0, 2.0)
     assert (limits.machine.disk_path, limits.machine.disk_free_gb) == ("/data", 50.0)

@@ -95,11 +95,11 @@ def test_use_without_reports_reinstates_a_source() -> None:
     streak = Streak(5, 10)
     run(streak, "-----")
     last = 100 * SECOND + 4 * PERIOD
-    streak.used_silently(last + 3 * SECOND, PERIOD, 9)  # only nine used
+    streak.reinstate_if_used(last + 3 * SECOND, PERIOD, 9)  # only nine used
     assert streak.is_out
-    streak.used_silently(last + SECOND, SECOND / 100, 100)  # enough used, but too early
+    streak.reinstate_if_used(last + SECOND, SECOND / 100, 100)  # enough used, but too early
     assert streak.is_out
-    streak.used_silently(last + 2 * SECOND, PERIOD, 10)
+    streak.reinstate_if_used(last + 2 * SECOND, PERIOD, 10)
     assert not streak.is_out
     assert streak.refused == 0
 

@@ -425,7 +425,7 @@ def test_alerts_are_sorted_and_survive_a_reset() -> None:
     watch.take("ship/alerts", array, at(1.0))
     shown = watch.look(at(1.1)).alerts or ()
     assert [(one.priority, one.state) for one in shown] == [(2, 1), (1, 1), (2, 3), (0, 3)]
-    watch.start_anew()
+    watch.reset()
     assert watch.look(at(2.0)).alerts == shown
     watch.take("ship/alerts", SimpleNamespace(header=stamp(UTC), alerts=[]), at(2.0))
     assert watch.look(at(2.1)).alerts == ()

@@ -49,22 +49,22 @@ def angle(name, degrees, **changed):
     ],
 )
 def test_angle_has_a_word_for_its_sign(name, degrees, number, sense):
-    assert words.reading(angle(name, degrees)) == (number, sense)
+    assert words.angle_reading(angle(name, degrees)) == (number, sense)
 
 
 def test_an_old_value_keeps_its_age_and_loses_its_number_after_a_minute():
     old = angle("heading", 34.39, is_old=True, age_s=12.0)
-    assert words.reading(old).number == "034.39°"
-    assert words.accuracy(old) == "OLD 12 s"
+    assert words.angle_reading(old).number == "034.39°"
+    assert words.accuracy_text(old) == "OLD 12 s"
     very_old = angle("heading", 34.39, is_old=True, age_s=61.0)
-    assert words.reading(very_old).number == words.NO_VALUE
-    assert words.accuracy(very_old) == "OLD 61 s"
+    assert words.angle_reading(very_old).number == words.NO_VALUE
+    assert words.accuracy_text(very_old) == "OLD 61 s"
 
 
 def test_missing_value_is_a_dash():
     never = angle("pitch", math.nan, is_old=True, age_s=math.inf, accuracy_95=math.nan)
-    assert words.reading(never) == (words.NO_VALUE, "")
-    assert words.accuracy(never) == words.NO_VALUE
+    assert words.angle_reading(never) == (words.NO_VALUE, "")
+    assert words.accuracy_text(never) == words.NO_VALUE
 
 
 @pytest.mark.parametrize(
@@ -72,11 +72,11 @@ def test_missing_value_is_a_dash():
     [(4.24, "4.2″"), (99.94, "99.9″"), (99.96, "100″"), (3599, "3599″"), (7200, "2.0°"), (-3, "3.0″")],
 )
 def test_the_size_of_a_small_angle(arcsec, text):
-    assert words.angle_size(arcsec * ARCSEC) == text
+    assert words.small_angle(arcsec * ARCSEC) == text
 
 
 def test_limit_has_its_given_digits():
-    assert [words.limit_size(each * ARCSEC) for each in (5.0, 2.5, 10.0, math.nan)] == ["5″", "2.5″", "10″", "—"]
+    assert [words.limit_text(each * ARCSEC) for each in (5.0, 2.5, 10.0, math.nan)] == ["5″", "2.5″", "10″", "—"]
 
 
 @pytest.mark.parametrize(
@@ -87,20 +87,20 @@ def test_limit_has_its_given_digits():
     ],
 )
 def test_age_has_one_unit(seconds, text):
-    assert words.age(seconds) == text
+    assert words.age_text(seconds) == text
 
 
 def test_times_are_utc():
-    assert words.clock(NOON_NS) == "12:00:07"
+    assert words.utc_clock(NOON_NS) == "12:00:07"
     assert words.date_and_clock(NOON_NS) == "2026-05-01 12:00:07.250"
-    assert words.clock(0) == "--:--:--"
+    assert words.utc_clock(0) == "--:--:--"
 
 
 @given(st.sampled_from(ANGLES), st.floats(allow_nan=True, allow_infinity=True), st.floats(min_value=0.0))
 def test_any_number_has_a_short_text(name, degrees, age_s):
     shown = angle(name, degrees, age_s=age_s, accuracy_95=math.radians(degrees))
-    number, sense = words.reading(shown)
-    assert len(words.accuracy(shown)) > 0
+    number, sense = words.angle_reading(shown)
+    assert len(words.accuracy_text(shown)) > 0
     if abs(degrees) <= (90.0 if name == "elevation" else 360.0):
         assert len(number) <= 7
         assert len(f"{number} {sense}") <= 16 or name == "roll"

@@ -27,7 +27,7 @@ def arguments() -> list[FloatArray]:
 
 def test_points_move_by_states_as_by_numpy() -> None:
     by_attitude, by_direction, by_focal_length, lines, turn_n = arguments()
-    jacobian, by_error = compiled_points.by_states(*arguments(), FOCAL_LENGTH, PLACES)
+    jacobian, by_error = compiled_points.jacobian_by_states(*arguments(), FOCAL_LENGTH, PLACES)
     expected = by_attitude.reshape(-1, 3) @ turn_n
     expected[:, FOCAL_LENGTH] = by_focal_length.ravel()
     equal(by_error, by_direction @ lines)
@@ -40,11 +40,11 @@ def test_points_move_by_states_as_by_numpy() -> None:
 @pytest.mark.parametrize("lights", [1, 2, 5])
 def test_covariances_of_points_are_as_by_numpy(lights: int) -> None:
     rows, turns = drawn(2 * lights, 3), drawn(2, 3, 3)
-    equal(compiled_points.by_turns(rows, turns), rows @ turns @ rows.T)
+    equal(compiled_points.covariances_by_rotation(rows, turns), rows @ turns @ rows.T)
     by_error, roots = drawn(lights, 2, 5), drawn(lights, 3, 3)
     own = roots @ roots.swapaxes(1, 2)
     equal(
-        compiled_points.of_each(by_error, own),
+        compiled_points.covariance_by_own_error(by_error, own),
         block_diagonal(by_error[..., :3] @ own @ by_error[..., :3].swapaxes(1, 2)),
     )
 
@@ -55,21 +55,21 @@ def test_mismatched_shapes_are_refused(number: int) -> None:
     wrong = arguments()
     wrong[number] = wrong[number][:-1].copy()
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.by_states(*wrong, FOCAL_LENGTH, PLACES)
+        compiled_points.jacobian_by_states(*wrong, FOCAL_LENGTH, PLACES)
 
 
 @pytest.mark.parametrize("place", [[LIGHTS, 0, 0], [-2, 0, 0], [0, ERRORS, 0], [0, -1, 0], [0, 0, STATES], [0, 0, -1]])
 def test_invalid_couplings_are_refused(place: list[int]) -> None:
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.by_states(*arguments(), FOCAL_LENGTH, np.array([place]))
+        compiled_points.jacobian_by_states(*arguments(), FOCAL_LENGTH, np.array([place]))
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.by_states(*arguments(), STATES, PLACES)
+        compiled_points.jacobian_by_states(*arguments(), STATES, PLACES)
 
 
 def test_mismatched_covariances_are_refused() -> None:
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.by_turns(drawn(4, 2), drawn(2, 3, 3))
+        compiled_points.covariances_by_rotation(drawn(4, 2), drawn(2, 3, 3))
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.of_each(drawn(2, 2, 2), drawn(2, 3, 3))
+        compiled_points.covariance_by_own_error(drawn(2, 2, 2), drawn(2, 3, 3))
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.of_each(drawn(3, 2, 3), drawn(2, 3, 3))
+        compiled_points.covariance_by_own_error(drawn(3, 2, 3), drawn(2, 3, 3))

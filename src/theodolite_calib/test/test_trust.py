@@ -47,20 +47,20 @@ def since_ns(trust: FaultState) -> list[int | None]:
 )
 def test_reinstatement_timers_restart_after_a_gap_of_all_beacons(silent_s, names, expected) -> None:
     trust = agreeing({FIRST: LAST_NS, SECOND: LAST_NS})
-    assert since_ns(REFEREE.heard_again(trust, names, LAST_NS + silent_s * SECOND_NS)) == expected
+    assert since_ns(REFEREE.restart_timers(trust, names, LAST_NS + silent_s * SECOND_NS)) == expected
 
 
 def test_gap_of_one_beacon_restarts_its_timer_only() -> None:
     trust = agreeing({FIRST: LAST_NS - 20 * SECOND_NS, SECOND: LAST_NS})
     later_ns = LAST_NS + SECOND_NS
-    assert since_ns(REFEREE.heard_again(trust, (FIRST, SECOND), later_ns)) == [None, AGREED_NS, AGREED_NS]
+    assert since_ns(REFEREE.restart_timers(trust, (FIRST, SECOND), later_ns)) == [None, AGREED_NS, AGREED_NS]
 
 
 def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
     trust, back_ns = agreeing({FIRST: LAST_NS, SECOND: LAST_NS}), LAST_NS + 100 * SECOND_NS
     returned = []
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
-        trust = REFEREE.heard_again(trust, (SECOND,), time_ns)
+        trust = REFEREE.restart_timers(trust, (SECOND,), time_ns)
         heard_ns = trust.innovation_means.heard_ns.copy()
         heard_ns[ROWS.beacons.index(SECOND)] = time_ns
         trust = replace(trust, means=replace(trust.innovation_means, heard_ns=heard_ns))

@@ -72,7 +72,7 @@ def _in_child(task: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 
 def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
-    begun_s = time.process_time()
+    start_cpu_s = time.process_time()
     result: dict[str, Any] = {
         "voyage": cell.number,
         "cell": cell.name,
@@ -85,7 +85,7 @@ def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
     except Exception:
         # A defect of the software is what is looked for; the other cells go on.
         result |= {"exception": traceback.format_exc(limit=-4), "returned": False}
-    return result | {"cpu_s": round(time.process_time() - begun_s, 2)}
+    return result | {"cpu_s": round(time.process_time() - start_cpu_s, 2)}
 
 
 class ReturnSink(VoyageSink):
@@ -131,8 +131,8 @@ class ReturnSink(VoyageSink):
         """True if all outputs have been VALID since a time, and no source is excluded, contradicted or refused."""
         return (
             all(
-                begun_ns is not None and begun_ns <= since_ns and now_ns - self.last_ns[topic] <= _LONGEST_GAP_NS
-                for topic, begun_ns in self.valid_since_ns.items()
+                valid_since_ns is not None and valid_since_ns <= since_ns and now_ns - self.last_ns[topic] <= _LONGEST_GAP_NS
+                for topic, valid_since_ns in self.valid_since_ns.items()
             )
             and not any(self.excluded.values())
             and _UNAVAILABLE not in self.states.values()
@@ -149,7 +149,7 @@ class SteppedTruth:
 
     def exactly_at(self, stamp_ns: int) -> Any:
         """Return the true attitude at a stamp; None if there is none."""
-        return self._truth.exactly_at(stamp_ns - self.offset_ns)
+        return self._truth.rotation_at_stamp(stamp_ns - self.offset_ns)
 
 
 def _judgement(cell: Cell, run: "_Run") -> dict[str, Any]:
@@ -160,10 +160,10 @@ def _judgement(cell: Cell, run: "_Run") -> dict[str, Any]:
     end_ns = consistent_ns + round((max(bounds_s.values()) + _AFTER_BOUND_S) * NS_PER_S)
     steady_ns = round(STEADY_S * NS_PER_S)
     run.steps = [(data.time_ns(step.at_s), round(step.step_s * NS_PER_S)) for step in cell.steps]
-    begun_ns = max(data.time_ns(cell.node_starts_s), run.next_ns)
-    now_ns = begun_ns
+    first_ns = max(data.time_ns(cell.node_starts_s), run.next_ns)
+    now_ns = first_ns
     for message in delivered(cell, data):
-        if begun_ns <= message.log_ns <= end_ns:
+        if first_ns <= message.log_ns <= end_ns:
             now_ns = message.log_ns
             run.take(message)
             if now_ns >= consistent_ns + steady_ns and sink.is_well(now_ns - steady_ns, now_ns):

@@ -40,7 +40,7 @@ class InsOnGravity:
     def __init__(self, slow: StateBlock, length_m: float) -> None:
         self._time_s, self._sigma, self._length_m = slow.time_s, slow.sigma, length_m
 
-    def begun(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
+    def initial_state(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
         """See :class:`InsProcess`."""
         given = np.zeros(2) if here.given is None else here.given
         moved_by = _moved_by_deflection(here)

@@ -83,9 +83,9 @@ class OnGravity:
         rows, columns = np.ix_(self._of_process, self._of_process)
         if since_ns is None or before is None:
             # Before the first measurement the state is the initial one at each time.
-            begun = [self._process.begun(here) for here in verticals]
-            of_process += [shift for shift, _ in begun]
-            noise[:, self._deflection, rows, columns] = [covariance for _, covariance in begun]
+            initial = [self._process.initial_state(here) for here in verticals]
+            of_process += [shift for shift, _ in initial]
+            noise[:, self._deflection, rows, columns] = [covariance for _, covariance in initial]
         else:
             carried = self._process.carried(since_ns, before, times_ns, self._vertical)
             of_process = self._process.means(mean[None, self._of_process], before, carried)[:, 0]

@@ -51,7 +51,7 @@ class InsProcess(Protocol):
     size: int
     needs_latitude: bool
 
-    def begun(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
+    def initial_state(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
         """Return the initial states, shape (n,), and their covariance by the deflection, shape (n, n)."""
 
     def carried(

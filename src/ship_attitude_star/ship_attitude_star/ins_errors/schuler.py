@@ -107,7 +107,7 @@ class SchulerIns:
         self._of_here: tuple[VerticalHere, _Step] | None = None
         self._way: _Way | None = None
 
-    def begun(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
+    def initial_state(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
         """See :class:`InsProcess`; the INS is levelled by gravity at that time."""
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         if self._length_m is not None:

@@ -60,7 +60,7 @@ class Obstructions:
         reached: NDArray[np.bool_] = np.any(self.masks.reaching(_rotations(angles), self.half_fields[number]), axis=0)
         return ~reached
 
-    def over_horizon(self, number: int, angles: FloatArray) -> FloatArray:
+    def horizon_margin(self, number: int, angles: FloatArray) -> FloatArray:
         """Return the margin of the field's lowest point to the clearance as the ship moves, shape (n,), rad.
 
         Args:
@@ -73,7 +73,7 @@ class Obstructions:
 
     def is_open(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """True if a field is clear of masks and horizon, for installation angles (n, 3), rad; shape (n,)."""
-        return self.clear(number, angles) & (self.over_horizon(number, angles) >= 0.0)
+        return self.clear(number, angles) & (self.horizon_margin(number, angles) >= 0.0)
 
 
 def _rotations(angles: FloatArray) -> FloatArray:

@@ -141,7 +141,7 @@ def _fields(optics: Optics) -> Iterator[FloatArray]:
 def _stars_up_to(magnitude: float) -> FloatArray:
     """Return unit vectors of the stars up to a magnitude, shape (k, 3)."""
     catalogue = hipparcos()
-    rows = catalogue.brighter_than(magnitude)
+    rows = catalogue.rows_brighter_than(magnitude)
     # Their motion since the epoch is negligible compared with a field of view.
     alpha, delta = catalogue.at_epoch.right_ascension[rows], catalogue.at_epoch.declination[rows]
     return np.stack([np.cos(delta) * np.cos(alpha), np.cos(delta) * np.sin(alpha), np.sin(delta)], axis=-1)

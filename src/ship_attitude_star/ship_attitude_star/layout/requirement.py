@@ -173,7 +173,7 @@ class _Judge:
         for number, name in enumerate(layout.names):
             for mask in self.obstructions.in_view(number, layout.angles[number]):
                 yield f"{mask} in the field of {name}"
-            over = float(self.obstructions.over_horizon(number, layout.angles[number][None])[0])
+            over = float(self.obstructions.horizon_margin(number, layout.angles[number][None])[0])
             if not over >= 0.0:
                 yield f"the field of {name} is {np.rad2deg(-over):.1f} deg too near to the horizon"
 
@@ -184,7 +184,7 @@ class _Judge:
             moved.sensor,
             use_of(moved.sigmas_arcsec, self.limits_arcsec),
             self.obstructions.clear(number, angles).reshape(shape),
-            (self.obstructions.over_horizon(number, angles) >= 0.0).reshape(shape),
+            (self.obstructions.horizon_margin(number, angles) >= 0.0).reshape(shape),
         )
 
     def best_of_map(self, layout: Layout, number: int, moved: ErrorMap, allowed: AdmissibleMap) -> list[Candidate]:

@@ -30,7 +30,7 @@ from ship_geometry.ros_axes import (
     horizon_covariance,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, not_fixed
+from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, fix_rejection
 from ship_node.edge.messages_in import (
     ReadMessage,
     Refused,
@@ -199,7 +199,7 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
         MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = baseline_stamp_ns(message, config, receive_ns)
-    refusal = not_fixed(message, config.least_fix)
+    refusal = fix_rejection(message, config.least_fix)
     if refusal is not None:
         raise Refused(refusal.reason, refusal.text)
     vector_n, noise_n = baseline_vector(message)

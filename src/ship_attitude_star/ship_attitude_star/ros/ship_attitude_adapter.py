@@ -52,7 +52,7 @@ from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.blocks import BlockFeed, PublishedRows, ReadBlock, StampArray
 from ship_node.edge.columns_in import ReadRows
 from ship_node.edge.contested import ATTITUDE, INNOVATION
-from ship_node.edge.ins_messages import contradicted_sigmas, ins_block, ins_sample
+from ship_node.edge.ins_messages import sigma_mismatch_text, ins_block, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
@@ -64,7 +64,7 @@ from ship_node.edge.messages_out import (
     ZERO_VECTOR,
     DiagnosticStatus,
     Level,
-    error_budget,
+    error_budget_message,
 )
 from ship_node.edge.recovering_adapter import RecoveringAdapter
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
@@ -337,7 +337,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         """Return a diagnostic of INS noise in excess of the configured noise, and of errors stated in its messages."""
         if self._stated_covariance is not None:
             covariance = np.reshape(self._stated_covariance, (3, 3))
-            if contradicted := contradicted_sigmas(covariance, self.config.ins):
+            if contradicted := sigma_mismatch_text(covariance, self.config.ins):
                 return DiagnosticStatus("ins noise", Level.WARN, f"{contradicted}: raise it, or check the INS")
         excess = self.core.excess_noise
         if not excess:
@@ -376,7 +376,7 @@ def hint_text(hint: TurnHint | None) -> str:
 def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str], deck: str) -> Any:
     """Return ship_msgs/ErrorBudget of a published attitude; ``sources`` are the names of its error sources."""
     parts_n, covariance_n = estimate.covariance_parts_n, estimate.covariance_n
-    return error_budget(factory, "ship_attitude", estimate.time_ns, deck, sources, parts_n, covariance_n)
+    return error_budget_message(factory, "ship_attitude", estimate.time_ns, deck, sources, parts_n, covariance_n)
 
 
 def deflection_message(factory: MessageFactory, known: DeflectionReading, horizon: str) -> Any:

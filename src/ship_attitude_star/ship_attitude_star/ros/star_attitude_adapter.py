@@ -32,7 +32,7 @@ from ship_node.edge.messages_out import (
     INNOVATION_TYPE,
     DiagnosticStatus,
     Level,
-    error_budget,
+    error_budget_message,
     refused_input,
 )
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
@@ -145,7 +145,7 @@ class StarAttitudeAdapter(BlockAdapter):
         for source, time_ns in outcome.not_joined:
             text = "too late for the joint solution of its time; its single-sensor solution is published"
             self.health.noted(_topic(source), Reason.LATE)
-            published.append(self.refused(source, time_ns, Refusal(Reason.LATE, text)))
+            published.append(self.rejection_message(source, time_ns, Refusal(Reason.LATE, text)))
         return published
 
     def _single(self, solved: Solved, now_ns: int) -> list[Published]:
@@ -162,7 +162,7 @@ class StarAttitudeAdapter(BlockAdapter):
                 self.health.noted(topic, refusal.reason)
         published = self._solution(solved, self.config.star_sensors[id_].frame_id or f"star_{id_}")
         if refusal is not None:
-            published.append(self.refused(source, solved.time_ns, refusal))
+            published.append(self.rejection_message(source, solved.time_ns, refusal))
         return published
 
     def _joint(self, solved: Solved) -> list[Published]:
@@ -173,12 +173,12 @@ class StarAttitudeAdapter(BlockAdapter):
         if refusal is not None and refusal.reason is Reason.FAILED:
             self.health.failed(f"{self.main_topic}: {refusal.text}")
         if refusal is not None and refusal.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
-            published.append(self.refused(f"star.{JOINT}", solved.time_ns, refusal))
+            published.append(self.rejection_message(f"star.{JOINT}", solved.time_ns, refusal))
         return published
 
     def _solution(self, solved: Solved, frame_id: str) -> list[Published]:
         message = star_horizon_attitude(self.factory, solved, frame_id)
-        refused = map(functools.partial(refused_star, self.factory), solved.refused)
+        refused = map(functools.partial(rejected_star_message, self.factory), solved.refused)
         return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
@@ -248,10 +248,10 @@ def solution_budget(factory: MessageFactory, solved: Solved, deck: str) -> Any:
     """Return ship_msgs/ErrorBudget of a joint solution."""
     parts_n, covariance_n = solved.solution.parts_n, solved.solution.covariance_n
     terms = SOLUTION_TERMS[: len(parts_n)]
-    return error_budget(factory, f"star_{JOINT}", solved.time_ns, deck, terms, parts_n, covariance_n)
+    return error_budget_message(factory, f"star_{JOINT}", solved.time_ns, deck, terms, parts_n, covariance_n)
 
 
-def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:
+def rejected_star_message(factory: MessageFactory, star: RefusedStar) -> Any:
     """Return ship_msgs/Innovation of a rejected star, with its residual if it was compared."""
     told = Refusal(star.refusal.reason, f"{star.name}: {star.refusal.text}")
     if not star.residual:

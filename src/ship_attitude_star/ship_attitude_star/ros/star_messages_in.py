@@ -195,7 +195,7 @@ def _sigma_refusal(sigma_px: float) -> Refusal | None:
 def _number_refusal(hip: int, row: int, catalogue: StarCatalogue) -> Refusal | None:
     if hip == 0 or row != UNKNOWN:
         return None
-    return Refusal(Reason.UNKNOWN_STAR, catalogue.reason_against(hip) or "")
+    return Refusal(Reason.UNKNOWN_STAR, catalogue.missing_star_reason(hip) or "")
 
 
 def _place_refusal(hip: int, right_ascension: float, declination: float) -> Refusal | None:

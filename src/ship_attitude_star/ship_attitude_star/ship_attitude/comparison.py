@@ -239,11 +239,11 @@ def _attitude_residual(
     residual = compiled_rotations.turn_between(rotation_nv, measurement.rotation_nv)
     if math.hypot(*residual.tolist()) > _HALF_TURN_RAD:
         slow = model.slices["ins.attitude"]
-        residual = _shorter_error(residual, mean[slow], jacobian_v[:, slow])
+        residual = _smaller_ins_error_residual(residual, mean[slow], jacobian_v[:, slow])
     return residual, jacobian_v
 
 
-def _shorter_error(residual: FloatArray, error_n: FloatArray, by_error_v: FloatArray) -> FloatArray:
+def _smaller_ins_error_residual(residual: FloatArray, error_n: FloatArray, by_error_v: FloatArray) -> FloatArray:
     """Return a residual of about 180° in the sense that leads to the smaller INS error.
 
     Noise decides the sense of the logarithm there. An INS whose heading jumped by 180° and back would end with an error

@@ -149,7 +149,7 @@ class ShipAttitudeCore:
         stars = [source for source, device in self.filter.devices.items() if device.is_star]
         if stars and all(source in state.excluded for source in stars):
             # They may have been excluded for an error of UTC.
-            state = self.filter.fault_detector.begun_anew(state)
+            state = self.filter.fault_detector.restart_subfilters(state)
         state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
         self._shell.step_time_base(state, step_ns)
         if self._watch is not None:
@@ -302,12 +302,12 @@ class ShipAttitudeCore:
             self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
             changed_after_ns = self._watch.surroundings.insert(sky_input)
             # A plain AttitudeMeasurement does not depend on the sky model; its subclass SolvedAttitude does.
-            self._compare_anew(changed_after_ns, lambda used: type(used) is not AttitudeMeasurement)
+            self._reevaluate(changed_after_ns, lambda used: type(used) is not AttitudeMeasurement)
         if self.vertical is not None and isinstance(sky_input, PositionFix):
             if self._watch is None:
                 outcome.refusal = self.vertical.refusal(sky_input)
                 self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
-            self._compare_anew(self.vertical.insert(sky_input), lambda _used: True)
+            self._reevaluate(self.vertical.insert(sky_input), lambda _used: True)
         self._shell.apply(outcome)
         return outcome
 
@@ -316,7 +316,7 @@ class ShipAttitudeCore:
         assert self.vertical is not None
         outcome = AttitudeOutcome(self.vertical.refusal(reading))
         self._shell.contradictions.note(reading.source, reading.time_ns, outcome.refusal)
-        self._compare_anew(self.vertical.insert(reading), lambda _used: True)
+        self._reevaluate(self.vertical.insert(reading), lambda _used: True)
         self._shell.apply(outcome)
         return outcome
 
@@ -529,7 +529,7 @@ class ShipAttitudeCore:
         """Return the earliest time that is still needed; measurements before ``closed_ns`` are final."""
         return closed_ns
 
-    def _compare_anew(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
+    def _reevaluate(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
         """Evaluate the affected measurements after a time again; None: no change."""
         if changed_after_ns is not None:
             self._shell.rewind_where(

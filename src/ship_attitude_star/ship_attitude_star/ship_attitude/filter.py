@@ -69,7 +69,7 @@ class ShipFilter:
     def predicted(self, state: FilterState, time_ns: int) -> FilterState:
         """Propagate a state to a later time."""
         if state.time_ns is None:
-            return self._begun(state, time_ns)
+            return self._initialise(state, time_ns)
         if time_ns <= state.time_ns:
             return state
         dt_s = (time_ns - state.time_ns) * 1e-9
@@ -84,13 +84,13 @@ class ShipFilter:
         self.fault_detector.ins.carried(state, stack, dt_s)
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
-    def _begun(self, state: FilterState, time_ns: int) -> FilterState:
+    def _initialise(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state at its first time, initialised with the vertical there."""
         if self.vertical is None:
             return changed(state, time_ns=time_ns)
         assert self.model.ins_process is not None
         here = self.vertical.at(time_ns)
-        mean, covariance = self.model.ins_process.begun(here)
+        mean, covariance = self.model.ins_process.initial_state(here)
         means, stack = state.means.copy(), state.stack.copy()
         means[:, self.model.process_rows] += mean
         self._add_to_process(stack, len(means), self._deflection_index, covariance)
@@ -132,7 +132,7 @@ class ShipFilter:
             state = self.fault_detector.without_ins(state, opens_ns)
             if INS in state.excluded:
                 return state
-        state = self.fault_detector.acquitted(state, opens_ns)
+        state = self.fault_detector.reset_for_ins_jump(state, opens_ns)
         stack, means, count = state.stack.copy(), state.means, len(state.means)
         slow, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
         # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
@@ -152,7 +152,7 @@ class ShipFilter:
             means=means,
             stack=stack,
             stays=NO_STAYS,
-            unconfirmed=_jumped(opens_ns),
+            unconfirmed=_unconfirmed_ins_jump(opens_ns),
             jumped_ns=jump.time_ns,
             ins_suspected_ns=jump.time_ns,
         )
@@ -308,7 +308,7 @@ class ShipFilter:
         vouched = self._ins_vouched(state, found)
         if self.devices[source].is_star and not (accepted[0] or vouched):
             # No other data show whether the INS has jumped.
-            after = changed(after, unconfirmed=_jumped(measurement.time_ns))
+            after = changed(after, unconfirmed=_unconfirmed_ins_jump(measurement.time_ns))
         after, text = self.fault_detector.judged(after, source, innovations, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
 
@@ -382,7 +382,7 @@ class ShipFilter:
         if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
             return state, ""
         state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_STAYS)
-        state = self.fault_detector.begun_anew(changed(state, excluded=without(state.excluded, source)))
+        state = self.fault_detector.restart_subfilters(changed(state, excluded=without(state.excluded, source)))
         return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
@@ -392,7 +392,7 @@ class ShipFilter:
             if unconfirmed is not None:
                 unconfirmed = unconfirmed.after_agreement(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
-                unconfirmed = _first(source, measurement.time_ns)
+                unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
         refusals = state.refusals if state.refusals.get(source) == 0 else with_entry(state.refusals, source, 0)
         used_ns = with_entry(state.used_ns, source, measurement.time_ns)
         stays = state.stays
@@ -438,10 +438,10 @@ class ShipFilter:
         return state, replace(decision, reason=reason, accepted=False, text=text + opened)
 
 
-def _first(source: str, time_ns: int) -> Unconfirmed:
+def _unconfirmed_first_star(source: str, time_ns: int) -> Unconfirmed:
     """Return the unconfirmed state after the first accepted star measurement."""
     return Unconfirmed(time_ns - 1, "the attitude rests on one star measurement", "stars", time_ns, source)
 
 
-def _jumped(since_ns: int) -> Unconfirmed:
+def _unconfirmed_ins_jump(since_ns: int) -> Unconfirmed:
     return Unconfirmed(since_ns, "the INS has jumped, or may have jumped", "stars")

@@ -178,7 +178,7 @@ class InsAtFault:
         # Written so that NaN is inconsistent.
         return state if agrees and innovation @ innovation <= self._agreed else self.contradicted_now(state, time_ns)
 
-    def believed_again(self, state: FilterState, time_ns: int) -> FilterState:
+    def reinstate_ins(self, state: FilterState, time_ns: int) -> FilterState:
         """Reinstate an excluded INS when its time has come.
 
         An INS excluded by the stars must have been consistent for the reinstatement time. An INS that drifted is

@@ -263,7 +263,7 @@ class Linearisation:
         elif isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
-                return NotCompared(measurement.length.not_covered, ins_time_ns)
+                return NotCompared(measurement.length.coverage_rejection, ins_time_ns)
             # The prediction is the mean over the exposure, so errors and rate are those of the mean. The rate between
             # two samples contains their noise divided by their interval. Across a streak, where a star is most
             # accurate, this noise would count as information about the clock.

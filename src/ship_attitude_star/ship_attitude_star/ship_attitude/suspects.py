@@ -31,7 +31,7 @@ from ship_estimation.exclusion import (
     Finding,
     agrees_with_all,
     find_fault,
-    judge_return,
+    evaluate_reinstatement,
     must_agree_s,
 )
 from ship_estimation.hypotheses import (
@@ -200,9 +200,9 @@ class Suspects:
         """
         if self._is_all_consistent(state):
             return state, ""
-        state = self.ins.believed_again(state, time_ns)
+        state = self.ins.reinstate_ins(state, time_ns)
         if source in state.excluded:
-            state, text = self._judge_return(state, source, innovations, time_ns)
+            state, text = self._evaluate_reinstatement(state, source, innovations, time_ns)
             if source in state.excluded:
                 return state, text
         if distrusted(state):
@@ -287,7 +287,7 @@ class Suspects:
             separation_covariance_n = shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
         return changed(state, doubt=None, disputed_n=separation_covariance_n, absorbed=absorbed)
 
-    def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
+    def reset_for_ins_jump(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after the INS reported its own jump: the sources that contradicted it are reset.
 
         After an unresolved fault all filters restart from the main filter, because they differ by that fault.
@@ -297,7 +297,7 @@ class Suspects:
             state = changed(state, means=means, stack=stack)
         if distrusted(state):
             return self.ins.contradicted_now(state, time_ns)
-        return self._forgiven(state)
+        return self._reset_faults(state)
 
     def without_ins(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after the INS reported a drift: it is excluded if enough other sources check each other.
@@ -305,17 +305,17 @@ class Suspects:
         The subfilter without the INS is consistent with the stars all the time. Stars that contradicted the INS are
         reset.
         """
-        told = state if state.unresolved_fault is None else self.acquitted(state, time_ns)
+        told = state if state.unresolved_fault is None else self.reset_for_ins_jump(state, time_ns)
         if INS in state.excluded or not self.ins.may_be_excluded(told.in_use(self._sources, time_ns)):
             return state
         return self._without(told, (INS,), time_ns)[0]
 
-    def begun_anew(self, state: FilterState) -> FilterState:
+    def restart_subfilters(self, state: FilterState) -> FilterState:
         """Return the state with all filters restarted from the main filter and faults reset."""
         means, stack = self.ins.all_filters_at(state.mean, state.parts)
-        return self._forgiven(changed(state, means=means, stack=stack))
+        return self._reset_faults(changed(state, means=means, stack=stack))
 
-    def _forgiven(self, state: FilterState) -> FilterState:
+    def _reset_faults(self, state: FilterState) -> FilterState:
         """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
         seen = forgotten(state.innovation_means, slice(None), slice(None))
@@ -411,7 +411,7 @@ class Suspects:
             absorbed=state.absorbed.without_corrections(),
         )
 
-    def _judge_return(
+    def _evaluate_reinstatement(
         self, state: FilterState, source: str, innovations: FilterInnovations, time_ns: int
     ) -> tuple[FilterState, str]:
         """Evaluate the reinstatement of an excluded source after one of its measurements.
@@ -426,7 +426,7 @@ class Suspects:
         after_s = self._integrity.return_after_s
         share = self._share_left(state, source, time_ns)
         sigma = _share_sigma(state, source, innovations)
-        exclusion, back = judge_return(exclusion, state.innovation_means, index, time_ns, after_s, share, sigma)
+        exclusion, back = evaluate_reinstatement(exclusion, state.innovation_means, index, time_ns, after_s, share, sigma)
         after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
@@ -441,7 +441,7 @@ class Suspects:
                 agreed_s = (time_ns - exclusion.agrees_since_ns) / SECOND_NS
                 agrees = f"consistent with the others for {agreed_s:.0f} s of {after_s:g} s"
             return state, f"{source} is excluded since {since_s:.0f} s: {agrees}"
-        together = self._excluded_with(state, source)
+        together = self._reinstated_with(state, source)
         seen = forgotten(state.innovation_means, slice(None), [self._indices[name] for name in together])
         remaining = {name: one for name, one in state.excluded.items() if name not in together}
         are = "is" if len(together) == 1 else "are"
@@ -480,7 +480,7 @@ class Suspects:
         )
 
     @staticmethod
-    def _excluded_with(state: FilterState, source: str) -> list[str]:
+    def _reinstated_with(state: FilterState, source: str) -> list[str]:
         """Return the sources to reinstate with one: itself, and those excluded with it that are consistent now.
 
         Stars excluded together because they contradicted the INS check each other. A single one of them cannot be

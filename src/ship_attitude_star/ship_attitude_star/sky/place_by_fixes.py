@@ -45,7 +45,7 @@ of each fix by 1.2; with fixes one second apart the factor would be 2.2, with 0.
 SPEED_SIGMA_M_PER_S = 10.0
 """Standard deviation of the ship's speed where only one fix is known, each horizontal axis."""
 
-JUMP_LASTS_S = 25.0
+JUMP_CONFIRMATION_S = 25.0
 """Time after which a position that has jumped is accepted, s.
 
 A node cannot know which of two positions is right, and the wrong one may have come first.
@@ -114,7 +114,7 @@ class PlaceByFixes:
         self._fix_max_age_ns = round(config.fix_max_age_s * SECOND_NS)
         self._delay_ns = round(config.gnss_delay_s * SECOND_NS)
         self._oldest_ns: int | None = None
-        lasts_s = min(JUMP_LASTS_S, config.fix_max_age_s)
+        lasts_s = min(JUMP_CONFIRMATION_S, config.fix_max_age_s)
         reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, lasts_s, "m", SETTLED_BY_FIXES)
         self._fixes: StampedValues[_Fix] = StampedValues(reach)
 
@@ -138,9 +138,9 @@ class PlaceByFixes:
             return 0  # the first two fixes define the line for all earlier times
         # The velocity changes from the fix before the new one; if that fix is not connected, from the one before it.
         nearest_after_ns = times[index - 1] - 1 if self._joined(index - 2) else times[index - 2]
-        return self._by_lines(nearest_after_ns, changed_ns + self._delay_ns - 1)
+        return self._extrapolated_until_ns(nearest_after_ns, changed_ns + self._delay_ns - 1)
 
-    def _by_lines(self, after_ns: int, until_ns: int) -> int:
+    def _extrapolated_until_ns(self, after_ns: int, until_ns: int) -> int:
         """Return the last time up to which all positions after ``after_ns`` are extrapolated; at most ``until_ns``."""
         told_ns = after_ns if self._oldest_ns is None else max(after_ns, self._oldest_ns - 1)
         while told_ns < until_ns:
@@ -245,7 +245,7 @@ class PlaceByFixes:
     def _joined(self, index: int) -> bool:
         """True if a line may connect a fix to the next one: no long gap and no jump lies between them."""
         times = self._fixes.times
-        return times[index + 1] - times[index] <= 2 * self._fix_max_age_ns and not self._fixes.anew[index + 1]
+        return times[index + 1] - times[index] <= 2 * self._fix_max_age_ns and not self._fixes.follows_jump[index + 1]
 
 
 def _earth_fixed(fix: PositionFix) -> _Fix:

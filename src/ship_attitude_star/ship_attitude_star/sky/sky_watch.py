@@ -133,7 +133,7 @@ class SkyMoment:
         seen = seen_through_air(self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.turns())
         return ApparentStars(seen.direction_n, seen.shared_n, seen.elevation, np.isfinite(seen.direction_n[:, 1]))
 
-    def too_low(self, elevation: float) -> Refusal:
+    def low_elevation_rejection(self, elevation: float) -> Refusal:
         """Return the rejection of a star whose elevation (rad, without refraction) is outside the model's range."""
         text = f"elevation {np.rad2deg(elevation):.1f}°"
         if elevation < 0.0:
@@ -195,7 +195,7 @@ class SkyWatch:
         self._table = table
         self._refreshed = RefreshedSky(table)
         self.catalogue = catalogue
-        rows = catalogue.brighter_than(config.magnitude_limit)
+        rows = catalogue.rows_brighter_than(config.magnitude_limit)
         bright = catalogue.at_j2000[rows]
         directions_c = erfa.s2c(bright.right_ascension, bright.declination)
         self._bright = BrightStars(catalogue, rows, directions_c, np.sort(catalogue.magnitude[rows]))

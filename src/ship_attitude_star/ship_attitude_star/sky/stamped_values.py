@@ -70,7 +70,7 @@ class JumpLimits:
 
     at_once: float
     per_s: float
-    lasts_s: float
+    confirmation_s: float
     unit: str
     settled_by: int = 1
 
@@ -108,7 +108,7 @@ class _Belief(Generic[Value]):
     alone: bool = True
     refused: _Stamped[Value] | None = None
     since_ns: int = 0
-    anew: bool = False
+    follows_jump: bool = False
     agreed: int = 1
     opposed: int = 0
 
@@ -129,9 +129,9 @@ class StampedValues(Generic[Value]):
     def __init__(self, limits: JumpLimits) -> None:
         self.times: list[int] = []
         self.values: list[Value] = []
-        self.anew: list[bool] = []
+        self.follows_jump: list[bool] = []
         self._limits = limits
-        self._lasts_ns = limits.lasts_s * SECOND_NS
+        self._lasts_ns = limits.confirmation_s * SECOND_NS
         # All values, and the state after each of them; `_initial_state` is the state after the dropped values.
         self._stamps: list[int] = []
         self._taken: list[_Stamped[Value]] = []
@@ -150,7 +150,7 @@ class StampedValues(Generic[Value]):
         if self._is_forgotten(time_ns):
             return Refusal(Reason.LATE, "its stamp is older than the values kept of its own source")
         before = self._belief_before(place)
-        if before.good is None or self._believed(before, _Stamped(time_ns, value)).refused is None:
+        if before.good is None or self._next_state(before, _Stamped(time_ns, value)).refused is None:
             return None
         limits, away, allowed = self._limits, value.away(before.good.value), self._reach(before, time_ns, value)
         seconds = (time_ns - before.good.time_ns) / SECOND_NS
@@ -159,7 +159,7 @@ class StampedValues(Generic[Value]):
             jumped += f", limit {allowed:.3g} {limits.unit}"
         else:
             jumped += ", consistent with other values that had jumped"
-        lasts = f"it has lasted for {limits.lasts_s:g} s"
+        lasts = f"it has lasted for {limits.confirmation_s:g} s"
         if self._is_provisional(before):
             lasts = f"{limits.settled_by} in a row are consistent (the accepted one is provisional), or {lasts}"
         return Refusal(Reason.JUMP, f"{jumped}; accepted once {lasts}")
@@ -184,7 +184,7 @@ class StampedValues(Generic[Value]):
         """Drop old values, but keep the last ``keep`` accepted ones at or before a time and all later ones."""
         count = bisect.bisect_right(self.times, time_ns) - keep
         if count > 0:
-            del self.times[:count], self.values[:count], self.anew[:count]
+            del self.times[:count], self.values[:count], self.follows_jump[:count]
         elif len(self._stamps) <= _REMEMBERED:
             return
         passed = bisect.bisect_right(self._stamps, time_ns)
@@ -223,7 +223,7 @@ class StampedValues(Generic[Value]):
         """Evaluate a value and those after it until their state is unchanged; returns as :meth:`insert`."""
         belief, first = self._belief_before(place), place
         while place < len(self._taken):
-            belief = self._believed(belief, self._taken[place])
+            belief = self._next_state(belief, self._taken[place])
             as_before = place > first and belief == self._beliefs[place]
             if self.conflict_changed_ns is None and self._has_conflict(belief) != self._has_conflict(self._beliefs[place]):
                 self.conflict_changed_ns = self._stamps[place]
@@ -243,18 +243,18 @@ class StampedValues(Generic[Value]):
         begin = bisect.bisect_left(self.times, self._stamps[first])
         end = bisect.bisect_right(self.times, self._stamps[last - 1])
         judged = zip(self._taken[first:last], self._beliefs[first:last], strict=True)
-        good = [(one, belief.anew) for one, belief in judged if belief.good is one]
+        good = [(one, belief.follows_jump) for one, belief in judged if belief.good is one]
         # Skip the values that are unchanged; the rest differs from its first one on.
-        while good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.anew[begin]:
+        while good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.follows_jump[begin]:
             del good[0]
             begin += 1
         changed_ns = min([one.time_ns for one, _ in good[:1]] + self.times[begin:end][:1], default=None)
         self.times[begin:end] = [one.time_ns for one, _ in good]
         self.values[begin:end] = [one.value for one, _ in good]
-        self.anew[begin:end] = [anew for _, anew in good]
+        self.follows_jump[begin:end] = [anew for _, anew in good]
         return changed_ns
 
-    def _believed(self, before: _Belief[Value], new: _Stamped[Value]) -> _Belief[Value]:
+    def _next_state(self, before: _Belief[Value], new: _Stamped[Value]) -> _Belief[Value]:
         """Return the state of acceptance after a value."""
         good, refused, limits = before.good, before.refused, self._limits
         if good is None:
@@ -276,7 +276,7 @@ class StampedValues(Generic[Value]):
         has_lasted = new.time_ns - before.since_ns >= self._lasts_ns
         if before.alone or has_lasted or (self._is_provisional(before) and count >= limits.settled_by):
             agreed = limits.settled_by if has_lasted else min(count, limits.settled_by)
-            return _Belief(new, new.time_ns, alone=False, anew=True, agreed=agreed)
+            return _Belief(new, new.time_ns, alone=False, follows_jump=True, agreed=agreed)
         return replace(before, refused=new, anew=False, opposed=count)
 
     def _is_provisional(self, belief: _Belief[Value]) -> bool:

@@ -73,7 +73,7 @@ class _Quantity:
     def __init__(self, default: _Value, measured_sigma: float, limits: JumpLimits, delay_ns: int) -> None:
         self._default = default
         self._measured_sigma = measured_sigma
-        self._max_age_ns, self._delay_ns = limits.lasts_s * SECOND_NS, delay_ns
+        self._max_age_ns, self._delay_ns = limits.confirmation_s * SECOND_NS, delay_ns
         self.readings: StampedValues[_Value] = StampedValues(limits)
 
     def measured(self, reading: AirReading) -> _Value:

@@ -54,7 +54,7 @@ def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasuremen
     elevation = float(elevation_of(forward))
     angle, sigma = moment.refraction_at(elevation)
     if not np.isfinite(angle):
-        return moment.too_low(elevation)
+        return moment.low_elevation_rejection(elevation)
     lift = lifting_axis(forward)
     bent, common_n = _over_the_field(field, moment, elevation, angle, forward)
     shared_n = np.column_stack([sigma * lift, moment.turns().T])

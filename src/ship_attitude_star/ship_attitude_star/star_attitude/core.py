@@ -22,7 +22,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     RefusedStar,
     Solved,
     StarOutcome,
-    not_solved,
+    rejected_exposure,
     solve_deck,
     solve_exposure,
 )
@@ -166,8 +166,8 @@ class StarCore:
 
     def _begin(self) -> None:
         self._guards = StreamGuards(self._config.ins)
-        self._contradictions.forget()
-        self._of_ins.forget()
+        self._contradictions.reset()
+        self._of_ins.reset()
         self._ins = InsMotion(self._config.ins, self._guards, self._of_ins)
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
         self._taken: dict[tuple[str, int], StarExposure] = {}
@@ -333,13 +333,13 @@ class StarCore:
         """Solve the attitude of a sensor from one exposure, and add it as motion reference for the checks."""
         contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:
-            return not_solved(waiting.exposure, waiting.refused, contradiction)
+            return rejected_exposure(waiting.exposure, waiting.refused, contradiction)
         sensor = self._sensor(waiting.exposure.source)
         middle = self._ins.at_middle(waiting.exposure, sensor)
-        exposure, prior = middle.exposure, self._ins.sensor(waiting.exposure.time_ns, sensor)
+        exposure, prior = middle.exposure, self._ins.sensor_prior(waiting.exposure.time_ns, sensor)
         if prior is not None and exposure.length is not None and exposure.smear_s is None:
             # The solution would be compared with the INS, but its errors along the streaks are not known.
-            return not_solved(exposure, waiting.refused, exposure.length.not_covered)
+            return rejected_exposure(exposure, waiting.refused, exposure.length.coverage_rejection)
         placed, solved = solve_exposure(
             exposure, waiting.refused, prior, self._watch, middle.noise_variance, middle.error_variance
         )
@@ -360,12 +360,12 @@ class StarCore:
             for placed in group
         ]
         # Without a known rotation the exposures are so close in time that the ship does not rotate.
-        turns = self._ins.turns(time_ns, [placed.exposure for placed in group])
+        turns = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
         mounted = [
             Mounted(placed, turn @ self._sensor(placed.source).rotation_ds)
             for placed, turn in zip(group, turns.rotations, strict=True)
         ]
-        prior = self._ins.deck(time_ns)
+        prior = self._ins.deck_prior(time_ns)
         self.joined_by_ins = prior is not None
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
 

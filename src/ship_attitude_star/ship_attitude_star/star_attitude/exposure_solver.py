@@ -119,7 +119,7 @@ class Mounted:
     rotation_ds: FloatArray
 
 
-def not_solved(
+def rejected_exposure(
     exposure: StarExposure, refused: tuple[RefusedStar, ...], refusal: Refusal
 ) -> tuple[PlacedExposure, Solved]:
     """Return an exposure that is rejected as a whole, without stars and without attitude."""
@@ -151,7 +151,7 @@ def solve_exposure(
     sensor_id = source.partition(".")[2]
     visible = visible_stars(exposure, watch, prior)
     if isinstance(visible, Refusal):
-        return not_solved(exposure, refused, visible)
+        return rejected_exposure(exposure, refused, visible)
     detections = exposure
     exposure, stars, invisible = visible
     if invisible:
@@ -159,7 +159,7 @@ def solve_exposure(
     solution, against_prior = solve_with_fallback(stars, prior)
     contradicted = contradicted_scale(detections, watch, prior, solution.star_count)
     if contradicted is not None:
-        return not_solved(detections, refused, contradicted)
+        return rejected_exposure(detections, refused, contradicted)
     if noise_variance + turn_variance > 0.0:
         solution = solution.with_more_noise(noise_variance + turn_variance)
     placed = PlacedExposure(source, time_ns, exposure, stars, refused, turn_variance)

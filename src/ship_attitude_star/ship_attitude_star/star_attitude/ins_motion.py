@@ -177,7 +177,7 @@ class InsMotion:
             return False
         return not self.track.covers(stamp_ns + reach_ns)
 
-    def deck(self, time_ns: int) -> StarPrior | None:
+    def deck_prior(self, time_ns: int) -> StarPrior | None:
         """Return the attitude of the deck at a time, with all INS errors; None if it is not known."""
         found = self._at(time_ns)
         if found is None:
@@ -199,7 +199,7 @@ class InsMotion:
         told = self._at(to_ns) is not None and self._at(from_ns) is not None
         return told and bool(np.all(self._jumped_n(to_ns) == self._jumped_n(from_ns)))
 
-    def turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
+    def deck_turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
         """Return the rotations of the deck from the middles of exposures to one time.
 
         The correlated error of the INS is constant over these times and cancels. Noise remains, and the effect of the
@@ -246,9 +246,9 @@ class InsMotion:
         of_turns = errors[1:, :, 1:] - errors[1:, :, :1] - errors[:1, :, 1:] + errors[:1, :, :1]
         return to_end[1:], of_turns
 
-    def sensor(self, time_ns: int, mounting: MountingConfig) -> StarPrior | None:
+    def sensor_prior(self, time_ns: int, mounting: MountingConfig) -> StarPrior | None:
         """Return the attitude of a sensor (horizon from sensor) at a time, with the errors of INS and mounting."""
-        deck = self.deck(time_ns)
+        deck = self.deck_prior(time_ns)
         if deck is None:
             return None
         rotation_ns = deck.rotation_nb @ mounting.rotation_ds

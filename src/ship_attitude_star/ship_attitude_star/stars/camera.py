@@ -98,7 +98,7 @@ class StarCamera:
 
     def directions(self, pixels: FloatArray) -> FloatArray:
         """Return unit vectors (forward, up, right), shape (..., 3), of pixels (u, v), (..., 2); NaN if not finite."""
-        return _direction(self._ideal(pixels))
+        return _unit_vectors(self._ideal(pixels))
 
     def pixels(self, directions_s: FloatArray) -> FloatArray:
         """Return pixels (u, v), shape (..., 2), of directions (forward, up, right), (..., 3); NaN behind the sensor."""
@@ -122,7 +122,7 @@ class StarCamera:
             shape (k,).
         """
         ideal = self._ideal(pixels)
-        return _direction(ideal), equivalent_sigma(self._covariance(ideal, sigma_px))
+        return _unit_vectors(ideal), equivalent_sigma(self._covariance(ideal, sigma_px))
 
     def direction_covariance(self, pixels: FloatArray, sigma_px: FloatArray | float) -> FloatArray:
         """Return the covariance of directions of centroids, rad², shape (..., 2, 2), along :func:`tangent_basis`.
@@ -215,7 +215,7 @@ def equivalent_sigma(covariance: FloatArray) -> FloatArray:
     return sigma
 
 
-def _direction(point: FloatArray) -> FloatArray:
+def _unit_vectors(point: FloatArray) -> FloatArray:
     """Return unit vectors (forward, up, right), shape (..., 3), of ideal points (x right, y down) in focal lengths."""
     x, y = point[..., 0], point[..., 1]
     inverse_length = 1.0 / np.sqrt(1.0 + x * x + y * y)

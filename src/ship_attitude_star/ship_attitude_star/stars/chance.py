@@ -67,7 +67,7 @@ def gate_area(variance: float) -> float:
     return min(float(np.pi * chi_square_gate(GATE_PROBABILITY, 2)) * variance, 4.0 * float(np.pi))
 
 
-def improbable_identity(expected: float) -> Refusal:
+def ambiguous_identity_rejection(expected: float) -> Refusal:
     """Return the rejection of stars whose expected number of false sets is too large."""
     text = f"ambiguous identity: {expected:.2g} false sets expected to fit the prediction, limit {MOST_BY_CHANCE:g}"
     return Refusal(Reason.UNIDENTIFIED, text)

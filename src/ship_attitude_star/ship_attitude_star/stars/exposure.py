@@ -63,7 +63,7 @@ class ExposureLength:
         return exposure_nodes(self.exposure_s)
 
     @property
-    def not_covered(self) -> Refusal:
+    def coverage_rejection(self) -> Refusal:
         """Rejection of an exposure for which the INS has no samples over its full length."""
         return Refusal(Reason.GAP, f"no INS samples over its whole exposure of {self.exposure_s:g} s")
 
@@ -279,7 +279,7 @@ def visible_stars(
     direction_n, shared_n, seen = apparent.direction_n, apparent.shared_n, apparent.visible
     if not seen.all():
         for row in np.flatnonzero(~seen).tolist():
-            refused.append((exposure.name(row), moment.too_low(float(apparent.elevation[row]))))
+            refused.append((exposure.name(row), moment.low_elevation_rejection(float(apparent.elevation[row]))))
         exposure, direction_n, shared_n, named = exposure[seen], direction_n[seen], shared_n[seen], named[seen]
     rivals = None
     # With a narrow prior, a wrong identity of a named star is very improbable.
@@ -341,12 +341,12 @@ def identified(
             chosen[number] = found.rows[fitting[0]]
         else:
             behind = exposure.masks.names(exposure.directions_s[row]) if exposure.masks is not None else ""
-            reasons[row] = _why_not(float(found.nearest[number]), len(fitting), behind)
+            reasons[row] = _identification_rejection(float(found.nearest[number]), len(fitting), behind)
     taken = chosen >= 0
     return _filled(exposure, rows[taken], chosen[taken], moment), reasons
 
 
-def _why_not(nearest: float, fitting: int, behind: str) -> Refusal:
+def _identification_rejection(nearest: float, fitting: int, behind: str) -> Refusal:
     """Return the rejection of a detection that was not identified.
 
     Args:

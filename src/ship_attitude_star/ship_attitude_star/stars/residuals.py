@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars import compiled_fit
-from ship_attitude_star.stars.chance import improbable_identity
+from ship_attitude_star.stars.chance import ambiguous_identity_rejection
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.scale_check import contradicted_scale
@@ -115,12 +115,12 @@ def _compare(
     if field_s is not None:
         measured_s = measured_s - field_s @ mean[camera_indices]
     at_estimate = replace(stars, reference_n=expected_n, measured_b=measured_s)
-    believed = _believed(stars, at_estimate, prior, near_ns)
-    if isinstance(believed, Refusal):
-        return Refusal(believed.reason, _listed(believed.text, refused))
-    members, alone_ns = believed
+    selection = _select_consistent(stars, at_estimate, prior, near_ns)
+    if isinstance(selection, Refusal):
+        return Refusal(selection.reason, _listed(selection.text, refused))
+    members, alone_ns = selection
     turned_ns = rotation_ns if alone_ns is None else alone_ns
-    refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
+    refused += [(seen.name(row), _misfit_rejection(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
     if not members.any():
         return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), refused))
     names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
@@ -140,7 +140,7 @@ def _compare(
     )
 
 
-def _believed(
+def _select_consistent(
     stars: SightedStars, at_estimate: SightedStars, prior: StarPrior, near_ns: FloatArray | None
 ) -> tuple[NDArray[np.bool_], FloatArray | None] | Refusal:
     """Return the stars consistent with the prediction; if there are none, those consistent with another attitude.
@@ -157,7 +157,7 @@ def _believed(
     """
     choice = select(at_estimate, prior, near_ns)
     if choice.by_chance is not None:
-        return improbable_identity(choice.by_chance)
+        return ambiguous_identity_rejection(choice.by_chance)
     if choice.members.any():
         return choice.members, None
     alone = solve_stars(stars)
@@ -188,7 +188,7 @@ def _noise(
     return {SOURCE_STAR_NOISE: noise, SOURCE_PIXEL: np.diag(np.repeat(of_pixels[members], 2))}
 
 
-def _misfit(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:
+def _misfit_rejection(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:
     angle = float(angle_between(rotation_ns @ stars.measured_b[row], stars.reference_n[row]))
     text = f'{angle / ARCSEC:.1f}" from its expected direction, sigma {stars.lone_sigma[row] / ARCSEC:.1f}"'
     return Refusal(Reason.MISIDENTIFIED, text)

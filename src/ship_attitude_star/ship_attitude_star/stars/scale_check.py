@@ -56,7 +56,7 @@ def contradicted_scale(
     # Written so that NaN is a contradiction of the focal length.
     if found is None or abs(found.scale) <= MOST_SIGMAS * np.hypot(optics.focal_sigma, found.scale_sigma):
         return None
-    return wrong_focal_length(optics, found.scale, f"the angles between {count} stars")
+    return focal_length_rejection(optics, found.scale, f"the angles between {count} stars")
 
 
 def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -> Refusal | None:
@@ -69,10 +69,10 @@ def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -
     """
     if abs(error) <= MOST_SIGMAS * np.sqrt(1.0 + variance):
         return None
-    return wrong_focal_length(optics, error * optics.focal_sigma, "the stars up to now")
+    return focal_length_rejection(optics, error * optics.focal_sigma, "the stars up to now")
 
 
-def wrong_focal_length(optics: OpticsErrors, scale: float, by_what: str) -> Refusal:
+def focal_length_rejection(optics: OpticsErrors, scale: float, by_what: str) -> Refusal:
     """Return a rejection that states the fitted focal length.
 
     Args:

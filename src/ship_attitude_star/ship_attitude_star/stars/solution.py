@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SHARED_TERMS, UTC
 from ship_attitude_star.stars import compiled_fit
-from ship_attitude_star.stars.chance import improbable_identity
+from ship_attitude_star.stars.chance import ambiguous_identity_rejection
 from ship_attitude_star.stars.fit import (
     ATTITUDE,
     Agreement,
@@ -135,7 +135,7 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
     choice = select(stars, prior, near_nb)
     members = choice.members
     if choice.by_chance is not None:
-        return no_attitude(members, improbable_identity(choice.by_chance))
+        return no_attitude(members, ambiguous_identity_rejection(choice.by_chance))
     count = int(np.count_nonzero(members))
     together = members if count else np.ones_like(members)
     found = choice.agreement or agreement(stars, together)

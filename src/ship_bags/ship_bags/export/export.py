@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.export.netcdf_file import NetcdfFile, epoch_of
+from ship_bags.export.netcdf_file import NetcdfFile, midnight_before
 from ship_bags.export.table_files import CsvFile, ParquetFile, TableFile, TableHead, check_parquet
 from ship_bags.export.table_rows import MessageTable, TopicRows
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
@@ -94,7 +94,7 @@ def export(order: ExportOrder) -> Exported:
         paths = _paths(order, kind, topics)
         folder = _made_folder(order, paths)
         stack.callback(_leave_no_empty, folder)
-        epoch_ns = epoch_of(bag.start_ns or 0)
+        epoch_ns = midnight_before(bag.start_ns or 0)
         for name, topic in topics.items():
             for table in topic.rows.tables:
                 head = TableHead(order.bag.name, name, bag.topics[name], table.name, epoch_ns)

@@ -190,7 +190,7 @@ class NetcdfFile(TableFile):
         return bytes(head)
 
 
-def epoch_of(start_ns: int) -> int:
+def midnight_before(start_ns: int) -> int:
     """Return the midnight before a time: seconds since then, as doubles, have a resolution of 0.01 ns."""
     day_ns = 86_400 * NS_PER_S
     return start_ns // day_ns * day_ns

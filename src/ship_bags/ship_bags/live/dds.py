@@ -53,7 +53,7 @@ def require_demanded_security() -> None:
         BadInput: see :func:`security_environment`.
     """
     if is_demanded(os.environ):
-        os.environ.update(spelled_demand(os.environ, dds_has_security(loaded_libraries())))
+        os.environ.update(security_environment(os.environ, dds_has_security(loaded_libraries())))
 
 
 def is_demanded(environment: Mapping[str, str]) -> bool:
@@ -61,7 +61,7 @@ def is_demanded(environment: Mapping[str, str]) -> bool:
     return environment.get(ENABLE, "").strip().lower() not in _NOT_DEMANDED
 
 
-def spelled_demand(environment: Mapping[str, str], has_security: bool | None) -> dict[str, str]:
+def security_environment(environment: Mapping[str, str], has_security: bool | None) -> dict[str, str]:
     """Return the environment that requests DDS security in the spelling that ROS accepts.
 
     Args:

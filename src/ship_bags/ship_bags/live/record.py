@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import installed_class
-from ship_bags.live.recorded_graph import DEPTH, REPORTS, HeardParameters, adapted_qos, is_activity, offers, qos_texts
+from ship_bags.live.recorded_graph import DEPTH, REPORTS, HeardParameters, adapted_qos, is_activity, offered_topics, qos_texts
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.mcap.folder import FolderWriter
 from ship_bags.message_store import use_installed_definition
@@ -157,7 +157,7 @@ class Recorder:
         self._parameters.close()
 
     def _discover(self) -> None:
-        for topic, endpoints in offers(self._node, self._options.topics).items():
+        for topic, endpoints in offered_topics(self._node, self._options.topics).items():
             if topic not in self._known:
                 self._known.add(topic)
                 self._subscribe(topic, endpoints[0].topic_type, adapted_qos(endpoints), qos_texts(endpoints))

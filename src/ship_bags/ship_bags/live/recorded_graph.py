@@ -63,7 +63,7 @@ def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
     return bool(deserialize_message(data, kind).status != kind.INVALID)
 
 
-def offers(node: Node, wanted: Sequence[str]) -> dict[str, list[TopicEndpointInfo]]:
+def offered_topics(node: Node, wanted: Sequence[str]) -> dict[str, list[TopicEndpointInfo]]:
     """Return the topics to record that have publishers now, with the endpoints of these.
 
     Args:

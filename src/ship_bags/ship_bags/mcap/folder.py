@@ -172,7 +172,7 @@ class FolderWriter:
         # The information file names an existing file with the beginning of MCAP: a crash here loses no data.
         self._bag.flush()
         self._write_information()
-        self._begun_s = time.monotonic()
+        self._file_start_s = time.monotonic()
         for topic in self._topics.values():
             self._bag.add_topic(topic.name, topic.type_name, topic.name in self._latched, topic.qos_profiles)
         self._unrepeated = list(self._latched)
@@ -182,7 +182,7 @@ class FolderWriter:
             return False
         size_bytes, time_s = self._limits
         return (size_bytes is not None and self._bag.whole_bytes >= size_bytes) or (
-            time_s is not None and time.monotonic() - self._begun_s >= time_s
+            time_s is not None and time.monotonic() - self._file_start_s >= time_s
         )
 
     def _write_information(self) -> None:

@@ -141,7 +141,7 @@ def walk(data: RecordFile, offset: int) -> Iterator[WalkedRecord | Gap]:
     while True:
         record = _sound_record(data, offset)
         if record is None:
-            after = _restart(data, offset)
+            after = _next_valid_offset(data, offset)
             yield Gap(offset, after)
             if after is None:
                 return
@@ -180,7 +180,7 @@ def _sound_record(data: RecordFile, offset: int) -> WalkedRecord | None:
     return WalkedRecord(offset, *found) if found is not None and _is_sound(*found) else None
 
 
-def _restart(data: RecordFile, damaged: int) -> int | None:
+def _next_valid_offset(data: RecordFile, damaged: int) -> int | None:
     """Return the offset of the next valid record after a damaged one, whose stated length may be wrong, too."""
     window_start = damaged + 1
     while window_start < data.size:
@@ -188,14 +188,14 @@ def _restart(data: RecordFile, damaged: int) -> int | None:
         window = data.stream.read(_WINDOW_BYTES + HEADER.size - 1)
         position = 0
         while (match := _RESTART.search(window, position)) is not None:
-            if _can_restart(data, window_start + match.start()):
+            if _can_continue_at(data, window_start + match.start()):
                 return window_start + match.start()
             position = match.start() + 1
         window_start += _WINDOW_BYTES
     return None
 
 
-def _can_restart(data: RecordFile, offset: int) -> bool:
+def _can_continue_at(data: RecordFile, offset: int) -> bool:
     record = _sound_record(data, offset)
     if record is None or record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.HEADER):
         return False

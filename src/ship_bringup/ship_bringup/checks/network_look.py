@@ -136,7 +136,7 @@ def look_at_network(
             spin(_DISCOVERY_S + listen_s, lambda: False)
             spin(_FIRST_MESSAGE_S, lambda: not any(ear.is_awaited for ear in ears))
             # Optional inputs may have started meanwhile; each is received for its full time.
-            spin(len(ears) * listen_s, lambda: all(ear.is_done or not ear.has_begun for ear in ears))
+            spin(len(ears) * listen_s, lambda: all(ear.is_done or not ear.has_received for ear in ears))
             _await_names(node, [*outputs, *(topic.topic for topic in inputs)])
             return NetworkState(
                 rmw=get_rmw_implementation_identifier(),
@@ -180,14 +180,14 @@ class _Ear:
         )
 
     @property
-    def has_begun(self) -> bool:
+    def has_received(self) -> bool:
         """True if a message was received."""
         return self._count > 0
 
     @property
     def is_awaited(self) -> bool:
         """True if no message of a required topic was received yet."""
-        return not self.has_begun and (self._topic.required or self._topic.named)
+        return not self.has_received and (self._topic.required or self._topic.named)
 
     @property
     def is_done(self) -> bool:
@@ -209,7 +209,7 @@ class _Ear:
         if self.is_done:
             return
         self._last_s = time.monotonic()
-        if not self.has_begun:
+        if not self.has_received:
             self._first_s = self._last_s
         self._count += 1
         self._bytes += len(data)

@@ -107,7 +107,7 @@ def _judged(
     if not heard.count:
         return needed, f"{who} publishes it, but no message arrived", "switch the device on; if slow: a longer --listen"
     found = f"{heard.rate_hz:.3g} Hz from {who}" if heard.count > 1 else f"one message from {who}"
-    least_hz = limits.of_input(source_of_topic(topic)).rate_hz
+    least_hz = limits.input_limits(source_of_topic(topic)).rate_hz
     if not heard.rate_hz >= least_hz:
         advice = "check the device and the network; for slow ones: a longer --listen"
         return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", advice

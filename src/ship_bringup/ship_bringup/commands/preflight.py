@@ -32,7 +32,7 @@ from ship_bringup.suite.plan import without_saved_file
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
-from ship_replay.preflight.load import load_text, load_warnings, loads, measured_slowness
+from ship_replay.preflight.load import load_text, load_warnings, node_loads, measured_slowness
 from ship_watch.limits import Limits, read_limits
 
 _DESCRIPTION = """\
@@ -217,7 +217,7 @@ def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
     rates_hz = {heard.input.topic: heard.rate_hz for heard in network.heard if heard.rate_hz > 0.0}
     if not rates_hz:
         return
-    found = loads(suite.chain.adapters, rates_hz, measured_slowness())
+    found = node_loads(suite.chain.adapters, rates_hz, measured_slowness())
     for text in load_warnings(found, len(os.sched_getaffinity(0))):
         yield CheckLine(_LOAD, Result.WARN, text, "lower the rates, or use a faster computer")
     yield CheckLine(_LOAD, Result.OK, load_text(found).removeprefix(f"{_LOAD}: "))

@@ -110,11 +110,11 @@ class RecordedPictures:
         now_s = time.monotonic()
         self._play(now_s - self._last_look_s)
         self._last_look_s = now_s
-        is_begun = self._shown is None
+        is_new = self._shown is None
         shown = self._heard()
         shown.hear(self._time_ns)
         # A new time is displayed before the ten minutes are read.
-        if not is_begun and self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + LOOK_S):
+        if not is_new and self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + LOOK_S):
             shown = self._shown = self._whole
             self._whole = None
         return shown.watch.look(self._time_ns)

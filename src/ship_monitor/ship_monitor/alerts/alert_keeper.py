@@ -12,7 +12,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_node.documents.saved_document import DISK, Files
 from ship_watch.alert_conditions import Machine, NodeStatus, conditions
 from ship_watch.alerts import AlertBook, AlertChange
-from ship_watch.functions import Branch, tree
+from ship_watch.functions import Branch, diagnostic_entries
 from ship_watch.limits import Limits
 from ship_watch.names import has_room
 from ship_watch.picture import AlertShown, Picture
@@ -72,14 +72,14 @@ class AlertKeeper:
         if has_room(self._statuses, key, "diagnostic status", MOST_STATUSES):
             self._statuses[key] = status, arrival_ns
 
-    def start_anew(self, now_ns: int) -> None:
+    def reset(self, now_ns: int) -> None:
         """Reset all data except the alerts, after the suite's time went back or the computer slept."""
-        self._watch.start_anew()
+        self._watch.reset()
         self._statuses.clear()
         self._book = AlertBook(self._limits.alerts, self._book.saved(), now_ns)
         self._looked_ns = now_ns
 
-    def look(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
+    def update(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
         """Update the alerts; return the changes.
 
         Args:
@@ -87,7 +87,7 @@ class AlertKeeper:
             clock_ns: UTC of the computer's clock, ns; used until the suite has a time.
         """
         if now_ns - self._looked_ns > LONGEST_PAUSE_NS:
-            self.start_anew(now_ns)
+            self.reset(now_ns)
         self._looked_ns = now_ns
         self.picture = self._watch.look(now_ns)
         found = conditions(self.picture, self._limits, self._machine(now_ns))
@@ -106,7 +106,7 @@ class AlertKeeper:
 
     def tree(self) -> tuple[Branch, ...]:
         """Return functions and their inputs as diagnostic entries, from the last update."""
-        return tree(self.picture, self._limits)
+        return diagnostic_entries(self.picture, self._limits)
 
     def _utc_ns(self, clock_ns: int) -> int:
         return self.picture.utc_ns or clock_ns

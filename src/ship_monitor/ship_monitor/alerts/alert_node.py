@@ -160,14 +160,14 @@ class AlertNode:
 
     def _look(self) -> None:
         taken = self._reader.take()
-        if taken.is_anew:
-            self._keeper.start_anew(steady_ns())
+        if taken.time_went_back:
+            self._keeper.reset(steady_ns())
         for arrived in taken.messages:
             if arrived.topic == DIAGNOSTICS_TOPIC:
                 self._guard.call(arrived.topic, self._take_statuses, arrived.message, arrived.arrival_ns)
             else:
                 self._guard.call(arrived.topic, self._keeper.take, arrived.topic, arrived.message, arrived.arrival_ns)
-        self._tell(self._keeper.look(steady_ns(), time.time_ns()))
+        self._tell(self._keeper.update(steady_ns(), time.time_ns()))
         self._publish_state(steady_ns())
 
     def _take_statuses(self, message: Any, arrival_ns: int) -> None:

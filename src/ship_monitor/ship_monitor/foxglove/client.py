@@ -88,7 +88,7 @@ class Client(WebSocketHandler):
 
     async def on_message(self, message: str | bytes) -> None:
         """Process a request; the next one is read after the answer to this one has been written."""
-        refusal = self._refusal(message)
+        refusal = self._handle_request(message)
         if refusal:
             try:
                 await self.write_message({"op": "status", "level": _WARNING, "message": refusal})
@@ -131,7 +131,7 @@ class Client(WebSocketHandler):
         self._is_woken = False
         self._has_waiting.set()
 
-    def _refusal(self, message: str | bytes) -> str:
+    def _handle_request(self, message: str | bytes) -> str:
         """Execute a request; return the error text, empty on success."""
         if isinstance(message, bytes):
             return "this server is read-only: binary messages are refused"

@@ -64,8 +64,8 @@ class LiveWatch:
                 taken = self._waiting.get_nowait()
             except Empty:
                 return
-            if taken.is_anew:
-                self._watch.start_anew()
+            if taken.time_went_back:
+                self._watch.reset()
             if taken.alerts_ended:
                 self._watch.forget_alerts()
             for arrived in taken.messages:
@@ -111,7 +111,7 @@ class LiveWatch:
 
     def _take(self) -> None:
         taken = self._reader.take()
-        if taken.is_anew or taken.messages or taken.alerts_ended:
+        if taken.time_went_back or taken.messages or taken.alerts_ended:
             self._waiting.put(taken)
 
     @property

@@ -68,7 +68,7 @@ class Taken:
         alerts_ended: True if the alert node has ended since the last fetch.
     """
 
-    is_anew: bool
+    time_went_back: bool
     messages: tuple[Arrived, ...]
     alerts_ended: bool
 

@@ -11,7 +11,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, Range1d
 
 from ship_monitor.page.curves import fixed_step, signed
-from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, plot, without_formulas
+from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, empty_plot, without_formulas
 from ship_monitor.page.marking import is_of, with_mark
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, ParameterShown
@@ -31,7 +31,7 @@ class AlignmentPanel:
 
     def __init__(self, theme: Theme) -> None:
         self._x, self._rows = Range1d(-60.0, 60.0), Range1d(-0.5, 0.5)
-        self.figure = plot(theme, 320, self._x, self._rows, x_axis_label="estimate − nominal, ″; bar ±2σ")
+        self.figure = empty_plot(theme, 320, self._x, self._rows, x_axis_label="estimate − nominal, ″; bar ±2σ")
         self.figure.ygrid.grid_line_color = None
         self.figure.min_border_left = 176
         self.figure.xaxis.ticker.desired_num_ticks = 3

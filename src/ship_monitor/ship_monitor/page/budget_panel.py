@@ -19,7 +19,7 @@ from ship_monitor.page.figures import (
     SideLabels,
     models_at_once,
     narrow_height,
-    time_plot,
+    empty_time_plot,
     words,
 )
 from ship_monitor.page.marking import is_error_of, with_mark
@@ -104,7 +104,7 @@ class BudgetPanel:
         """Create an empty plot with a column for each source of error."""
         columns = [_column(source) for source in self._sources]
         self._trail = Trail((*columns, "total"), by="total", filled=columns)
-        self._figure = time_plot(self._theme, self._times, 200, self._height, has_axis=True)
+        self._figure = empty_time_plot(self._theme, self._times, 200, self._height, has_axis=True)
         self._figure.yaxis[0].ticker = FixedTicker(ticks=[])
         self._figure.stylesheets = [*self._figure.stylesheets, narrow_height(180)]
         self._labels = SideLabels(self._theme, self._figure)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
-from ship_watch.history import Timed, extremes
+from ship_watch.history import Timed, extreme_rows
 
 TimesNs = NDArray[np.int64]
 
@@ -39,7 +39,7 @@ def thinned(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
     """
     ends = np.flatnonzero(np.diff(time_ns // BUCKET_NS)) + 1
     # The last section is that of the incomplete second.
-    return extremes(value[: ends[-1], None], [0, *ends[:-1]]) if len(ends) else np.empty(0, np.intp)
+    return extreme_rows(value[: ends[-1], None], [0, *ends[:-1]]) if len(ends) else np.empty(0, np.intp)
 
 
 def waits_from(time_ns: TimesNs) -> int:
@@ -53,7 +53,7 @@ def usual_period_ns(points: Sequence[Timed]) -> float:
     return float(np.median(-np.diff(times))) if len(times) > 1 else 0.0
 
 
-def gaps_before(time_ns: TimesNs, taken_ns: int | None, usual_ns: float) -> NDArray[np.intp]:
+def gap_rows(time_ns: TimesNs, taken_ns: int | None, usual_ns: float) -> NDArray[np.intp]:
     """Return the rows that follow a gap: more than three periods without a point, at least 2 s.
 
     Args:

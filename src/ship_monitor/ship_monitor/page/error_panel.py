@@ -8,7 +8,7 @@ from bokeh.models import Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import fixed_step
-from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, frame, hover, time_plot
+from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, frame, hover, empty_time_plot
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import BAND, TimePlots, Trail, band
@@ -75,7 +75,7 @@ class _ErrorRow:
     def __init__(self, theme: Theme, times: TimePlots, key: tuple[str, str], *, has_axis: bool) -> None:
         self._theme, self._channel, self._title = theme, key[1], CHANNELS[key]
         self._height = Range1d(-15.0, 15.0)
-        self.figure = time_plot(theme, times, 88 if has_axis else 66, self._height, has_axis=has_axis)
+        self.figure = empty_time_plot(theme, times, 88 if has_axis else 66, self._height, has_axis=has_axis)
         self._labels = SideLabels(theme, self.figure)
         self._trail = Trail(("error", "sigma", *BAND), by="error", filled=BAND[:2])
         source, colour = self._trail.source, theme.series[0]

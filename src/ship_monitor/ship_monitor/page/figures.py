@@ -50,7 +50,7 @@ Row = TypeVar("Row", bound=HasFigure)
 _FORMULA_BEGIN = re.compile(r"(?<=\$)(?=\$)|(?<=\\)(?=[(\[])")
 
 
-def plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **options: Any) -> figure:
+def empty_plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **options: Any) -> figure:
     """Return an empty plot."""
     tools = [BoxZoomTool(dimensions="width")] if isinstance(options.get("x_axis_type"), str) else []
     for tool in tools:
@@ -77,9 +77,9 @@ def plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **option
     return made
 
 
-def time_plot(theme: Theme, times: TimePlots, height: int, y_range: Range1d, *, has_axis: bool) -> figure:
+def empty_time_plot(theme: Theme, times: TimePlots, height: int, y_range: Range1d, *, has_axis: bool) -> figure:
     """Return an empty plot with the shared time axis; a double click returns to live."""
-    made = plot(theme, height, times.range, y_range, x_axis_type="datetime")
+    made = empty_plot(theme, height, times.range, y_range, x_axis_type="datetime")
     made.on_event("doubletap", lambda _event: times.go_live())
     clock = DatetimeTickFormatter(
         milliseconds="%H:%M:%S", seconds="%H:%M:%S", minsec="%H:%M:%S", minutes="%H:%M", hourmin="%H:%M", hours="%H:%M"

@@ -19,7 +19,7 @@ from ship_monitor.page.figures import (
     SideLabels,
     frame,
     hover,
-    time_plot,
+    empty_time_plot,
     without_formulas,
 )
 from ship_monitor.page.marking import with_mark
@@ -78,7 +78,7 @@ class _SourceRow:
     def __init__(self, theme: Theme, times: TimePlots, name: str, *, has_axis: bool) -> None:
         self._theme, self._name = theme, name
         self._height = Range1d(-15.0, 15.0)
-        self.figure = time_plot(theme, times, 150 if has_axis else 128, self._height, has_axis=has_axis)
+        self.figure = empty_time_plot(theme, times, 150 if has_axis else 128, self._height, has_axis=has_axis)
         self._labels = SideLabels(theme, self.figure)
         self._out = ColumnDataSource({"start": [], "end": []})
         shade = {"fill_color": theme.caution_border, "fill_alpha": 0.14, "line_color": None}
@@ -115,7 +115,7 @@ class _SourceRow:
         for trail, axes in zip(self._trails, AXES_DRAWN, strict=True):
             trail.follow(points, partial(_columns, axes=axes))
         lately = newer(points, utc_ns - 6 * LATELY_NS)
-        step = fixed_step(_largest(lately))
+        step = fixed_step(_axis_limit(lately))
         self._height.update(start=-step, end=step)
         self._labels.write(_side_texts(newer(points, utc_ns - LATELY_NS), step))
         text, is_out = source_line(self._name, source, step)
@@ -181,7 +181,7 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
     }
 
 
-def _largest(points: Sequence[InnovationPoint]) -> float:
+def _axis_limit(points: Sequence[InnovationPoint]) -> float:
     """Return the size that the height of a plot must contain, arcsec: nearly all values, and the narrowest band.
 
     While another source is OUT, the band of a prediction may be so wide that nothing else would be visible.

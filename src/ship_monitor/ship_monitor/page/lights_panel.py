@@ -6,7 +6,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_monitor.page.curves import fixed_step, signed
-from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, ResidualBars, frame, narrow_height, plot, words
+from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, ResidualBars, frame, narrow_height, empty_plot, words
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, LightPoint, newer
 from ship_watch.picture import Picture
@@ -29,7 +29,7 @@ class LightsPanel:
     def __init__(self, theme: Theme) -> None:
         self._theme = theme
         self._x, self._z = Range1d(-7.0, 7.0), Range1d(-7.0, 7.0)
-        self.figure = plot(theme, 320, self._x, self._z, x_axis_label="x, mm on the detector", y_axis_label="z, mm")
+        self.figure = empty_plot(theme, 320, self._x, self._z, x_axis_label="x, mm on the detector", y_axis_label="z, mm")
         self.figure.stylesheets = [*self.figure.stylesheets, narrow_height(180)]
         self._past = _source("x", "z", "alpha", "colour", "marker")
         self._now = _source("x", "y", "colour", "marker", "text", "ahead", "align", "over", "base")

@@ -127,7 +127,7 @@ class _Application(BokehTornado):
     def find_handler(self, request: HTTPServerRequest, **arguments: Any) -> Any:
         """Return the handler of a request; an error page for other sites, or for too many pages."""
         origin = request.headers.get("Origin")
-        if not self._hosts.is_asked(request) or (origin is not None and _place(origin) != request.host.lower()):
+        if not self._hosts.is_asked(request) or (origin is not None and _host_and_port(origin) != request.host.lower()):
             return self._refusal(request, 403, "Host name not allowed: allow it with monitor --allow-host NAME")
         if b"\0" in unquote_to_bytes(request.path):
             return self._refusal(request, 404)
@@ -139,7 +139,7 @@ class _Application(BokehTornado):
         return self.get_handler_delegate(request, _Refusal, {"status_code": status_code, "reason": reason})
 
 
-def _place(origin: str) -> str:
+def _host_and_port(origin: str) -> str:
     """Return host and port of an origin; empty if there are none."""
     try:
         return urlsplit(origin).netloc.lower()

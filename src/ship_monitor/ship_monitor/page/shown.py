@@ -43,7 +43,7 @@ def shown(picture: Picture, history: History, label: str, place: str, local: str
     waiting = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
     return {
         "label": label,
-        "utc": words.clock(picture.utc_ns),
+        "utc": words.utc_clock(picture.utc_ns),
         "local": local,
         "is_stale": picture.is_old,
         "overall": {"safety": picture.overall.safety.name, "text": picture.overall.text},
@@ -52,7 +52,7 @@ def shown(picture: Picture, history: History, label: str, place: str, local: str
         "alert": _alert_line(picture.alerts),
         "angles": {angle.name: _tile(angle) for angle in picture.angles},
         "ages": [
-            [name, words.age(age_s), _finite(age_s)]
+            [name, words.age_text(age_s), _finite(age_s)]
             for name, age_s in picture.ages_s.items()
             if name != "lights" or has_lights
         ],
@@ -63,8 +63,8 @@ def shown(picture: Picture, history: History, label: str, place: str, local: str
 
 
 def _tile(angle: AngleShown) -> dict[str, Any]:
-    reading = words.reading(angle)
-    limit = words.limit_size(angle.limit)
+    reading = words.angle_reading(angle)
+    limit = words.limit_text(angle.limit)
     ratio = angle.accuracy_95 / (2.0 * angle.limit) if angle.limit > 0.0 else float("nan")
     reason = angle.reason or f"limit {limit}"
     if angle.reason == OVER_THE_LIMIT:
@@ -72,7 +72,7 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
     return {
         "number": reading.number,
         "sense": reading.sense or ("theodolite" if angle.name in _OF_THEODOLITE else ""),
-        "accuracy": words.accuracy(angle),
+        "accuracy": words.accuracy_text(angle),
         # The limit is in the middle of the bar. No bar without a number.
         "bar": min(ratio, 1.0) if ratio >= 0.0 and not angle.is_old else None,
         "reason": reason,
@@ -91,10 +91,10 @@ def _tip(angle: AngleShown) -> list[str]:
         f"{degrees:.6f}°".replace("-", "−"),
         f"σ {angle.accuracy_95 / 1.96 / ARCSEC:.3f}″",
         f"{words.date_and_clock(angle.stamp_ns)} UTC",
-        f"{angle.safety.name} since {words.clock(angle.since_ns)}",
+        f"{angle.safety.name} since {words.utc_clock(angle.since_ns)}",
     ]
     if angle.protection_level == angle.protection_level:
-        lines.insert(2, f"protection level {words.angle_size(angle.protection_level)}")
+        lines.insert(2, f"protection level {words.small_angle(angle.protection_level)}")
     return lines
 
 
@@ -123,7 +123,7 @@ def _alert(alert: AlertShown) -> dict[str, str]:
         "icon": alert.priority.name.lower(),
         "state": state,
         "text": f"{alert.priority.name} · {said}",
-        "sub": f"{words.clock(alert.raised_ns)} · {text}",
+        "sub": f"{words.utc_clock(alert.raised_ns)} · {text}",
         "advice": alert.advice,
     }
 
@@ -146,7 +146,7 @@ def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, A
     return {
         "head": count if is_known or not count else f"last: {count}",
         "is_known": is_known,
-        "out": banners if len(banners) <= _BANNERS else [*banners[: _BANNERS - 1], _more(banners[_BANNERS - 1 :])],
+        "out": banners if len(banners) <= _BANNERS else [*banners[: _BANNERS - 1], _more_banner(banners[_BANNERS - 1 :])],
         "why": _why(roots[0]) if len(banners) == len(roots) == 1 else [],
         "rows": [
             _source_row(source, is_because=source in below, is_alone=len(banners) == 1)
@@ -155,13 +155,13 @@ def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, A
     }
 
 
-def _more(banners: list[tuple[str, str]]) -> tuple[str, str]:
+def _more_banner(banners: list[tuple[str, str]]) -> tuple[str, str]:
     return banners[0][0], f"{len(banners)} more OUT"
 
 
 def _why(source: SourceShown) -> list[str]:
     """Return two lines about the only source that is OUT by a fault of its own."""
-    since = f"since {words.clock(source.out_since_ns)}"
+    since = f"since {words.utc_clock(source.out_since_ns)}"
     refused = f"{source.refused} rejected" if source.refused else ""
     if not source.disagreement:
         return [f"{source.reason} {since}"]
@@ -170,18 +170,18 @@ def _why(source: SourceShown) -> list[str]:
 
 def _source_row(source: SourceShown, *, is_because: bool, is_alone: bool) -> dict[str, Any]:
     verdict = source.verdict.text if source.verdict is not None else ""
-    shift = f"mounting shifted by {words.angle_size(source.mounting_shift)}" if source.mounting_shift > 0.0 else ""
+    shift = f"mounting shifted by {words.small_angle(source.mounting_shift)}" if source.mounting_shift > 0.0 else ""
     sub = source.disagreement or shift or verdict
     if source.presence is Presence.OUT:
         # With several banners the list has the details that are otherwise under the banner.
-        since = f"{source.reason} since {words.clock(source.out_since_ns)}" if source.out_since_ns else source.reason
+        since = f"{source.reason} since {words.utc_clock(source.out_since_ns)}" if source.out_since_ns else source.reason
         sub = source.reason if is_alone or is_because else " · ".join(filter(None, (source.disagreement, since)))
     is_used = source.presence is not Presence.OFF
     return {
         "name": source.name,
         "presence": source.presence.value,
         "sub": sub,
-        "age": words.age(source.age_s) if is_used else "",
+        "age": words.age_text(source.age_s) if is_used else "",
         "age_s": _finite(source.age_s) if is_used else None,
         "is_because": is_because,
     }
@@ -200,7 +200,7 @@ def _ribbons(history: History, picture: Picture) -> dict[str, Any]:
     ticks = range(-(-start_s // _TICK_S) * _TICK_S, end_s + 1, _TICK_S) if end_s else ()
     told = {angle.name for angle in picture.angles}
     return {
-        "ticks": [[(at_s - start_s) / RIBBON_S, words.clock(at_s * _NS_PER_S)[:5]] for at_s in ticks],
+        "ticks": [[(at_s - start_s) / RIBBON_S, words.utc_clock(at_s * _NS_PER_S)[:5]] for at_s in ticks],
         "rows": [
             [
                 [(first_s - start_s) / RIBBON_S, (last_s + 1 - start_s) / RIBBON_S, word.name]

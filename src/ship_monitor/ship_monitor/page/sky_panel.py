@@ -8,7 +8,7 @@ import math
 import numpy as np
 from bokeh.models import Column, ColumnDataSource, InlineStyleSheet, Range1d
 
-from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, frame, plot, without_formulas, words
+from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, frame, empty_plot, without_formulas, words
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.sky import boresight, moon_direction, on_map
 from ship_monitor.page.themes import Theme
@@ -81,7 +81,7 @@ class _SkyMap:
     def __init__(self, theme: Theme, *, is_bag: bool) -> None:
         self._theme = theme
         self._no_moon = f" · Moon not drawn: no GNSS position{' in this bag' if is_bag else ''}"
-        self.figure = plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2))
+        self.figure = empty_plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2))
         self.figure.update(
             height=None,
             sizing_mode="scale_width",
@@ -138,7 +138,7 @@ class _SkyMap:
             squares["colour"].append(colour)
             squares["dash"].append("dashed" if is_bad else "solid")
             squares["width"].append(4.0 if name == marked else 1.6)
-            used, (across, up) = used_stars(seen), places_in_field(seen)
+            used, (across, up) = used_star_mask(seen), places_in_field(seen)
             stars["x"] += list(x + half * across)
             stars["y"] += list(y + half * up)
             stars["colour"] += [colour if is_bad else theme.text] * len(seen.u)
@@ -175,7 +175,7 @@ class _Field:
         self._theme = theme
         self._size = (_FIELD_PX, _FIELD_PX)
         self._across, self._down = Range1d(0.0, _FIELD_PX), Range1d(_FIELD_PX, 0.0)
-        self.figure = plot(theme, 150, self._across, self._down)
+        self.figure = empty_plot(theme, 150, self._across, self._down)
         self.figure.update(min_border_left=8)
         self.figure.axis.visible = False
         self.figure.grid.visible = False
@@ -198,7 +198,7 @@ class _Field:
         self._across.update(start=-0.02 * width, end=1.02 * width)
         self._down.update(start=1.03 * height, end=-0.03 * height)
         self.figure.height = 300 if shown == 1 else 150 if shown == 2 else 105
-        used = used_stars(seen)
+        used = used_star_mask(seen)
         self._used.data = {"u": seen.u[used], "v": seen.v[used]}
         self._left_out.data = {"u": seen.u[~used], "v": seen.v[~used]}
         told = len(seen.residual_right) == len(seen.u)
@@ -215,16 +215,16 @@ class _Field:
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
 
 
-def used_residuals(seen: StarsSeen) -> np.ndarray:
+def residual_star_mask(seen: StarsSeen) -> np.ndarray:
     """Return a mask of the stars with a residual, shape (n,)."""
     if len(seen.residual_right) != len(seen.u):
         return np.zeros(len(seen.u), bool)
     return np.asarray(np.isfinite(seen.residual_right) & np.isfinite(seen.residual_up))
 
 
-def used_stars(seen: StarsSeen) -> np.ndarray:
+def used_star_mask(seen: StarsSeen) -> np.ndarray:
     """Return a mask of the stars drawn as used, shape (n,): those with a residual; all if no star has one."""
-    told = used_residuals(seen)
+    told = residual_star_mask(seen)
     return told if told.any() else np.ones(len(seen.u), bool)
 
 

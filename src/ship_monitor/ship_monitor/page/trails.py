@@ -6,7 +6,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import ROWS_KEPT, gaps_before, thinned, usual_period_ns, waits_from
+from ship_monitor.page.curves import ROWS_KEPT, gap_rows, thinned, usual_period_ns, waits_from
 from ship_watch.history import Point, newer
 
 MS = 1e-6
@@ -42,8 +42,8 @@ class Trail:
             points: points in the order of their times.
             rows: returns the columns of some points.
         """
-        begins_anew = not points or points[-1].utc_ns < (self._taken_ns or 0) or points[0].utc_ns < self._oldest_ns
-        if self._taken_ns is not None and begins_anew:
+        has_restarted = not points or points[-1].utc_ns < (self._taken_ns or 0) or points[0].utc_ns < self._oldest_ns
+        if self._taken_ns is not None and has_restarted:
             self._taken_ns = self._last_ns = None
             self.source.data = {name: np.empty(0) for name in self.source.data}
         self._oldest_ns = points[0].utc_ns if points else 0
@@ -54,7 +54,7 @@ class Trail:
             return
         columns: dict[str, FloatArray] = {"t": MS * time_ns.astype(float), **rows(new)}
         kept = thinned(time_ns, columns[self._by])
-        broken = gaps_before(time_ns[kept], self._last_ns, usual_period_ns(points))
+        broken = gap_rows(time_ns[kept], self._last_ns, usual_period_ns(points))
         self._taken_ns = int(time_ns[over - 1])
         before = np.concatenate(([MS * (self._last_ns or 0)], columns["t"][kept]))[broken]
         gaps = np.repeat(broken, 2)  # one row right after the gap starts, one right before it ends

@@ -19,7 +19,7 @@ from ship_bags.command_line import EXIT_INTERRUPTED
 from ship_monitor.page.themes import THEMES, Theme
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import Line, Look
-from ship_monitor.terminal.screen import View, choices, screen, shown_alert
+from ship_monitor.terminal.screen import View, selectable_names, screen, shown_alert
 from ship_watch.picture import Picture, Pictures
 
 TAKE_S = 0.25
@@ -158,7 +158,7 @@ class TerminalApp(App[int]):
         """Select the next angle or source."""
         if self._picture is None:
             return
-        names = choices(self._picture)
+        names = selectable_names(self._picture)
         place = names.index(self._chosen) + step if self._chosen in names else 0 if step > 0 else len(names) - 1
         self._chosen = names[place % len(names)] if names else ""
         self.draw()

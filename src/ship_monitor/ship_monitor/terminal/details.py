@@ -43,7 +43,7 @@ _HELP = """\
 def help_page(picture: Picture, view: View) -> tuple[Line, ...]:
     """Return the help page with terms and keys."""
     texts = [Ink(text, Look.TEXT) for text in _HELP.splitlines()]
-    return _page(picture, view, "help", [view.pen.line(text) for text in texts])
+    return _page(picture, view, "help", [view.pen.styled_line(text) for text in texts])
 
 
 def details(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
@@ -60,29 +60,29 @@ def details(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View)
 def _page(picture: Picture, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
     pen = view.pen
     rows = [top_bar(picture, view), words_line(picture, pen), pen.rule(title), *body][: max(view.height - 1, 0)]
-    rows += [pen.line()] * (view.height - 1 - len(rows))
+    rows += [pen.styled_line()] * (view.height - 1 - len(rows))
     keys = Ink(f" {view.note}", Look.STRONG) if view.note else Ink(_BACK, Look.SECOND)
-    return (*rows, pen.line(keys))[-view.height :]
+    return (*rows, pen.styled_line(keys))[-view.height :]
 
 
 def _row(pen: Pen, name: str, text: str) -> Line:
-    return pen.line(Ink(f" {pen.cell(name, 18)}", Look.SECOND), Ink(text, Look.TEXT))
+    return pen.styled_line(Ink(f" {pen.cell(name, 18)}", Look.SECOND), Ink(text, Look.TEXT))
 
 
 def _of_angle(angle: AngleShown, picture: Picture, pen: Pen) -> list[Line]:
     known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > words.DASHES_AFTER_S)
     value = f"{math.degrees(angle.value):.6f}°" if known else words.NO_VALUE
     rows = {
-        "value": f"{value}  OLD {words.age(angle.age_s)}" if angle.is_old else value,
+        "value": f"{value}  OLD {words.age_text(angle.age_s)}" if angle.is_old else value,
         "state": f"{angle.safety.name}  {angle.reason}",
         "cause": angle.because_of or words.NO_VALUE,
         "since": words.date_and_clock(angle.since_ns),
-        "95 % accuracy": words.angle_size(angle.accuracy_95),
+        "95 % accuracy": words.small_angle(angle.accuracy_95),
         "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″" if math.isfinite(angle.accuracy_95) else words.NO_VALUE,
-        "protection level": words.angle_size(angle.protection_level),
-        "limit": words.limit_size(angle.limit),
+        "protection level": words.small_angle(angle.protection_level),
+        "limit": words.limit_text(angle.limit),
         "time of the value": words.date_and_clock(angle.stamp_ns),
-        "age": words.age(angle.age_s),
+        "age": words.age_text(angle.age_s),
     }
     made = [_row(pen, name, text) for name, text in rows.items()]
     return [*made, pen.rule("events"), *event_lines(picture, pen, 200, angle.name)]
@@ -113,10 +113,10 @@ def _of_alerts(alerts: tuple[AlertShown, ...] | None, picture: Picture, pen: Pen
     none = "no alerts" if alerts is not None else "no alert node"
     made: list[Line] = []
     for alert in alerts or ():
-        made.append(pen.line(*alert_pieces(alert, pen, pen.width - 24)))
+        made.append(pen.styled_line(*alert_pieces(alert, pen, pen.width - 24)))
         advice = f"to do: {alert.advice}" if alert.advice else ""
         for text, look in ((alert.text, Look.TEXT), (advice, Look.SECOND)):
             parts = wrap(pen.clean(text), max(pen.width - 6, 1))
-            made += [pen.line(Ink(f"     {part}", look)) for part in parts]
-    made = made or [pen.line(Ink(f" {none}", Look.SECOND))]
+            made += [pen.styled_line(Ink(f"     {part}", look)) for part in parts]
+    made = made or [pen.styled_line(Ink(f" {none}", Look.SECOND))]
     return [*made, pen.rule("inputs"), *(input_line(each, pen) for each in picture.inputs)]

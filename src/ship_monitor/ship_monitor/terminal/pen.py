@@ -80,7 +80,7 @@ class Pen:
         """Return the number of cells of a text."""
         return cell_len(self.clean(text))
 
-    def line(self, *pieces: Ink) -> Line:
+    def styled_line(self, *pieces: Ink) -> Line:
         """Return a row of pieces, cut or padded to the width."""
         room, made = self.width, []
         for piece in pieces:
@@ -95,7 +95,7 @@ class Pen:
     def rule(self, *titles: str) -> Line:
         """Return a horizontal line with titles: ── sources ── 7 of 8 in ─────."""
         text = "".join(f"── {title} " for title in titles)
-        return self.line(Ink(text + "─" * max(self.width - self.length(text), 0), Look.SECOND))
+        return self.styled_line(Ink(text + "─" * max(self.width - self.length(text), 0), Look.SECOND))
 
 
 def plain_text(line: Line) -> str:

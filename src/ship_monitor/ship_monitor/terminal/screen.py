@@ -86,7 +86,7 @@ def screen(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) 
     bottom.append(pen.rule("events"))
     event_rows = view.height - len(top) - len(middle) - len(bottom) - 1
     bottom += event_lines(picture, pen, max(event_rows, 0))
-    keys = pen.line(Ink(f" {view.note}", Look.STRONG) if view.note else Ink(KEYS, Look.SECOND))
+    keys = pen.styled_line(Ink(f" {view.note}", Look.STRONG) if view.note else Ink(KEYS, Look.SECOND))
     return (*_filled([*top, *middle, *bottom], view)[: view.height - 1], keys)
 
 
@@ -95,7 +95,7 @@ def shown_alert(alerts: tuple[AlertShown, ...] | None) -> AlertShown | None:
     return min(alerts or (), key=lambda alert: alert.urgency, default=None)
 
 
-def choices(picture: Picture) -> tuple[str, ...]:
+def selectable_names(picture: Picture) -> tuple[str, ...]:
     """Return the names of the selectable angles and sources, from top to bottom."""
     return (*(angle.name for angle in picture.angles), *(source.name for source in picture.sources))
 
@@ -105,16 +105,16 @@ def top_bar(picture: Picture, view: View) -> Line:
     pen, overall = view.pen, picture.overall
     left = [Ink(" ", Look.TEXT), Ink(view.name, Look.STRONG), Ink(f"  {view.label}  ", Look.SECOND)]
     if not math.isnan(view.paused_s):
-        left += [Ink(f" PAUSED {words.age(view.paused_s)} ago ", Look.MARKED), Ink("  ", Look.TEXT)]
+        left += [Ink(f" PAUSED {words.age_text(view.paused_s)} ago ", Look.MARKED), Ink("  ", Look.TEXT)]
     left += [
         Ink(f" {_MARKS[overall.safety]} {overall.safety.name} ", _LOOKS[overall.safety]),
         Ink(f" {overall.text}", Look.TEXT),
     ]
     local = words.local_clock(picture.utc_ns, view.zone)
     right = f" {local}  " if local else " "
-    right += f"{words.clock(picture.utc_ns)} UTC "
+    right += f"{words.utc_clock(picture.utc_ns)} UTC "
     room = max(view.width - pen.length(right), 0)
-    return pen.line(*Pen(room, view.is_ascii).line(*left), Ink(right, Look.STRONG))
+    return pen.styled_line(*Pen(room, view.is_ascii).styled_line(*left), Ink(right, Look.STRONG))
 
 
 def words_line(picture: Picture, pen: Pen) -> Line:
@@ -128,7 +128,7 @@ def words_line(picture: Picture, pen: Pen) -> Line:
             Ink(" ", Look.TEXT),
         )
     ]
-    return pen.line(*pieces)
+    return pen.styled_line(*pieces)
 
 
 def alert_pieces(alert: AlertShown, pen: Pen, text_width: int) -> list[Ink]:
@@ -138,7 +138,7 @@ def alert_pieces(alert: AlertShown, pen: Pen, text_width: int) -> list[Ink]:
     text = pen.cell(alert.text or alert.id, max(text_width - len(head), 1))
     state = pen.cell(_ALERT_STATES.get(alert.state, ""), 12)
     state_look = Look.TEXT if alert.is_acknowledged else Look.STRONG
-    return [Ink(head + text, look), Ink(f" {words.clock(alert.raised_ns)}  ", Look.SECOND), Ink(state, state_look)]
+    return [Ink(head + text, look), Ink(f" {words.utc_clock(alert.raised_ns)}  ", Look.SECOND), Ink(state, state_look)]
 
 
 def source_line(source: SourceShown, picture: Picture, pen: Pen, *, is_chosen: bool) -> Line:
@@ -155,10 +155,10 @@ def source_line(source: SourceShown, picture: Picture, pen: Pen, *, is_chosen: b
     rate = f"{source.rate_hz:7.1f} Hz" if math.isfinite(source.rate_hz) else " " * 10
     mark = "?" if picture.is_old and not is_out else _SOURCE_MARKS[source.presence]
     name = f"{'>' if is_chosen else ' '}{mark} {pen.cell('  ' * is_consequence + source.name, 16)}"
-    middle = f" {pen.cell(words.age(source.age_s), 8, to_right=True)} {rate}   "
+    middle = f" {pen.cell(words.age_text(source.age_s), 8, to_right=True)} {rate}   "
     look = Look.OUT if is_out else Look.OLD if picture.is_old else Look.TEXT
     second = Look.OLD if picture.is_old and not is_out else Look.SECOND
-    return pen.line(
+    return pen.styled_line(
         Ink(name, Look.MARKED if is_chosen else look),
         Ink(f" {source.presence.value:3}", look),
         Ink(middle, second),
@@ -170,9 +170,9 @@ def input_line(shown: InputShown, pen: Pen) -> Line:
     """Return the row of an input topic: rate, latency, age and rejections."""
     latency = f"{shown.latency_s:7.3f} s" if math.isfinite(shown.latency_s) else f"{words.NO_VALUE:>9}"
     rate = f"{shown.rate_hz:7.1f} Hz" if math.isfinite(shown.rate_hz) else f"{words.NO_VALUE:>10}"
-    numbers = f"{rate} {latency} {pen.cell(words.age(shown.age_s), 8, to_right=True)}"
+    numbers = f"{rate} {latency} {pen.cell(words.age_text(shown.age_s), 8, to_right=True)}"
     look = Look.OUT if shown.level else Look.TEXT
-    return pen.line(
+    return pen.styled_line(
         Ink(f"   {pen.cell(shown.topic, 30)}", look),
         Ink(f"{numbers}  {shown.refused_60s:4d} rejected  {reasons_text(shown)}", Look.SECOND),
     )
@@ -187,8 +187,8 @@ def event_lines(picture: Picture, pen: Pen, room: int, subject: str = "") -> lis
     """Return the rows of the newest events, all or those of one subject."""
     events = [event for event in picture.events if not subject or event.subject == subject]
     return [
-        pen.line(
-            Ink(f" {words.clock(event.utc_ns)}  ", Look.SECOND),
+        pen.styled_line(
+            Ink(f" {words.utc_clock(event.utc_ns)}  ", Look.SECOND),
             Ink(event.text if event.kind == "alert" else f"{event.kind}: {event.text}", Look.TEXT),
         )
         for event in events[:room]
@@ -196,7 +196,7 @@ def event_lines(picture: Picture, pen: Pen, room: int, subject: str = "") -> lis
 
 
 def _filled(lines: list[Line], view: View) -> tuple[Line, ...]:
-    empty = view.pen.line()
+    empty = view.pen.styled_line()
     return (*lines, *[empty] * (view.height - len(lines)))[: view.height]
 
 
@@ -208,44 +208,44 @@ def _one_line(picture: Picture, view: View) -> Line:
         alike = [angle.name for angle in picture.angles if angle.safety is worst.safety]
         told = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(alike)}"
     look = Look.TEXT if worst is None else _LOOKS[worst.safety]
-    small = f"  {words.clock(picture.utc_ns)}  too small: {LEAST_WIDTH} by {LEAST_HEIGHT} needed"
-    return view.pen.line(Ink(told, look), Ink(small, Look.SECOND))
+    small = f"  {words.utc_clock(picture.utc_ns)}  too small: {LEAST_WIDTH} by {LEAST_HEIGHT} needed"
+    return view.pen.styled_line(Ink(told, look), Ink(small, Look.SECOND))
 
 
 def _waiting(picture: Picture, view: View) -> list[Line]:
     if not picture.waiting_for:
         return []
     told = f" waiting for {picture.waiting_for}: {view.place}"
-    return [view.pen.line(Ink(told, Look.MARKED))]
+    return [view.pen.styled_line(Ink(told, Look.MARKED))]
 
 
 def _alert_line(alerts: tuple[AlertShown, ...] | None, pen: Pen) -> Line:
     alert = shown_alert(alerts)
     if alerts is None or alert is None:
-        return pen.line(Ink(" no alerts" if alerts is not None else " no alert node", Look.SECOND))
+        return pen.styled_line(Ink(" no alerts" if alerts is not None else " no alert node", Look.SECOND))
     unacknowledged = sum(not each.is_acknowledged for each in alerts)
     active = sum(each.state != 4 for each in alerts)
     counts = f"{unacknowledged} unack, {active} active "
-    return pen.line(*alert_pieces(alert, pen, pen.width - 24 - len(counts)), Ink(counts, Look.TEXT))
+    return pen.styled_line(*alert_pieces(alert, pen, pen.width - 24 - len(counts)), Ink(counts, Look.TEXT))
 
 
 def _angles(picture: Picture, view: View) -> list[Line]:
     header = f"{'':11}{'value':18}{'95 %':>10}{'limit':>7}  {'state':11} why"
-    return [view.pen.line(Ink(header, Look.SECOND)), *(_angle(angle, picture, view) for angle in picture.angles)]
+    return [view.pen.styled_line(Ink(header, Look.SECOND)), *(_angle(angle, picture, view) for angle in picture.angles)]
 
 
 def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
     pen = view.pen
-    number, sense = words.reading(angle)
+    number, sense = words.angle_reading(angle)
     # Decimal points and signs are aligned: 034.39, 0.1, +68.74.
     value = pen.cell(f"{pen.clean(number):>8} {'' if number == words.NO_VALUE else sense}", 18)
-    accuracy = pen.cell(words.accuracy(angle), 10, to_right=True)
-    limit = pen.cell(words.limit_size(angle.limit), 7, to_right=True)
+    accuracy = pen.cell(words.accuracy_text(angle), 10, to_right=True)
+    limit = pen.cell(words.limit_text(angle.limit), 7, to_right=True)
     is_pointing = angle.name in ("azimuth", "elevation")
     why = angle.reason or (picture.pointing_by if is_pointing else "")
     is_chosen = view.chosen == angle.name
     name = f"{'>' if is_chosen else ' '}{angle.name.upper():10}"
-    return pen.line(
+    return pen.styled_line(
         Ink(name, Look.MARKED if is_chosen else Look.TEXT),
         Ink(value.rstrip(), Look.OLD if angle.is_old else Look.STRONG),
         Ink(" " * (len(value) - len(value.rstrip())), Look.TEXT),
@@ -257,10 +257,10 @@ def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
 
 
 def _ages(picture: Picture, pen: Pen) -> Line:
-    ages = "   ".join(f"{name} {words.age(age_s)}" for name, age_s in picture.ages_s.items())
+    ages = "   ".join(f"{name} {words.age_text(age_s)}" for name, age_s in picture.ages_s.items())
     horizon = f"horizon {picture.horizon}" if picture.horizon else ""
     look, second = (Look.OLD, Look.OLD) if picture.is_old else (Look.TEXT, Look.SECOND)
-    return pen.line(Ink(" ages   ", Look.SECOND), Ink(ages, look), Ink(" " * 7, Look.TEXT), Ink(horizon, second))
+    return pen.styled_line(Ink(" ages   ", Look.SECOND), Ink(ages, look), Ink(" " * 7, Look.TEXT), Ink(horizon, second))
 
 
 def _sources_rule(picture: Picture, pen: Pen) -> Line:
@@ -290,5 +290,5 @@ def _sources(picture: Picture, view: View, room: int) -> list[Line]:
     ]
     if told:
         look = Look.OUT if counts[Presence.OUT] else Look.SECOND
-        made.append(view.pen.line(Ink(f"   {', '.join(told)}", look)))
+        made.append(view.pen.styled_line(Ink(f"   {', '.join(told)}", look)))
     return made

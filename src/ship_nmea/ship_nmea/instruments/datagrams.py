@@ -28,12 +28,12 @@ class DatagramLines:
             arrival_ns: of the datagram, by the node's clock.
             now_ns: steady time.
         """
-        lines = self._overdue(now_ns)
+        lines = self._timed_out_lines(now_ns)
         if not data:
             return lines
-        *_, begun = self._waiting.pop(sender, (0, 0, b""))
+        *_, first_part = self._waiting.pop(sender, (0, 0, b""))
         splitter = LineSplitter()
-        lines += [(arrival_ns, line, sender) for line in splitter.take(begun + data)]
+        lines += [(arrival_ns, line, sender) for line in splitter.take(first_part + data)]
         for rest in splitter.end():
             if _CUT_SENTENCE.fullmatch(rest) and len(self._waiting) < _MOST_WAITING:
                 self._waiting[sender] = now_ns, arrival_ns, rest
@@ -41,7 +41,7 @@ class DatagramLines:
                 lines.append((arrival_ns, rest, sender))
         return lines
 
-    def _overdue(self, now_ns: int) -> list[tuple[int, bytes, str]]:
+    def _timed_out_lines(self, now_ns: int) -> list[tuple[int, bytes, str]]:
         """Return the cut sentences whose rest has not arrived in time."""
         late = [sender for sender, (since_ns, _, _) in self._waiting.items() if now_ns - since_ns > JOINED_WITHIN_NS]
         return [(*self._waiting.pop(sender)[1:], sender) for sender in late]

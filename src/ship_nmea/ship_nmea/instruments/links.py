@@ -16,7 +16,7 @@ from typing import Protocol
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaSourceConfig
 from ship_nmea.instruments.datagrams import DatagramLines
 from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.opening import opened_serial, words
+from ship_nmea.opening import opened_serial, error_text
 from ship_node.parameters.places import ANY_ADDRESS
 
 RETRY_S = 1.0
@@ -201,7 +201,7 @@ class LinkReader:
             try:
                 self._open()
             except OSError as problem:
-                self.failure, self.problem = problem, words(problem)
+                self.failure, self.problem = problem, error_text(problem)
 
     def start(self) -> None:
         """Start reading."""
@@ -233,7 +233,7 @@ class LinkReader:
                 self._read()
             except Exception as problem:
                 # A driver may raise anything; opening is retried.
-                self.problem = words(problem)
+                self.problem = error_text(problem)
             if self._is_open:
                 self._is_open = False
                 with contextlib.suppress(OSError):

@@ -10,7 +10,7 @@ from ship_nmea.instruments.config import SERIAL, UDP, NmeaInConfig
 from ship_nmea.instruments.links import LinkReader, link_of
 from ship_nmea.instruments.source import Source
 from ship_nmea.node_shell import NmeaNode, run_nmea_node
-from ship_nmea.opening import refusal
+from ship_nmea.opening import permanent_error
 from ship_node.edge.messages_out import DiagnosticStatus
 from ship_node.edge.topics import OutputTopic
 
@@ -87,7 +87,7 @@ class NmeaIn:
         """Yield the errors of places that only the user can clear."""
         for place, reader in self._readers.items():
             source = self._sources[place][0]
-            refused = reader.failure and refusal(reader.failure, f"sources.{source.id}", source.config, _NAMED_BY)
+            refused = reader.failure and permanent_error(reader.failure, f"sources.{source.id}", source.config, _NAMED_BY)
             if refused:
                 yield refused
 

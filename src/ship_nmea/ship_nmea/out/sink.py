@@ -11,7 +11,7 @@ from typing import NamedTuple
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.refusals import shortened
-from ship_nmea.opening import refusal, words
+from ship_nmea.opening import permanent_error, error_text
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet
 from ship_nmea.out.network_outlets import TcpOutlet, UdpOutlet
@@ -76,7 +76,7 @@ class Sink:
             self._open()
         except OSError as problem:
             self._fail(problem)
-            self.refusal = refusal(problem, f"sinks.{name}", config, _NAMED_BY)
+            self.refusal = permanent_error(problem, f"sinks.{name}", config, _NAMED_BY)
         self._thread = threading.Thread(target=self._run, name=f"sink {name}", daemon=True)
 
     @property
@@ -190,7 +190,7 @@ class Sink:
         with self._lock:
             self._is_open = False
             self._failures += 1
-            self._failure = shortened(words(problem))
+            self._failure = shortened(error_text(problem))
             self._queue.clear()
         with contextlib.suppress(OSError):
             self._outlet.close()

@@ -92,7 +92,7 @@ class DiskFiles:
 
     def set_aside(self, path: Path) -> Path:
         """See :meth:`Files.set_aside`."""
-        aside = _free_name(path)
+        aside = _free_path(path)
         try:
             path.rename(aside)
         except OSError as error:
@@ -111,7 +111,7 @@ class UntouchedFiles(DiskFiles):
 
     def set_aside(self, path: Path) -> Path:
         """See :meth:`Files.set_aside`; returns the path that a node would use, without renaming."""
-        return _free_name(path)
+        return _free_path(path)
 
 
 class NotedFiles:
@@ -320,7 +320,7 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
     return covariance
 
 
-def _free_name(path: Path) -> Path:
+def _free_path(path: Path) -> Path:
     """Return the first free name for a file that is set aside."""
     names = (path.with_name(f"{path.name}.unreadable{number}") for number in ("", *(f".{n}" for n in range(2, 100))))
     return next((name for name in names if not os.path.lexists(name)), path.with_name(f"{path.name}.unreadable"))

@@ -46,7 +46,7 @@ def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
     return time_ns
 
 
-def not_fixed(message: Any, least_fix: str) -> Refusal | None:
+def fix_rejection(message: Any, least_fix: str) -> Refusal | None:
     """Return the rejection of a solution below ``least_fix`` ("float", "fixed") or of unknown kind; else None."""
     if _FIXES.index(least_fix.upper()) <= message.fix < len(_FIXES):
         return None

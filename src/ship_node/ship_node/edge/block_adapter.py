@@ -45,7 +45,7 @@ class BlockAdapter(ReportingAdapter):
         refusal = self.check_clock(feed, reading.value.time_ns, receive_ns, receive_ns)
         if refusal is not None:
             self.health.turned_away(topic, receive_ns, receive_ns, reading.value.time_ns, refusal)
-            return [self.refused(feed.source, reading.value.time_ns, refusal)]
+            return [self.rejection_message(feed.source, reading.value.time_ns, refusal)]
         self.see(feed, reading)
         return self.told(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
 
@@ -90,7 +90,7 @@ class BlockAdapter(ReportingAdapter):
         parts = []
         for place, outcome in told:
             now_ns = int(pending.receive_ns[place])
-            parts.append(BatchOutput(place, self.published(outcome, now_ns, now_ns)))
+            parts.append(BatchOutput(place, self.report_outcome(outcome, now_ns, now_ns)))
         return parts
 
     def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:

@@ -57,7 +57,7 @@ class DeferringAdapter(BlockAdapter):
         """See :class:`ReportingAdapter`; an output that is published at once follows all pending ones."""
         if outcome.estimates:
             self._make_due()
-        return super().published(outcome, now_ns, waiting_ns)
+        return super().report_outcome(outcome, now_ns, waiting_ns)
 
     def _make_due(self) -> None:
         if not self.core.due:

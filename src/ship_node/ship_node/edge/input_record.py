@@ -52,17 +52,17 @@ class InputRecord:
         self.reasons: Counter[Reason] = Counter()
         self.noted: Counter[Reason] = Counter()
         self.late_delays = [0] * (len(LATE_EDGES_S) + 1)
-        self.forget_times()
+        self.reset_times()
 
-    def forget_times(self) -> None:
+    def reset_times(self) -> None:
         """Reset everything that depends on time; keep the counts."""
         self.last_refusal_ns: int | None = None
         self.last_refusal: Refusal | None = None
         self.last_arrival_ns: int | None = None
         self._intervals_ns: deque[int] = deque(maxlen=WINDOW)
-        self.forget_stamps()
+        self.reset_stamps()
 
-    def forget_stamps(self) -> None:
+    def reset_stamps(self) -> None:
         """Reset everything that depends on stamps; keep the counts and the arrival times."""
         self.refused_in_a_row = self.consecutive_future_stamps = 0
         self.is_too_old = False
@@ -327,12 +327,12 @@ class InputRecords:
         """Reset everything that depends on time, after the clock went back or the node was reset; keep the counts."""
         self.start_ns = None
         for record in self.records.values():
-            record.forget_times()
+            record.reset_times()
 
-    def forget_stamps(self) -> None:
+    def reset_stamps(self) -> None:
         """Reset everything that depends on stamps, after all clocks stepped."""
         for record in self.records.values():
-            record.forget_stamps()
+            record.reset_stamps()
 
     def refused_and_noted(self) -> dict[str, tuple[Counter[Reason], Counter[Reason]]]:
         """Return topic → reason → numbers of rejected messages and of messages used with a remark.

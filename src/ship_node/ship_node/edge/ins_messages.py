@@ -26,7 +26,7 @@ CONTRADICTED_FACTOR = 1.5
 """Ratio of the sigma that an INS states to the configured one above which it is reported."""
 
 
-def contradicted_sigmas(covariance: FloatArray, config: InsInputConfig) -> str:
+def sigma_mismatch_text(covariance: FloatArray, config: InsInputConfig) -> str:
     """Return a text with the sigmas stated by the INS that exceed the configured ones; empty if none does.
 
     Args:

@@ -179,7 +179,7 @@ def refused_input(
     )
 
 
-def error_budget(
+def error_budget_message(
     factory: MessageFactory,
     quantity: str,
     time_ns: int,
@@ -209,7 +209,7 @@ def error_budget(
     )
 
 
-def integrity(
+def integrity_message(
     factory: MessageFactory, report: IntegrityReport, quantities: Sequence[str], frame_id: str, config: IntegrityConfig
 ) -> Any:
     """Return the ship_msgs/Integrity of an output.

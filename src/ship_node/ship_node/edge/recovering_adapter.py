@@ -124,7 +124,7 @@ class RecoveringAdapter(BlockAdapter):
             if decision.reason in SHOWS_SOURCE:
                 self._arrived_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
         failed = self._note_decisions(outcome.decisions, now_ns)
-        return failed + super().published(outcome, now_ns, waiting_ns)
+        return failed + super().report_outcome(outcome, now_ns, waiting_ns)
 
     def _note_decisions(self, decisions: Iterable[Any], now_ns: int) -> list[Published]:
         """Pass decisions to the recovery; return a failure message if that raises."""

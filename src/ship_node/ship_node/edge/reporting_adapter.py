@@ -54,7 +54,7 @@ _STEP_SHOWN_NS = 60_000_000_000
 _SECOND_NS = 1_000_000_000
 
 
-def _seconds(step_ns: int) -> str:
+def _step_text(step_ns: int) -> str:
     """Return the text of a time step."""
     return f"{step_ns / _SECOND_NS:+.3f} s"
 
@@ -229,7 +229,7 @@ class ReportingAdapter(ABC):
                 # A stamp ahead of the node's clock may reveal a step of all clocks.
                 self.check_clock(feed, time_ns, receive_ns, waiting_ns)
             self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.refusal)
-            return [self.refused(feed.source, time_ns, refused.refusal)]
+            return [self.rejection_message(feed.source, time_ns, refused.refusal)]
         except Exception:
             # The message has arrived nevertheless; the node runtime reports the exception.
             self.health.arrived(topic, waiting_ns)
@@ -256,8 +256,8 @@ class ReportingAdapter(ABC):
         for name, left_out in reading.left_out:
             published.append(self._left_out(feed.source, time_ns, name, left_out))
         if refusal is not None:
-            published.append(self.refused(feed.source, time_ns, refusal))
-        return published if outcome is None else published + self.published(outcome, receive_ns, waiting_ns)
+            published.append(self.rejection_message(feed.source, time_ns, refusal))
+        return published if outcome is None else published + self.report_outcome(outcome, receive_ns, waiting_ns)
 
     def see(self, feed: Feed, reading: ReadMessage[Any]) -> None:
         """Check, before the core gets a value, that it belongs to one stream."""
@@ -304,14 +304,14 @@ class ReportingAdapter(ABC):
     def set_aside(self, feed: Feed, reading: ReadMessage[Any], receive_ns: int, waiting_ns: int) -> list[Published]:
         """Record a message of a source that is switched off and return the messages about it."""
         self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, _TAKEN_OUT, used=False)
-        return [self.refused(feed.source, reading.value.time_ns, _TAKEN_OUT)]
+        return [self.rejection_message(feed.source, reading.value.time_ns, _TAKEN_OUT)]
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """See :class:`ship_node.edge.adapter.Adapter`; the slow topics are published once a period."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         if self.saved is not None and self.saved.is_due:
             self.saved.start(now_ns)
-        published = self.published(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
+        published = self.report_outcome(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
         published += self._invalid_while_behind(now_ns, waiting_ns)
         self._save_by_itself(waiting_ns)
         if self.slow_due_ns is None or waiting_ns >= self.slow_due_ns:
@@ -333,7 +333,7 @@ class ReportingAdapter(ABC):
         for topic, count in change.cut.items():
             text = f"{count} messages cut: {why}"
             self.health.cut_behind(topic, count, text, waiting_ns)
-            published.append(self.refused(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
+            published.append(self.rejection_message(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
         self.published_levels = ToldLevels()  # those published before do not apply to the next output
         self._invalid_due_ns = waiting_ns
@@ -348,7 +348,7 @@ class ReportingAdapter(ABC):
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
         """Record a step of the computer's clock; whether the time base has stepped, the inputs decide."""
         self.time_base.note_computer_step(step_ns, waiting_ns)
-        self.notices.append(f"the computer's clock stepped by {_seconds(step_ns)}")
+        self.notices.append(f"the computer's clock stepped by {_step_text(step_ns)}")
         return []
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
@@ -385,7 +385,7 @@ class ReportingAdapter(ABC):
 
     # -- results of the core --------------------------------------------------------------------------------
 
-    def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
         """Record an outcome of the core and return its messages: decisions, failures, estimates."""
         judged = []
         for decision in outcome.decisions:
@@ -417,14 +417,14 @@ class ReportingAdapter(ABC):
             published += self._estimate_messages(estimate)
         return published
 
-    def refused(self, source: str, time_ns: int, refusal: Refusal) -> Published:
+    def rejection_message(self, source: str, time_ns: int, refusal: Refusal) -> Published:
         """Return the message about a rejected input."""
         return self.innovation_topic, messages_out.refused_input(self.factory, source, time_ns, refusal)
 
     def failed(self, what: str, time_ns: int, refusal: Refusal) -> Published:
         """Record that an output could not be computed and return the message about it."""
         self.health.failed(f"{what}: {refusal.text}")
-        return self.refused(what, time_ns, refusal)
+        return self.rejection_message(what, time_ns, refusal)
 
     def _left_out(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Published:
         return self.innovation_topic, self.left_out_message(source, time_ns, name, refusal)
@@ -469,7 +469,7 @@ class ReportingAdapter(ABC):
             return []
         self._invalid_due_ns = waiting_ns + _SECOND_NS
         text = self.behind.text(self.node_name)
-        published = [self.refused(self.node_name, now_ns, Refusal(Reason.BEHIND, text))]
+        published = [self.rejection_message(self.node_name, now_ns, Refusal(Reason.BEHIND, text))]
         invalid = self.no_output(now_ns, text)
         if invalid is not None:
             self.latest, self.budget_due = invalid, None
@@ -519,7 +519,7 @@ class ReportingAdapter(ABC):
         if not told.must_tell(estimate, report, period_ns):
             return []
         config = self.config.integrity
-        message = messages_out.integrity(self.factory, report, self.quantities, self.integrity_frame, config)
+        message = messages_out.integrity_message(self.factory, report, self.quantities, self.integrity_frame, config)
         return [(self.integrity_topic, message)]
 
     def saved_remarks(self) -> list[str]:
@@ -566,17 +566,17 @@ class ReportingAdapter(ABC):
         self._unstepped = None
         self.core.step_time_base(step_ns, state)
         self._restart_streams()
-        self.health.forget_stamps()
+        self.health.reset_stamps()
         self._forget_outputs()
         self._stepped_at_ns = waiting_ns
-        self.notices.append(f"time base stepped by {_seconds(step_ns)}: reset, mountings and calibration kept")
+        self.notices.append(f"time base stepped by {_step_text(step_ns)}: reset, mountings and calibration kept")
 
     def _time_base_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return one status with the last step of the time base; none if there was none."""
         if not self.time_base.steps:
             return []
         level = messages_out.Level.WARN if waiting_ns - self._stepped_at_ns <= _STEP_SHOWN_NS else messages_out.Level.OK
-        text = f"stepped by {_seconds(self.time_base.last_step_ns)}: reset, mountings and calibration kept"
+        text = f"stepped by {_step_text(self.time_base.last_step_ns)}: reset, mountings and calibration kept"
         return [DiagnosticStatus("time base", level, text, {"steps": str(self.time_base.steps)})]
 
     def _forget_outputs(self) -> None:

@@ -93,6 +93,6 @@ class Backlog:
         return Change.KEEPS_UP
 
 
-def overload(behind_ns: int, cut: Mapping[str, int]) -> Overload:
+def current_overload(behind_ns: int, cut: Mapping[str, int]) -> Overload:
     """Return the overload state of a node, with the current load of the computer."""
     return Overload(behind_ns * 1e-9, len(os.sched_getaffinity(0)), os.getloadavg()[0], dict(cut))

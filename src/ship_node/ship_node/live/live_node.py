@@ -31,7 +31,7 @@ from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_node.live.adapter_calls import AdapterCalls
-from ship_node.live.backlog import Backlog, Change, overload
+from ship_node.live.backlog import Backlog, Change, current_overload
 from ship_node.live.node_clock import NodeClock, TickGrid
 from ship_node.live.node_events import Arrival, Inbox, NodeEvents
 from ship_node.live.node_log import NodeLog
@@ -219,7 +219,7 @@ class LiveNode:
         else:
             self._inbox.keeps_up()
             waited_ns = 0
-        self._calls.overload(overload(waited_ns, self._inbox.take_behind()), now_ns, waiting_ns)
+        self._calls.overload(current_overload(waited_ns, self._inbox.take_behind()), now_ns, waiting_ns)
 
     def _look_at_publishers(self, topic: str) -> None:
         """Report to the adapter whether two publishers send on a topic, by their messages and the graph."""
@@ -296,7 +296,7 @@ class LiveNode:
 
     def _on_jump_back(self, jump: TimeJump) -> None:
         self._handle_all()
-        self._clock.start_anew()
+        self._clock.reset()
         self._backlog.restart()
         self._inbox.keeps_up()
         self._all_received_ns = self._clock.running_ns()

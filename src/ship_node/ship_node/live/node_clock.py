@@ -82,7 +82,7 @@ class NodeClock:
                 self.stepped_ns += self._ahead_ns - last_ns
         return now_ns
 
-    def start_anew(self) -> None:
+    def reset(self) -> None:
         """Make both times equal again, because the clock went back."""
         self._stood_still_before_ns = 0
 

@@ -172,7 +172,7 @@ def _row(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) 
     if not attitude.solved:
         return None
     rotation_tm = rotation_from_angles(*telescope.parallelism)
-    direction_d = sighting.in_deck(attitude.rotation_nt) @ rotation_tm[:, 0]
+    direction_d = sighting.deck_from_telescope(attitude.rotation_nt) @ rotation_tm[:, 0]
     bow, up, starboard = direction_d
     azimuth, elevation = np.arctan2(starboard, bow), np.arctan2(up, np.hypot(bow, starboard))
     encoder = sighting.encoder

@@ -127,7 +127,7 @@ def run_session(
             core=adapter.core,
             counts=counts,
             times_s=course.times_s,
-            course=course.installations(),
+            course=course.installation_history(),
             duration_s=(last_ns - (bag.start_ns or 0)) / NS_PER_S,
             problems=[*left_out, *bag.problems, *unread],
         )
@@ -239,7 +239,7 @@ class Course:
         times_ns = np.array(self.times_ns, dtype=np.int64)
         return (times_ns - times_ns[:1]) / NS_PER_S
 
-    def installations(self) -> dict[str, FloatArray]:
+    def installation_history(self) -> dict[str, FloatArray]:
         """Return name of an installation angle → values and sigmas, rad, shape (n, 2)."""
         angles = "azimuth", "elevation", "roll"
         wanted = [n for n, name in enumerate(self.names) if name.startswith("star.") and name.endswith(angles)]

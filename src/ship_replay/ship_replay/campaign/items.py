@@ -111,7 +111,7 @@ class Item:
         return f"{self.source.name}, {self.parameters_name}{seed}"
 
 
-def items_of(
+def campaign_items(
     sources: Sequence[Path],
     parameter_sets: Sequence[Path],
     seeds: Sequence[int],

@@ -35,7 +35,7 @@ def page(made: Sequence[Made]) -> str:
         sources=_given({item.source for item in items}),
         parameter_sets=_given({item.parameters for item in items if item.parameters is not None}),
         seeds=_seeds_text(items),
-        by_parameters=by_parameters(made),
+        by_parameters=pools_by_parameters(made),
         by_source=pools(made, lambda item: f"{item.source.name}, {item.parameters_name}"),
         worst=worst_items(in_order),
         code=items[0].code,
@@ -44,7 +44,7 @@ def page(made: Sequence[Made]) -> str:
     )
 
 
-def by_parameters(made: Sequence[Made]) -> list[Pool]:
+def pools_by_parameters(made: Sequence[Made]) -> list[Pool]:
     """Return the results of each parameter set, pooled over all its items."""
     return pools(made, lambda item: item.parameters_name)
 

@@ -12,7 +12,7 @@ from ship_bags.output_files import write_whole
 from ship_bags.progress import with_count
 from ship_bags.renamed_topics import add_bag_names
 from ship_replay.campaign.cluster import in_cluster
-from ship_replay.campaign.items import Item, items_of, seeds_of
+from ship_replay.campaign.items import Item, campaign_items, seeds_of
 from ship_replay.campaign.one_item import Result, make
 from ship_replay.campaign.processes import in_processes
 from ship_replay.campaign.results import PAGE, TABLE, Made, ResultFolder, table
@@ -76,7 +76,7 @@ def _workers(text: str) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     seeds = options.seeds or [1]
-    items = items_of(options.sources, options.config, seeds, options.skip, options.namespace, options.remap)
+    items = campaign_items(options.sources, options.config, seeds, options.skip, options.namespace, options.remap)
     if options.seeds is not None and all(item.seed is None for item in items):
         raise BadInput("--seeds needs scenarios (.yaml), but there is none")
     if not options.skip >= 0.0:
@@ -112,9 +112,9 @@ def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Mad
 
 def _told(made: Sequence[Made], folder: Path) -> int:
     """Print the summary of the campaign; return the exit code."""
-    from ship_replay.campaign.page import by_parameters, pooled_table
+    from ship_replay.campaign.page import pools_by_parameters, pooled_table
 
-    pooled = by_parameters(made)
+    pooled = pools_by_parameters(made)
     if any(pool.errors for pool in pooled):
         table_console().print(pooled_table(pooled))
     failures = [(item, result["error"]) for item, result in made if result["error"] is not None]

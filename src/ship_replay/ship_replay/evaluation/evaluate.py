@@ -21,7 +21,7 @@ from ship_bags.topic_names import namespace_of_outputs, relative_topics
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.edge.messages_in import Refused
 from ship_node.parameters.parameter_file import has_section, load_config
-from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, sources
+from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, attitude_sources
 from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, SourceInnovations
 from ship_replay.evaluation.targets import TARGET_DIRECTION, TARGET_TRUTH, TargetDirections, TargetErrors
 from ship_replay.offline.adapter_chain import attached
@@ -159,7 +159,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     ship = _config(bags, ShipAttitudeConfig, "ship_attitude")
     star = _config(bags, StarAttitudeConfig, "star_attitude")
     theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
-    collectors = sources(_truths(named), ship, star, theodolite)
+    collectors = attitude_sources(_truths(named), ship, star, theodolite)
     refused = RefusedMessages()
     targets = _true_targets(named, refused)
     innovations = InnovationBook()

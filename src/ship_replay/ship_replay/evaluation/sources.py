@@ -51,13 +51,13 @@ class Truth:
     def __len__(self) -> int:
         return len(self._rotations)
 
-    def exactly_at(self, stamp_ns: int) -> FloatArray | None:
+    def rotation_at_stamp(self, stamp_ns: int) -> FloatArray | None:
         """Return the rotation horizon from deck, shape (3, 3), at a stamp of the truth."""
         return self._rotations.get(stamp_ns)
 
-    def known_at(self, stamp_ns: int) -> FloatArray | None:
+    def rotation_at(self, stamp_ns: int) -> FloatArray | None:
         """Return the rotation horizon from deck, shape (3, 3), at a stamp, or interpolated if the truth has rates."""
-        exact = self.exactly_at(stamp_ns)
+        exact = self.rotation_at_stamp(stamp_ns)
         return self.around(stamp_ns) if exact is None and self._has_rates else exact
 
     def around(self, stamp_ns: int) -> FloatArray | None:
@@ -131,7 +131,7 @@ class PublishedAttitude(AttitudeSource):
             self.invalid_count += 1
             return
         stamp_ns = ns_from_stamp(message.header.stamp)
-        truth_nd = self._truth.exactly_at(stamp_ns)
+        truth_nd = self._truth.rotation_at_stamp(stamp_ns)
         if truth_nd is not None:
             angles = self._truth.orientation.angles_of(message)
             for what, numbers in (
@@ -167,7 +167,7 @@ class InsAttitude(AttitudeSource):
             return
         estimate_nd = rotation_from_quaternion(quaternion, self._convention) @ self._rotation_di.T
         self.track.insert(AttitudeSample(stamp_ns, estimate_nd))
-        truth_nd = self._truth.exactly_at(stamp_ns)
+        truth_nd = self._truth.rotation_at_stamp(stamp_ns)
         if truth_nd is not None:
             covariance = message.orientation_covariance.reshape(3, 3)
             unknown = covariance[0, 0] < 0.0 or not covariance.any() or self._convention != "enu_flu"
@@ -249,14 +249,14 @@ class EncoderAlone(AttitudeSource):
     def errors(self) -> list[AttitudeErrors]:
         """Return the errors in order of stamps, without covariance; all of ``ins/imu`` must have been added."""
         for stamp_ns, (azimuth, elevation) in self._readings.items():
-            truth_nm, ship = self._truth.exactly_at(stamp_ns), self._ins.at(stamp_ns)
+            truth_nm, ship = self._truth.rotation_at_stamp(stamp_ns), self._ins.at(stamp_ns)
             if truth_nm is not None and ship is not None and np.isfinite(azimuth) and np.isfinite(elevation):
                 rotation_dm = main_axis_rotation(self._axis_errors, azimuth, elevation)
                 self._keep(stamp_ns, ship.rotation_nd @ rotation_dm, truth_nm, np.full((3, 3), np.nan))
         return super().errors()
 
 
-def sources(
+def attitude_sources(
     truths: Mapping[str, Truth],
     ship: ShipAttitudeConfig | None,
     star: StarAttitudeConfig | None,

@@ -158,7 +158,7 @@ def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, watch: Wa
     rows = [
         (status, _error_arcsec(orientation, angles, truth_nd), *levels.at(time_ns))
         for time_ns, status, angles in outputs
-        if (truth_nd := truth.known_at(time_ns)) is not None
+        if (truth_nd := truth.rotation_at(time_ns)) is not None
     ]
     if not rows:
         return None

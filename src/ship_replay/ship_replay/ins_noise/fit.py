@@ -79,9 +79,9 @@ def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
     few = _Search(record.thinned(-(-len(record.times_s) // _FIRST_EPOCHS)), model)
     starts = np.log([parameter.start for parameter in model.parameters])
     quicker = starts + np.log(_QUICKER) * _is_time(model)
-    begun = [few.climbed(start) for start in np.unique([starts, quicker], axis=0)]
+    candidates = [few.climbed(start) for start in np.unique([starts, quicker], axis=0)]
     all_ = _Search(record, model)
-    best = all_.climbed(min(begun, key=few.cost))
+    best = all_.climbed(min(candidates, key=few.cost))
     point, covariance = _with_mean_times(all_, best, all_.covariance(best))
     return FittedModel(model, np.exp(point), covariance, -all_.cost(best))
 

@@ -7,8 +7,8 @@ from ship_attitude_star.ins_errors.config import GAUSS_MARKOV
 from ship_bags.errors import BadInput
 from ship_replay.ins_noise.fit import FittedModel, fit
 from ship_replay.ins_noise.outage import OutageCheck, outage_checks
-from ship_replay.ins_noise.processes import models_of
-from ship_replay.ins_noise.session import NoiseSession, place_of
+from ship_replay.ins_noise.processes import candidate_models
+from ship_replay.ins_noise.session import NoiseSession, mean_location
 from ship_replay.ins_noise.star_record import StarRecord, star_record
 
 TIMES_NEEDED = 200.0
@@ -100,7 +100,7 @@ class Identification:
             if times < TIMES_NEEDED:
                 lines.append(
                     f"gauss_markov, {axis}: {self.record.duration_s / _HOUR_S:.2g} h are {times:.2g} correlation times,"
-                    f" too short to separate σ and τ (σ {spread(log_sigma)}, τ {spread(log_time)}); 10 % and 30 % need "
+                    f" too short to separate σ and τ (σ {uncertainty_text(log_sigma)}, τ {uncertainty_text(log_time)}); 10 % and 30 % need "
                     f"{TIMES_NEEDED:g} times, {TIMES_NEEDED * time_s / _HOUR_S:.0f} h; only 2σ²/τ is determined"
                 )
         return lines
@@ -112,7 +112,7 @@ class Identification:
         white, log_sigma = self.best.told(self.best.model.told[0])
         if not log_sigma <= _VAGUE:
             lines.append(
-                f"the record does not determine white_sigma_arcsec ({white:.2g}″, {spread(log_sigma)}): the star "
+                f"the record does not determine white_sigma_arcsec ({white:.2g}″, {uncertainty_text(log_sigma)}): the star "
                 "sensors' own noise hides it, or their messages state too much noise"
             )
         used = len(session.pairs)
@@ -127,7 +127,7 @@ class Identification:
         return lines
 
 
-def spread(log_sigma: float) -> str:
+def uncertainty_text(log_sigma: float) -> str:
     """Return the uncertainty of a positive number as text, from the sigma of its logarithm."""
     if log_sigma <= _VAGUE:
         return f"± {100.0 * log_sigma:.0f} %"
@@ -145,7 +145,7 @@ def identify(session: NoiseSession) -> Identification:
     if len(record.times_s) < _LEAST_EPOCHS:
         text = f"{len(record.times_s)} epochs of stars: expected at least {_LEAST_EPOCHS}, better hours of them"
         raise BadInput(f"{session.name}: {text}")
-    place = place_of(session.pairs)
-    fitted = sorted((fit(record, model) for model in models_of(session.config.ins, place)), key=lambda one: one.aic)
+    place = mean_location(session.pairs)
+    fitted = sorted((fit(record, model) for model in candidate_models(session.config.ins, place)), key=lambda one: one.aic)
     outages = {one.model.name: outage_checks(record, one) for one in fitted}
     return Identification(session, record, fitted, outages)

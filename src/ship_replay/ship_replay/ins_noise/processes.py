@@ -261,7 +261,7 @@ def _unit(name: str) -> str:
     return next(unit for ending, unit in _UNITS.items() if name.endswith(ending))
 
 
-def models_of(ins: InsConfig, here: VerticalHere | None) -> Sequence[InsErrorModel]:
+def candidate_models(ins: InsConfig, here: VerticalHere | None) -> Sequence[InsErrorModel]:
     """Return the models to be fitted; Schuler's only if the latitude is known."""
     gauss_markov = GaussMarkovModel(ins)
     return (gauss_markov,) if here is None else (gauss_markov, SchulerModel(ins, here))

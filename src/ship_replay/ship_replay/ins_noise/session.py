@@ -117,7 +117,7 @@ class NoiseSession:
     problems: list[str]
 
 
-def session_of(
+def noise_session(
     name: str, config: ShipAttitudeConfig, core: ShipAttitudeCore, heard: PairsHeard, problems: list[str]
 ) -> NoiseSession:
     """Return the session of a core that has processed a whole bag."""
@@ -177,7 +177,7 @@ def run_session(
         if not heard.found:
             counts = f"{len(heard.refused)} received, all rejected" if heard.refused else "none received"
             raise BadInput(f"no star measurement was used ({counts}): the INS error is not observable", file=bag.path)
-        return session_of(bag_path.name, adapter.configured, adapter.core, heard, problems)
+        return noise_session(bag_path.name, adapter.configured, adapter.core, heard, problems)
 
 
 def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
@@ -210,7 +210,7 @@ class _Nowhere:
         """Ignore the truth: an identification must not use it."""
 
 
-def place_of(pairs: Iterable[StarPair]) -> VerticalHere | None:
+def mean_location(pairs: Iterable[StarPair]) -> VerticalHere | None:
     """Return mean latitude and velocity of the ship over the comparisons; None without any position fix."""
     places = [pair.here for pair in pairs if not np.isnan(pair.here.latitude)]
     if not places:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.parameter_yaml import PARAMETERS_KEY, anywhere
 from ship_replay.ins_noise.fit import FittedModel
-from ship_replay.ins_noise.identification import Identification, spread
+from ship_replay.ins_noise.identification import Identification, uncertainty_text
 from ship_replay.ins_noise.outage import OutageCheck
 
 _SIGMAS = 3.290526731491891
@@ -49,7 +49,7 @@ def _number(value: float) -> str:
 
 def _known(value: float, log_sigma: float) -> str:
     """Return the sigma of a value as text, or that it is hardly known."""
-    known = spread(log_sigma)
+    known = uncertainty_text(log_sigma)
     return f"± {value * log_sigma:.2g}, 1 sigma" if known.startswith("±") else f"{known}, 1 sigma"
 
 
@@ -69,11 +69,11 @@ def said(identification: Identification) -> list[str]:
 def _parameters(fitted: FittedModel) -> Iterator[str]:
     for what in fitted.model.told:
         value, log_sigma = fitted.told(what)
-        yield f"{what.name:45}{value:12.4g} {what.unit:12}{spread(log_sigma)}"
+        yield f"{what.name:45}{value:12.4g} {what.unit:12}{uncertainty_text(log_sigma)}"
     for parameter, value, log_sigma in zip(fitted.model.parameters, fitted.values, fitted.log_sigmas, strict=True):
         if parameter.name.startswith("2 σ²/τ"):
             low, high = (value * math.exp(sign * _SIGMAS * log_sigma) for sign in (-1.0, 1.0))
-            yield f"{parameter.name:45}{value:12.4g} {'':12}{spread(float(log_sigma))}, 99.9 %: {low:.3g} to {high:.3g}"
+            yield f"{parameter.name:45}{value:12.4g} {'':12}{uncertainty_text(float(log_sigma))}, 99.9 %: {low:.3g} to {high:.3g}"
     for name, fixed in fitted.model.fixed.items():
         yield f"{name:45}{fixed:12.4g} {'':12}as configured"
 

@@ -78,7 +78,7 @@ def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None,
     return config
 
 
-def older_messages(bag: Bag) -> dict[str, Callable[[Any], Any]]:
+def older_message_converters(bag: Bag) -> dict[str, Callable[[Any], Any]]:
     """Return output topic → function that converts a message to the recording release; empty for this release."""
     own = _own_parameters(bag)
     return {"ship/imu": _without_rate_covariance} if own and _SINCE_RATE_COVARIANCE not in own else {}

@@ -40,7 +40,7 @@ from ship_replay.offline.black_box_identity import (
     box_config,
     check_definitions,
     check_topics,
-    older_messages,
+    older_message_converters,
 )
 from ship_replay.offline.verification import ASIDE, Difference, Verification, message_difference, stamp_of
 
@@ -166,7 +166,7 @@ class _BoxReplay:
         self._files = files
         self._result = result
         self._writer = writer
-        self._older_messages = older_messages(bag)
+        self._older_messages = older_message_converters(bag)
         self._inputs: set[str] = set()
         self._outputs: set[str] = set()
         self._awaited: deque[Published] = deque()

@@ -82,7 +82,7 @@ class BlockRun(ReplayRun):
         moments: list[Moment] = []
         of_moment: list[BagRecord | None] = []
         for topic, record in records:
-            ticks_ns = self._ticks_until(record.log_time_ns)
+            ticks_ns = self._tick_times_ns(record.log_time_ns)
             moments += map(Moment, ticks_ns)
             moments.append(Moment(record.log_time_ns, topic))
             of_moment += [None] * len(ticks_ns) + [record]

@@ -63,7 +63,7 @@ def replay(
         config_text = suite_text(bag, config_path)
         chain, left_out = suite_chain(bag, adapter_classes, factory, config_path, namespace)
         input_names = match_inputs(bag, chain, namespace)
-        names = input_names | truth_names(bag, namespace)
+        names = input_names | truth_topic_names(bag, namespace)
         summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in input_names])
         with BagWriter(out_path) as writer:
             announce(writer, bag, chain.outputs, config_text)
@@ -149,7 +149,7 @@ def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> d
     return {topic.topic: found[topic.topic] for topic in adapter.inputs if topic.topic in found}
 
 
-def truth_names(bag: Bag, namespace: str) -> dict[str, str]:
+def truth_topic_names(bag: Bag, namespace: str) -> dict[str, str]:
     """Return relative name → name in the bag, for the truth topics.
 
     Raises:

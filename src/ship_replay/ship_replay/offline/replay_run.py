@@ -153,10 +153,10 @@ class ReplayRun:
         self._write_errors(None)
 
     def _tick_until(self, time_ns: int) -> None:
-        for now_ns in self._ticks_until(time_ns):
+        for now_ns in self._tick_times_ns(time_ns):
             self._publish(self._chain.tick(now_ns), now_ns)
 
-    def _ticks_until(self, time_ns: int) -> range:
+    def _tick_times_ns(self, time_ns: int) -> range:
         """Return the tick times before a message, ns: the multiples of the period since the last message."""
         last_ns, self.last_time_ns = self.last_time_ns, time_ns
         if last_ns is None:

@@ -38,7 +38,7 @@ from ship_node.documents.saved_document import DISK, UNTOUCHED, Files
 from ship_node.edge.topics import OutputTopic, Published
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import in_order_of_stamps
-from ship_replay.offline.replay import Watcher, announce, match_inputs, truth_names, usual_delay_ns
+from ship_replay.offline.replay import Watcher, announce, match_inputs, truth_topic_names, usual_delay_ns
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore
@@ -240,7 +240,7 @@ def _hand_over(
 
 
 def _truth(bag: Bag, namespace: str) -> Iterator[BagRecord]:
-    names = {name: relative for relative, name in truth_names(bag, namespace).items()}
+    names = {name: relative for relative, name in truth_topic_names(bag, namespace).items()}
     for record in bag.records(names) if names else ():
         yield replace(record, topic=names[record.topic])
 

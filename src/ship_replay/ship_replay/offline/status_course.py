@@ -160,7 +160,7 @@ def reasons_for(
         return []
     said = course.sayings
     warnings = [warning for warning in adapter.start_warnings if not any(warning in saying for saying in said)]
-    reasons = [*said, *warnings, *_no_stars(config)]
+    reasons = [*said, *warnings, *_reference_only_reasons(config)]
     reasons += [excess.text for excess in exceeded(config, dict(times), "the bag")]
     reasons += [line for message in health if (line := hardly_used(message))]
     poor = " and ".join(f"{counts[word]} {word}" for word in reversed(_POOR) if counts[word])
@@ -168,7 +168,7 @@ def reasons_for(
     return [f"why {poor} of {counts.total()} outputs of {adapter.node_name}:", *(f"  {reason}" for reason in why)]
 
 
-def _no_stars(config: Any) -> list[str]:
+def _reference_only_reasons(config: Any) -> list[str]:
     """Return the reason if references but no stars are configured: references alone never give VALID."""
     if isinstance(config, ShipAttitudeConfig) and config.references and not config.star_sensors:
         return ["no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY"]

@@ -81,7 +81,7 @@ def fitted_camera(
         fitted = _with_focal_length(camera, factor * camera.focal_length_m)
         for _ in range(_SEARCH_STEPS):
             exposures = _exposures(record, fitted, axes, watch)
-            scale = _scale(exposures, watch)
+            scale = _angle_ratio(exposures, watch)
             if scale is None:
                 break
             if abs(scale - 1.0) < _SETTLED:
@@ -120,7 +120,7 @@ def _with_focal_length(camera: CameraConfig, focal_length_m: float) -> CameraCon
     return replace(camera, focal_length_m=float(np.clip(focal_length_m, 0.001, 10.0)))
 
 
-def _scale(exposures: list[StarExposure], watch: SkyWatch) -> float | None:
+def _angle_ratio(exposures: list[StarExposure], watch: SkyWatch) -> float | None:
     """Return the median ratio of measured to true angles between stars; None if there are too few pairs."""
     ratios: list[float] = []
     for exposure in exposures:

@@ -9,7 +9,7 @@ from ship_bags.renamed_topics import remap_advice
 from ship_bags.topic_names import likely_namespace
 from ship_replay.offline.message_times import MessageTimes, exceeded
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
-from ship_replay.preflight.load import load_text, load_warnings, loads, measured_slowness
+from ship_replay.preflight.load import load_text, load_warnings, node_loads, measured_slowness
 
 _INS_TOPIC = "ins/imu"
 _SENSOR_TOPIC = re.compile(
@@ -128,6 +128,6 @@ def check_rates(check: BagCheck) -> None:
             check.say(excess.mostly, f"{node.place(check.path, excess.limit.parameter)}: {excess.text}")
     rates_hz = {topic: found.arrivals.rate_hz for topic, found in times.items()}
     if any(rates_hz.values()):
-        found = loads([node.adapter for node in check.nodes], rates_hz, measured_slowness())
+        found = node_loads([node.adapter for node in check.nodes], rates_hz, measured_slowness())
         check.findings.notes.append(load_text(found))
         check.findings.warnings += load_warnings(found, len(os.sched_getaffinity(0)))

@@ -105,14 +105,14 @@ def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> N
             check.findings.warnings.append(said)
         else:
             share = f" ({100.0 * health.rejected / health.received:.0f} % not used)"
-            check.findings.unused.append(said + share + _why(records[health.topic].last_refusal, word))
+            check.findings.unused.append(said + share + _reason_and_advice(records[health.topic].last_refusal, word))
 
 
 def _words(reasons: Sequence[Reason]) -> Iterator[str]:
     return (reason.word for reason in reasons)
 
 
-def _why(last: Any, word: str) -> str:
+def _reason_and_advice(last: Any, word: str) -> str:
     """Return the node's text about the last rejection, and the advice."""
     told = f": {shortened(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
     advice = next((advice for reason, advice in _ADVICE.items() if reason.word == word), "")

@@ -54,7 +54,7 @@ class NodeLoad:
         return self.share > MOST_SHARE
 
 
-def loads(adapters: Sequence[Adapter], rates_hz: Mapping[str, float], slowness: float) -> list[NodeLoad]:
+def node_loads(adapters: Sequence[Adapter], rates_hz: Mapping[str, float], slowness: float) -> list[NodeLoad]:
     """Return the load of each node.
 
     Args:

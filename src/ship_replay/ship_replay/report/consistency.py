@@ -14,7 +14,7 @@ from scipy.stats import binom, chi2, norm
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.picture import NisVerdict
-from ship_watch.verdict import BAND_SIGMAS, WIDEST_BAND, WINDOW_NS, NisWindow, as_stated, misfit
+from ship_watch.verdict import BAND_SIGMAS, WIDEST_BAND, WINDOW_NS, NisWindow, consistent_text, inconsistent_text
 
 TOO_FEW = "too few"
 TOO_FEW_INDEPENDENT = "too few independent errors"
@@ -90,7 +90,7 @@ def mean_nees_fit(name: str, mean: float, count: int, independent: float) -> Sig
         words = TOO_FEW_INDEPENDENT
     else:
         ratio = math.sqrt(ratio_square)
-        words = f"σ {as_stated(ratio) if low <= mean <= high else misfit(ratio)}"
+        words = f"σ {consistent_text(ratio) if low <= mean <= high else inconsistent_text(ratio)}"
     return SigmaFit("NEES", name, mean, _NEES_DEGREES, count, independent, {}, words)
 
 
@@ -135,9 +135,9 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
     if not diagnoses:
         words = TOO_FEW
     elif sum(minutes.values()) <= binom.ppf(_BAND, len(diagnoses), _MINUTE_OUTSIDE):
-        words = f"σ {as_stated(math.sqrt(mean / freedom))}"
+        words = f"σ {consistent_text(math.sqrt(mean / freedom))}"
     else:
-        parts = [f"{misfit(_together(found))} in {len(found)}" for found in outside.values() if found]
+        parts = [f"{inconsistent_text(_together(found))} in {len(found)}" for found in outside.values() if found]
         words = f"σ {', '.join(parts)} of {len(diagnoses)} minutes"
     return SigmaFit("NIS", name, mean, freedom, int(known.sum()), math.nan, told, words)
 

@@ -28,7 +28,7 @@ from ship_replay.evaluation.figures import attitude_error_figure, innovation_fig
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_replay.report.night import Night
 from ship_replay.report.time_axis import gap_times, interrupted, utc_axis
-from ship_watch.history import BudgetPoint, extremes
+from ship_watch.history import BudgetPoint, extreme_rows
 from ship_watch.picture import ANGLES, Safety
 from ship_watch.topics import source_of_name, source_of_topic
 
@@ -120,7 +120,7 @@ def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
                          ls=("-", "--", "-.", ":", "-")[number], label=name)
         grid[1].set_yscale("log" if drawn else "linear")
         grid[1].set_ylabel("95 % [arcsec]")
-        for limit in sorted({night.limits.of_angle(name) / ARCSEC for name in shown}):
+        for limit in sorted({night.limits.angle_limit(name) / ARCSEC for name in shown}):
             grid[1].axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
             grid[1].annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
                              textcoords="offset points", va="center", fontsize=8, color="#666666")
@@ -233,7 +233,7 @@ def thinned(values: FloatArray, most: int) -> np.ndarray:
         return np.ones(count, dtype=bool)
     parts = max(most // (2 * columns), 1)
     kept = np.zeros(count, dtype=bool)
-    kept[extremes(values, [part * count // parts for part in range(parts)])] = True
+    kept[extreme_rows(values, [part * count // parts for part in range(parts)])] = True
     return kept
 
 

@@ -85,7 +85,7 @@ def _read_beside(
         )
 
 
-def origin(pair: Pair) -> list[str]:
+def input_sentences(pair: Pair) -> list[str]:
     """Return sentences about the inputs of both recordings: whether they are the same, and their times."""
     if pair.is_same:
         return ["A and B are the same recording (same SHA-256)."]

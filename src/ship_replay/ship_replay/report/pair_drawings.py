@@ -162,7 +162,7 @@ def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
         drawn += len(kept)
         time_ns, (value,) = interrupted(told[kept, 0], gap_times(told[:, 0]), told[kept, 1])
         axes.plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=colour, ls=dash, lw=1.0, label=letter)
-    limit = pair.a.night.limits.of_angle(name) / ARCSEC
+    limit = pair.a.night.limits.angle_limit(name) / ARCSEC
     axes.axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
     axes.annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
                   textcoords="offset points", va="center", fontsize=8, color="#666666")

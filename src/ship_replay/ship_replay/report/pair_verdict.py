@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from ship_replay.report.configurations import ParameterDifference
 from ship_replay.report.night import Night
-from ship_replay.report.pair import Pair, origin
+from ship_replay.report.pair import Pair, input_sentences
 from ship_replay.report.pair_tables import SAME_MOMENT_NS, ErrorRow
 from ship_replay.report.published import OutputDifference
 from ship_replay.report.tables import SourceOutage, outages
@@ -33,7 +33,7 @@ def pair_verdict(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[Pa
         errors: errors of both against the truth; empty without truth.
         parameters: parameters that differ.
     """
-    sentences = origin(pair)
+    sentences = input_sentences(pair)
     if not pair.is_same:
         sentences.append(_configuration(parameters))
     sentences += [*_safe_for_longer(pair), *_which_is_better(errors)]

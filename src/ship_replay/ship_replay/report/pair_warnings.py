@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ship_bags.suite_commit import COMMIT_RECORD
-from ship_replay.report.pair import Pair, origin
+from ship_replay.report.pair import Pair, input_sentences
 
 _REPLAY_BOTH = "replay one recording with both configurations, and compare the two replays"
 
@@ -71,7 +71,7 @@ def pair_warnings(pair: Pair, problems: Sequence[str]) -> list[PairWarning]:
         pair: both recordings.
         problems: problems of the bags, each preceded by the letters of the bags that have it.
     """
-    found = [_explained(text) for text in [*origin(pair), *_commits(pair)]]
+    found = [_explained(text) for text in [*input_sentences(pair), *_commits(pair)]]
     return [one for one in found if one.why] + [_explained(text) for text in problems]
 
 

@@ -161,7 +161,7 @@ class Watched:
 
 def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Result:
     """Run a voyage; return its statistics as plain data."""
-    begun_s, result = time.process_time(), dataclasses.asdict(voyage)
+    start_s, result = time.process_time(), dataclasses.asdict(voyage)
     result["voyage"] = result.pop("number")
     result |= {"length_s": length_s, "exception": ""}
     try:
@@ -176,13 +176,13 @@ def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Res
     except Exception:
         # A software defect is recorded, and the other voyages continue.
         result["exception"] = traceback.format_exc(limit=-4)
-    return result | {"cpu_s": round(time.process_time() - begun_s, 2)}
+    return result | {"cpu_s": round(time.process_time() - start_s, 2)}
 
 
 def _sail_ship(run: SimulatedRun, watched: Watched) -> None:
     core = core_for(run.scenario)
     rows = {int(run.ins.time_ns[index]): row for row, index in enumerate(run.truth.ins_index)}
-    for outcome in attitude_outcomes(core, run, _once_a_second(run, rows)):
+    for outcome in attitude_outcomes(core, run, _stamps_each_second(run, rows)):
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
             watched.look_at_sources(since_s, frozenset(core.state.excluded))
@@ -193,7 +193,7 @@ def _sail_ship(run: SimulatedRun, watched: Watched) -> None:
             _look(watched, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False)
 
 
-def _once_a_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
+def _stamps_each_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
     """Return the stamps of INS samples at which an attitude is requested: the first of each second with known truth."""
     first: dict[int, int] = {}
     for time_ns in sorted(rows):
@@ -206,7 +206,7 @@ def _sail_theodolite(run: SimulatedRun, watched: Watched) -> None:
     theodolite = theodolite_of(run)
     truth, encoder_ns = theodolite.truth, theodolite.encoder.time_ns
     rows = {int(encoder_ns[index]): row for row, index in enumerate(truth.encoder_index)}
-    wanted = _once_a_second(run, rows)
+    wanted = _stamps_each_second(run, rows)
     for outcome in pointing_outcomes(core, run):
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS

@@ -93,7 +93,7 @@ def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, unt
         for sign in told.signs
         if first_ns <= sign.log_ns < end_ns and (sign.source, sign.stamp_ns) not in known
     ]  # fmt: skip
-    left_ns, left_anew = _first_left(told, clean.told, first_ns, end_ns)
+    left_ns, is_new = _first_left(told, clean.told, first_ns, end_ns)
     own = [sign.log_ns for sign in signs if is_source(sign.source, fault)]
     alerts_ns = [*own[:1], *([] if left_ns is None else [left_ns])]
     after = [claim for claim in told.claims if begin_ns <= claim.stamp_ns < until_ns]
@@ -102,7 +102,7 @@ def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, unt
     names = first_named(signs)
     return FaultVerdict(
         changed=len(changed_ns),
-        detected=bool(own) or left_anew or any(sign.reason == EXCLUSION for sign in signs),
+        detected=bool(own) or is_new or any(sign.reason == EXCLUSION for sign in signs),
         attributed=bool(names) and all(is_source(name, fault) for name in names),
         alert_s=(min(alerts_ns) - first_ns) / NS_PER_S if alerts_ns else float("nan"),
         named=dict(Counter(sign.source for sign in signs)),

@@ -78,7 +78,7 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
         voyage: the voyage.
         fault_free: the same without faults.
     """
-    begun_s = time.monotonic()
+    start_s = time.monotonic()
     with read_bag(voyage.bag) as bag:
         length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
         topics = taken_topics(bag)
@@ -98,7 +98,7 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
     except Exception:
         # Software defects are recorded, and the other voyages continue.
         result |= {"exception": traceback.format_exc(limit=-4), "faults": [_described(one) for one in drawn]}
-    result["elapsed_s"] = round(time.monotonic() - begun_s, 2)
+    result["elapsed_s"] = round(time.monotonic() - start_s, 2)
     return result
 
 

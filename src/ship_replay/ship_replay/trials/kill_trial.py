@@ -106,7 +106,7 @@ def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_t
         shared_memory = _shared_memory(process.pid)
         os.kill(process.pid, signal.SIGKILL)
         if process.wait(_START_S) != -signal.SIGKILL:
-            raise LiveFailure(f"{command[1]} ended by itself: {process.log()}")
+            raise LiveFailure(f"{command[1]} ended by itself: {process.log_text()}")
     for left_over in shared_memory:
         left_over.unlink(missing_ok=True)
     with read_bag(path) as bag:
@@ -176,7 +176,7 @@ def _wait_for_disk(sender: _Sender, path: Path, process: LiveProcess) -> None:
     deadline_s = time.monotonic() + _START_S
     while not _has_samples(path):
         if process.exit_code is not None or time.monotonic() > deadline_s:
-            raise LiveFailure(f"{path}: no data written: {process.log()}")
+            raise LiveFailure(f"{path}: no data written: {process.log_text()}")
         sender.send(_WARM_UP_S)
     sender.sent.clear()
     sender.given_out.clear()

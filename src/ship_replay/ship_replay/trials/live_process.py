@@ -93,7 +93,7 @@ class LiveProcess:
         """Process id."""
         return self._process.pid
 
-    def log(self) -> str:
+    def log_text(self) -> str:
         """Return its output so far."""
         return self.log_path.read_text(encoding="utf-8", errors="replace")
 

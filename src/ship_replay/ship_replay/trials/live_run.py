@@ -181,5 +181,5 @@ class LiveRun:
 def _end_of(process: LiveProcess, name: str) -> str:
     code = process.exit_code
     what = f"{name} does not respond" if code is None else f"{name} ended with exit code {code}"
-    tail = "\n".join(process.log().splitlines()[-_LOG_LINES:])
+    tail = "\n".join(process.log_text().splitlines()[-_LOG_LINES:])
     return f"{what}; its log {process.log_path} ends:\n{tail or '(empty)'}"

@@ -301,7 +301,7 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
         covariance_n=np.array([found.covariance_n for found in kept]),
         axis_n=true_nm[:, :, 0],
         mode=np.array([found.mode for found in kept], dtype=Mode),
-        ins_encoder=_ins_encoder(run)[kept_rows],
+        ins_encoder=_ins_encoder_errors(run)[kept_rows],
         sightings=sightings,
         refused=refused,
     )
@@ -324,7 +324,7 @@ def theodolite_of(run: SimulatedRun) -> TheodoliteRun:
     return run.theodolite
 
 
-def _ins_encoder(run: SimulatedRun) -> FloatArray:
+def _ins_encoder_errors(run: SimulatedRun) -> FloatArray:
     """Return the error of the axis by INS and encoders alone at the stamps of the truth, rad, without INS noise."""
     theodolite, ins = theodolite_of(run), run.truth.ins
     index, mount = theodolite.truth.encoder_index, theodolite.truth.mount

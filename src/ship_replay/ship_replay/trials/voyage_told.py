@@ -158,7 +158,7 @@ class VoyageSink:
             self.told.not_valid.append((orientation.topic, stamp_ns, log_time_ns, status))
             return
         truth = self._truths.get(orientation.topic)
-        truth_nd = None if truth is None else truth.exactly_at(stamp_ns)
+        truth_nd = None if truth is None else truth.rotation_at_stamp(stamp_ns)
         if truth_nd is None:
             return
         angles = orientation.angles_of(message)

@@ -48,16 +48,16 @@ class GaussMarkov:
         self._decay = np.exp(-period_s / np.asarray(time_s, dtype=float))
         # 1 - decay² without cancellation.
         self._innovation = np.sqrt(-np.expm1(-2.0 * period_s / np.asarray(time_s, dtype=float)))
-        self._begun = False
+        self._is_initialised = False
         self._carried = np.zeros((len(sigma), 1))
 
     def take(self, count: int) -> FloatArray:
         """Return the next samples, shape (count, n)."""
         noise = self._rng.standard_normal((count, len(self._sigma)))
-        noise[0 if self._begun else 1 :] *= self._innovation
+        noise[0 if self._is_initialised else 1 :] *= self._innovation
         samples = np.empty_like(noise)
         if count:
-            self._begun = True
+            self._is_initialised = True
             for i, decay in enumerate(self._decay):
                 samples[:, i], self._carried[i] = lfilter([1.0], [1.0, -decay], noise[:, i], zi=self._carried[i])
         return samples * self._sigma

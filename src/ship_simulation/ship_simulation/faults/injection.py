@@ -32,7 +32,7 @@ def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") ->
     optics = optics_of_suite(text) if text else Optics()
     topics = injectable_topics(bag, namespace)
     for name, fault in faults.items():
-        missing = optics.reason_against(fault, topics[fault.topic])
+        missing = optics.missing_camera_reason(fault, topics[fault.topic])
         if missing:
             reason = f"fault '{name}' of kind {fault.kind}: {missing}; add it to the bag's {SUITE_ATTACHMENT}"
             raise BadInput(reason, file=bag.path)

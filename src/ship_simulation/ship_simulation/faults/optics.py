@@ -26,7 +26,7 @@ class Optics:
     stars: Mapping[str, StarCamera] = field(default_factory=dict)
     telescope: Camera | None = None
 
-    def reason_against(self, fault: Fault, type_name: str) -> str:
+    def missing_camera_reason(self, fault: Fault, type_name: str) -> str:
         """Return a text stating which camera a fault needs but is not described; empty if none is missing."""
         if fault.kind not in (*_TURNS, *_SPOTS):
             return ""

@@ -213,7 +213,7 @@ def _false_stars(spoiler: Spoiler, message: Any, since_s: float) -> None:
     if not message.stars:
         return
     camera, rng = spoiler.optics.stars[spoiler.fault.topic], spoiler.rng
-    bright = hipparcos().brighter_than(_BRIGHT)
+    bright = hipparcos().rows_brighter_than(_BRIGHT)
     edge_px = 2.0 * np.array([camera.principal_u_px, camera.principal_v_px])
     false = []
     for _ in range(spoiler.fault.count):

@@ -53,14 +53,14 @@ def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
     except ParameterError as problem:
         raise file.error(problem) from problem
     if recording is not None and scenario.carrier.kind != "recorded":
-        raise file.error(_wrong("carrier.kind", "must be recorded to follow a recording"))
+        raise file.error(_parameter_error("carrier.kind", "must be recorded to follow a recording"))
     scenario = _with_recording(scenario, Path(path).parent, recording)
     for wrong in _problems(scenario, file):
         raise file.error(wrong)
     return scenario
 
 
-def _wrong(key: str, text: str) -> ParameterError:
+def _parameter_error(key: str, text: str) -> ParameterError:
     return ParameterError(f"'{key}' {text}", key)
 
 
@@ -79,7 +79,7 @@ def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[ParameterErro
     try:
         start_of(scenario.start_utc)
     except ValueError as problem:
-        yield _wrong("start_utc", f"= {scenario.start_utc} is not a time such as 2014-07-09T11:50:07.8Z: {problem}")
+        yield _parameter_error("start_utc", f"= {scenario.start_utc} is not a time such as 2014-07-09T11:50:07.8Z: {problem}")
     yield from _carrier_problems(scenario.carrier, file)
     for sensor_id, sensor in scenario.star_sensors.items():
         yield from _windows_problems(f"star_sensors.{sensor_id}.outages", sensor.outages)
@@ -95,10 +95,10 @@ def _carrier_problems(carrier: CarrierMotion, file: ParameterFile) -> Iterator[P
     for group in file.values["carrier"]:
         if group not in ("kind", *used):
             expected = ", ".join(used)
-            yield _wrong(f"carrier.{group}", f"is not used by a carrier of kind {carrier.kind}: expected {expected}")
+            yield _parameter_error(f"carrier.{group}", f"is not used by a carrier of kind {carrier.kind}: expected {expected}")
     if carrier.kind == "recorded" and not Path(carrier.recording.bag).exists():
         named = carrier.recording.bag or "not given"
-        yield _wrong("carrier.recording.bag", f"= {named} is missing: expected a bag with {carrier.recording.topic}")
+        yield _parameter_error("carrier.recording.bag", f"= {named} is missing: expected a bag with {carrier.recording.topic}")
 
 
 def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> Iterator[ParameterError]:
@@ -106,7 +106,7 @@ def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> 
         for field in fields:
             if field in given and sensor.output not in outputs:
                 owners = " or ".join(outputs)
-                yield _wrong(f"{key}.{field}", f"is not used with output {sensor.output}: it belongs to {owners}")
+                yield _parameter_error(f"{key}.{field}", f"is not used with output {sensor.output}: it belongs to {owners}")
     if sensor.output != "observations":
         return
     yield from _imaging_problems(key, sensor)
@@ -120,9 +120,9 @@ def _imaging_problems(key: str, imaging: StarImaging) -> Iterator[ParameterError
         yield problem
     if not (imaging.camera.width_px and imaging.camera.height_px):
         text = f"and '{key}.camera.height_px' must be given: they define the field of view"
-        yield _wrong(f"{key}.camera.width_px", text)
+        yield _parameter_error(f"{key}.camera.width_px", text)
     if imaging.direction_given and not imaging.identified:
-        yield _wrong(f"{key}.direction_given", "needs identified stars: remove one of the two")
+        yield _parameter_error(f"{key}.direction_given", "needs identified stars: remove one of the two")
 
 
 def _mask_problems(key: str, sensor: StarSensor) -> Iterator[ParameterError]:
@@ -140,7 +140,7 @@ def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:
     # With a margin of one day for time offsets.
     reason = earth_orientation_table().reason_against(ends_ns + np.array([-DAY_NS, DAY_NS]))
     if reason is not None:
-        yield _wrong("start_utc", f"= {scenario.start_utc}: no sky can be computed: {reason}")
+        yield _parameter_error("start_utc", f"= {scenario.start_utc}: no sky can be computed: {reason}")
 
 
 def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterator[ParameterError]:
@@ -148,11 +148,11 @@ def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterat
     if not scenario.theodolite.aboard:
         for group in ("theodolite", "beacons", "targets", "telescopes"):
             if given.get(group):
-                yield _wrong(group, "is not used without 'theodolite.aboard: true'")
+                yield _parameter_error(group, "is not used without 'theodolite.aboard: true'")
         return
     programme = scenario.theodolite.programme
     if programme.greatest_elevation_deg < programme.least_elevation_deg:
-        yield _wrong(
+        yield _parameter_error(
             "theodolite.programme.greatest_elevation_deg",
             f"= {programme.greatest_elevation_deg} deg must not be "
             f"less than least_elevation_deg = {programme.least_elevation_deg} deg",
@@ -160,14 +160,14 @@ def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterat
     for beacon_id, beacon in scenario.beacons.items():
         yield from _beacon_problems(f"beacons.{beacon_id}", beacon, given["beacons"][beacon_id].get("flight", {}))
     if scenario.targets and scenario.theodolite.main_detector.focal_length_m == 0.0:
-        yield _wrong("theodolite.main_detector.focal_length_m", "must be given where there are targets")
+        yield _parameter_error("theodolite.main_detector.focal_length_m", "must be given where there are targets")
     for target_id, target in scenario.targets.items():
         yield from _target_problems(f"targets.{target_id}", target, given["targets"][target_id].get("course", {}))
     for camera_id, camera in scenario.telescopes.items():
         yield from _telescope_problems(f"telescopes.{camera_id}", camera)
     if TELESCOPE_ID in scenario.telescopes:
         text = "is reserved for the telescope for lights: choose another id for a star camera"
-        yield _wrong(f"telescopes.{TELESCOPE_ID}", text)
+        yield _parameter_error(f"telescopes.{TELESCOPE_ID}", text)
 
 
 def _beacon_problems(key: str, beacon: Beacon, flight: Mapping[str, Any]) -> Iterator[ParameterError]:
@@ -192,10 +192,10 @@ def _course_problems(key: str, course: Course, given: Mapping[str, Any]) -> Iter
     used = SECTIONS_OF_COURSE[course.kind]
     for group in SECTIONS_OF_COURSE.values():
         if group in given and group != used:
-            yield _wrong(f"{key}.{group}", f"is not used by a course of kind {course.kind}: expected {used}")
+            yield _parameter_error(f"{key}.{group}", f"is not used by a course of kind {course.kind}: expected {used}")
     moments = [waypoint.time_s for waypoint in course.waypoints.values()]
     if course.kind == "legs" and len(set(moments)) < max(2, len(moments)):
-        yield _wrong(f"{key}.waypoints", f"must contain two or more with different time_s, got {moments}")
+        yield _parameter_error(f"{key}.waypoints", f"must contain two or more with different time_s, got {moments}")
 
 
 def _windows_problems(key: str, windows: Mapping[str, Outage]) -> Iterator[ParameterError]:
@@ -205,4 +205,4 @@ def _windows_problems(key: str, windows: Mapping[str, Outage]) -> Iterator[Param
 
 def _window_problems(key: str, start_s: float, end_s: float) -> Iterator[ParameterError]:
     if end_s <= start_s:
-        yield _wrong(f"{key}.end_s", f"= {end_s} s must be after start_s = {start_s} s")
+        yield _parameter_error(f"{key}.end_s", f"= {end_s} s must be after start_s = {start_s} s")

@@ -50,7 +50,7 @@ def stars_in_field(
         since_start_s: their stamps after the start, increasing, shape (n,).
     """
     camera, masks = sensor.camera.camera("camera"), sensor.sight_masks
-    bright = sky.catalogue.brighter_than(sensor.magnitude_limit)
+    bright = sky.catalogue.rows_brighter_than(sensor.magnitude_limit)
     bright = bright[np.argsort(sky.catalogue.magnitude[bright], kind="stable")]
     places = sky.positions[bright]
     place_c = erfa.s2c(places.right_ascension, places.declination)

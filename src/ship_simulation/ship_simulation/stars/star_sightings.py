@@ -200,7 +200,7 @@ def _false_spots(source: str, config: StarImaging, sky: TrueSky, seeing: NDArray
     name = source + ".false_stars"
     count = draws.stream(name).poisson(config.false_stars, seeing.size) * seeing
     total = int(count.sum())
-    bright = sky.catalogue.brighter_than(config.magnitude_limit)
+    bright = sky.catalogue.rows_brighter_than(config.magnitude_limit)
     least, greatest = config.camera.edges_px
     return _Spots(
         exposure=np.repeat(np.arange(seeing.size), count),

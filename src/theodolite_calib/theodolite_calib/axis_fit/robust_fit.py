@@ -111,7 +111,7 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
     """
     free = np.array([name not in fixed for name in NAMES])
     terms = int(np.sum(free))
-    vector = np.array([fixed.get(name, start) for name, start in zip(NAMES, _start(sightings), strict=True)])
+    vector = np.array([fixed.get(name, start) for name, start in zip(NAMES, _initial_errors(sightings), strict=True)])
     problem = _Problem(sightings, free, sightings.slow_map())
     shared = np.zeros(problem.slow.shape[-1])
     scale, taken = 0.0, float(terms)
@@ -146,7 +146,7 @@ def rms(residuals: FloatArray) -> float:
     return float(np.sqrt(np.mean(sizes(residuals) ** 2)))
 
 
-def _start(sightings: Sightings) -> FloatArray:
+def _initial_errors(sightings: Sightings) -> FloatArray:
     """Return the initial errors: a mean zero point of the azimuth, which may have any value; else zero."""
     axis_d = main_axis_rotation(AxisErrors(), sightings.azimuth, sightings.elevation)[..., 0]
     seen, true = (d[..., 0] + 1j * d[..., 2] for d in (axis_d, sightings.direction_d))

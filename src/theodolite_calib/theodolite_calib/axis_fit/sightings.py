@@ -113,14 +113,14 @@ class Sightings:
     def residuals(self, errors: AxisErrors) -> FloatArray:
         """Return true direction minus the model's, as angles to the right and up on the sky, shape (n, 2), rad."""
         model_d = main_axis_rotation(errors, self.azimuth, self.elevation)[..., 0]
-        return _on_the_sky(self.direction_d, model_d)
+        return _sky_angles(self.direction_d, model_d)
 
     def linearized(self, errors: AxisErrors) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, 2), and the model's derivative to the right and up per axis error, shape (n, 2, 7)."""
         axis = main_axis(errors, self.azimuth, self.elevation)
         model_d = axis.rotation_dm[..., 0]
         change = right_and_up(self.direction_d) @ direction_change(model_d, axis.by_error)
-        return _on_the_sky(self.direction_d, model_d), change
+        return _sky_angles(self.direction_d, model_d), change
 
 
 def directions(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
@@ -128,7 +128,7 @@ def directions(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
     return main_axis_rotation(AxisErrors(), azimuth, elevation)[..., 0]
 
 
-def _on_the_sky(true_d: FloatArray, model_d: FloatArray) -> FloatArray:
+def _sky_angles(true_d: FloatArray, model_d: FloatArray) -> FloatArray:
     """Return the angle from the model's to the true direction, resolved to the right and up."""
     sines = -(right_and_up(true_d) @ model_d[..., None])[..., 0]
     sine = np.linalg.norm(sines, axis=-1)

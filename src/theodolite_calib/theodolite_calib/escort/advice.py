@@ -104,12 +104,12 @@ class _Search:
 
     def run(self, first: FloatArray | None) -> None:
         """Search for the best positions; ``first`` is an additional starting point, shape (N, 3)."""
-        begun = [] if first is None else [first]
-        begun += list(_beginnings(len(self._names)))
-        valued = sorted((self.value(box), number) for number, box in enumerate(begun))
+        starts = [] if first is None else [first]
+        starts += list(_beginnings(len(self._names)))
+        valued = sorted((self.value(box), number) for number, box in enumerate(starts))
         scale = min(valued[0][0], self._accuracy.sigma((), np.empty((0, 3))))
         for _, number in valued[:_FOLLOWED]:
-            self._follow(begun[number], scale)
+            self._follow(starts[number], scale)
 
     def value(self, box: FloatArray) -> float:
         """Return the standard deviation at box coordinates; infinite if the drones are too close together."""
@@ -124,9 +124,9 @@ class _Search:
             self.best, self.best_box = sigma, np.array(box)
         return sigma
 
-    def _follow(self, begun: FloatArray, scale: float) -> None:
+    def _follow(self, start: FloatArray, scale: float) -> None:
         """Refine a starting point; steps may bring drones too close together, but such positions are not stored."""
-        shape, least_m = begun.shape, self._allowed.limits.separation_min_m
+        shape, least_m = start.shape, self._allowed.limits.separation_min_m
 
         def value(flat: FloatArray) -> float:
             box = np.clip(flat.reshape(shape), 0.0, 1.0)
@@ -139,12 +139,12 @@ class _Search:
             separations_m = self._allowed.separations_m(self._allowed.places_n(flat.reshape(shape)))
             return separations_m / max(least_m, 1.0) - least_m / max(least_m, 1.0) * (1.0 + 1e-6)
 
-        constraints = [{"type": "ineq", "fun": room}] if len(begun) > 1 and least_m > 0.0 else []
+        constraints = [{"type": "ineq", "fun": room}] if len(start) > 1 and least_m > 0.0 else []
         minimize(
             value,
-            np.clip(begun, 0.01, 0.99).ravel(),
+            np.clip(start, 0.01, 0.99).ravel(),
             method="SLSQP",
-            bounds=[(0.0, 1.0)] * begun.size,
+            bounds=[(0.0, 1.0)] * start.size,
             constraints=constraints,
             options={"maxiter": _MOST_STEPS, "ftol": _TOLERANCE, "eps": 1e-4},
         )

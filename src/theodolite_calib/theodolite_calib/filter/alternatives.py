@@ -117,12 +117,12 @@ class SourceRows:
             TELESCOPE: model.state_indices("parallelism"),
         }
 
-    def states_of(self, excluded: Set[str]) -> NDArray[np.intp]:
+    def unknown_states(self, excluded: Set[str]) -> NDArray[np.intp]:
         """Return the indices of the states that are unknown while some sources are excluded."""
         found = [self._states[name] for name in sorted(excluded & self._states.keys())]
         return np.concatenate([np.empty(0, dtype=np.intp), *found])
 
-    def start(self, mean: FloatArray, covariance: FloatArray) -> Alternatives:
+    def initial_states(self, mean: FloatArray, covariance: FloatArray) -> Alternatives:
         """Return all subfilters, equal to the main filter."""
         return self.restarted(Alternatives(None, mean, covariance), mean, covariance)
 

@@ -14,7 +14,7 @@ if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 
-def by_states(
+def jacobian_by_states(
     by_attitude: cython.const[cython.double][:, :, ::1],
     by_direction: cython.const[cython.double][:, :, ::1],
     by_focal_length: cython.const[cython.double][:, ::1],
@@ -74,7 +74,7 @@ def by_states(
     return of_states, of_errors
 
 
-def by_turns(rows: cython.const[cython.double][:, :], covariances: cython.const[cython.double][:, :, :]):
+def covariances_by_rotation(rows: cython.const[cython.double][:, :], covariances: cython.const[cython.double][:, :, :]):
     """Return the covariances of m numbers that follow from covariances of rotations, shape (p, m, m).
 
     Args:
@@ -101,7 +101,7 @@ def by_turns(rows: cython.const[cython.double][:, :], covariances: cython.const[
     return result
 
 
-def of_each(by_error: cython.const[cython.double][:, :, :], covariance: cython.const[cython.double][:, :, :]):
+def covariance_by_own_error(by_error: cython.const[cython.double][:, :, :], covariance: cython.const[cython.double][:, :, :]):
     """Return the covariance of the points of N beacons from an error independent for each beacon, shape (2 N, 2 N).
 
     Args:

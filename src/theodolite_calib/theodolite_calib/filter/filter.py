@@ -138,10 +138,10 @@ class CalibrationFilter:
 
     def started(self, mean: FloatArray, parts: FloatArray) -> CalibrationState:
         """Return the state before any sighting, with given errors; shapes (n,), (n_sources, n, n)."""
-        alternatives = self.subfilters.start(mean, parts.sum(axis=0))
+        alternatives = self.subfilters.initial_states(mean, parts.sum(axis=0))
         solution_separation = np.zeros(len(self.subfilters.sources))
         return CalibrationState(
-            None, mean, parts, self.observability.start(), alternatives, initial_fault_state(self.subfilters), solution_separation
+            None, mean, parts, self.observability.initial_state(), alternatives, initial_fault_state(self.subfilters), solution_separation
         )
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
@@ -220,7 +220,7 @@ class CalibrationFilter:
         if comparison is None:
             return state
         after, _ = self.used(state, sighting, comparison)
-        states = self.subfilters.states_of(state.fault_state.excluded)
+        states = self.subfilters.unknown_states(state.fault_state.excluded)
         mean, subfilter_means = state.mean.copy(), state.subfilters.mean.copy()
         mean[states] = subfilter_means[:, states] = after.mean[states]
         return replace(state, mean=mean, alternatives=replace(state.subfilters, mean=subfilter_means))

@@ -58,7 +58,7 @@ class SightingJudge:
             text = "a light would be behind the telescope: large error of baseline, encoders or ship's attitude"
             return Judgement(ExposureDecision(exposure, Reason.LIGHT_CONFLICT, text=text))
         if self._passes(comparison):
-            return self._use(exposure, sighting, comparison)
+            return self._acceptance(exposure, sighting, comparison)
         if len(sighting.names) == 1:
             return Judgement(self._disagreement(exposure, sighting, comparison))
         return self._look_closer(state, sighting, exposure, comparison)
@@ -91,7 +91,7 @@ class SightingJudge:
         if not check.attitude.solved:
             return Judgement(decision)
         sigma = float(np.sqrt(np.max(np.diagonal(check.attitude.covariance_n))))
-        return Judgement(replace(decision, telescope_dt=(sighting.in_deck(check.attitude.rotation_nt), sigma)))
+        return Judgement(replace(decision, telescope_dt=(sighting.deck_from_telescope(check.attitude.rotation_nt), sigma)))
 
     def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
         """Return the camera with the focal length's uncertainty of the state."""
@@ -106,7 +106,7 @@ class SightingJudge:
         comparison = self._filter.compare(state, renamed)
         if comparison is None or not self._passes(comparison):
             return None
-        judgement = self._use(exposure, renamed, comparison)
+        judgement = self._acceptance(exposure, renamed, comparison)
         exchanged = [f"{sighting.names[j]} is {name}" for name, j in zip(sighting.names, order, strict=True)]
         text = f"lights used with exchanged names, the only consistent: {', '.join(exchanged)}"
         return replace(judgement, decision=replace(judgement.decision, reason=Reason.LIGHT_CONFLICT, text=text))
@@ -125,11 +125,11 @@ class SightingJudge:
         if not trials:
             return None
         _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
-        judgement = self._use(exposure, others, comparison)
+        judgement = self._acceptance(exposure, others, comparison)
         refused = sighting.names[row], Refusal(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it")
         return replace(judgement, decision=replace(judgement.decision, left_out=(refused,)))
 
-    def _use(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
+    def _acceptance(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
         """Return the decision for a sighting that passes the gate."""
         rotation_nt = comparison.prediction.rotation_nt
         sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / focal_length_m(comparison)
@@ -137,7 +137,7 @@ class SightingJudge:
             self._decision(exposure, sighting, comparison),
             reason=Reason.NONE,
             accepted=True,
-            telescope_dt=(sighting.in_deck(rotation_nt), sigma),
+            telescope_dt=(sighting.deck_from_telescope(rotation_nt), sigma),
         )
         return Judgement(decision, sighting, comparison)
 

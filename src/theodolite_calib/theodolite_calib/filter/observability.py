@@ -76,7 +76,7 @@ class Observability:
         order = [names.index(name) for name in _LEADING if name in names and sigma[names.index(name)] > 0.0]
         self._names, self._sigma, self._rows = [names[i] for i in order], sigma[order], rows[order]
 
-    def start(self) -> Unaided:
+    def initial_state(self) -> Unaided:
         """Return the state before any sighting."""
         return Unaided(np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()])))
 

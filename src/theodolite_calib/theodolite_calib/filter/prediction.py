@@ -132,7 +132,7 @@ class SightingModel:
         turn_n = self.by_state_n(chain, by_parallelism, "parallelism")
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
-        jacobian, by_error = compiled_points.by_states(
+        jacobian, by_error = compiled_points.jacobian_by_states(
             points.by_attitude_n,
             points.by_direction_n,
             points.by_focal_length,
@@ -143,12 +143,12 @@ class SightingModel:
         )
         self._add_ships_time(jacobian, by_error[..., SHIP_ROTATION], chain)
         parts_n = np.array([encoder.noise * (chain.by_encoder @ chain.by_encoder.T), ship.noise * _UNIT])
-        of_encoder, of_ship = compiled_points.by_turns(by_attitude_n, parts_n)
+        of_encoder, of_ship = compiled_points.covariances_by_rotation(by_attitude_n, parts_n)
         noise = {
             SOURCE_ENCODER: of_encoder,
             SOURCE_SHIP_NOISE: of_ship,
             SOURCE_IMAGE: sighting.image.covariance_m2,
-            SOURCE_RTK: compiled_points.of_each(by_error[..., BASELINE], sighting.lights.baseline_covariance_n),
+            SOURCE_RTK: compiled_points.covariance_by_own_error(by_error[..., BASELINE], sighting.lights.baseline_covariance_n),
         }
         noise_n = {SOURCE_ENCODER: parts_n[0], SOURCE_SHIP_NOISE: parts_n[1]}
         residual = (sighting.image.point_m - points.point_m).reshape(rows)

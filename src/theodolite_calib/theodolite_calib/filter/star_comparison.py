@@ -140,7 +140,7 @@ class StarModel:
             stars.jacobian[:] *= self._in_sigmas
         return stars
 
-    def contradiction(self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting) -> Refusal | None:
+    def optics_rejection(self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting) -> Refusal | None:
         """Return the rejection of an exposure that moves the focal length far from the configured one, or None.
 
         Args:

@@ -86,7 +86,7 @@ class StarStep:
             decision = replace(decision, text=f"NIS {nis:.1f} exceeds gate {gate:.1f}")
             return held_back(state, decision, self._gate, "stars")
         after = self._filter.used_stars(predicted, sighting.exposure, found)
-        contradiction = self._filter.stars.contradiction(after.mean, after.covariance, sighting)
+        contradiction = self._filter.stars.optics_rejection(after.mean, after.covariance, sighting)
         if contradiction is not None:
             decision = replace(decision, reason=contradiction.reason, text=contradiction.text)
             return held_back(state, decision, self._gate, "stars")

@@ -76,7 +76,7 @@ class SightingStep:
             jumps: jumps of the baselines of its beacons, by name.
         """
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
-        trust = self._fault_detector.heard_again(predicted.fault_state, sighting.names, sighting.time_ns)
+        trust = self._fault_detector.restart_timers(predicted.fault_state, sighting.names, sighting.time_ns)
         predicted = replace(predicted, trust=trust)
         for name, jump in jumps:
             predicted = self._jumped(predicted, sighting, name, jump)
@@ -137,7 +137,7 @@ class SightingStep:
                 # The predicted attitude uses the excluded encoders; the update gives the attitude by the beacons.
                 turned = exp_rotation(compared.prediction.by_state_n @ (after.mean - unknown.mean))
                 rotation_nt = turned @ judgement.comparison.prediction.rotation_nt
-                told_dt = judgement.sighting.in_deck(rotation_nt), _sigma_seen(compared)
+                told_dt = judgement.sighting.deck_from_telescope(rotation_nt), _sigma_seen(compared)
                 decision = replace(decision, telescope_dt=told_dt)
             return self._learnt(unknown, after, judgement.sighting.names, compared, decision)
         comparison = self._filter.compare(unknown, chosen)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, judge_return
+from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, evaluate_reinstatement
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import IntegrityConfig
@@ -165,7 +165,7 @@ class FaultDetector:
         own = np.array([[BEACON + id_ == source for id_ in subfilters.beacons] for source in subfilters.sources], dtype=bool)
         self._leaves_out = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
-    def heard_again(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
+    def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
         """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
 
         Args:
@@ -292,7 +292,7 @@ class FaultDetector:
         whitened_innovation = np.repeat(compared.whitened_innovation, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
         means = observed(fault_state.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
-        exclusion, returns = judge_return(left_out.exclusion, means, index, time_ns, self._config.return_after_s)
+        exclusion, returns = evaluate_reinstatement(left_out.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
@@ -305,9 +305,9 @@ class FaultDetector:
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
         return self._watched(fault_state, source, replace(exclusion, agrees_since_ns=since_ns), returns)
 
-    def _watched(self, fault_state: FaultState, source: str, exclusion: Exclusion, returns: bool) -> FaultState:
+    def _watched(self, fault_state: FaultState, source: str, exclusion: Exclusion, is_reinstated: bool) -> FaultState:
         left_out, jumped_ns, means = dict(fault_state.left_out), dict(fault_state.jumped_ns), fault_state.innovation_means
-        if returns:
+        if is_reinstated:
             jumped_ns[source] = left_out.pop(source).jump_ns + _SAME_JUMP_NS
             row = len(self._subfilters.beacons) if source in CHAIN else self._subfilters.sources.index(source)
             if row < len(self._subfilters.beacons):

@@ -42,7 +42,7 @@ class Camera:
 
     def points(self, direction_t: FloatArray) -> FloatArray:
         """Return detector points, shape (..., N, 2), of directions of any length; NaN behind the telescope."""
-        forward = _in_front(direction_t)
+        forward = _forward_component(direction_t)
         scale = -_per_light(self.focal_length_m) / forward
         return self.principal_point_m + scale[..., None] * direction_t[..., [2, 1]]
 
@@ -188,7 +188,7 @@ class LightStreaks:
     path_n: FloatArray
     moved_n: FloatArray
 
-    def at_middle(self) -> Image:
+    def image_at_middle(self) -> Image:
         """Return the points at the middle of the exposure, with the errors added by their streaks."""
         image, distance_m = self.image, np.linalg.norm(self.path_n, axis=-1, keepdims=True)
         # Position of the beacon from the detector, its motion from the path.
@@ -227,6 +227,6 @@ def _per_light(value: FloatArray | float) -> FloatArray:
     return np.asarray(value, dtype=float)[..., None]
 
 
-def _in_front(direction_t: FloatArray) -> FloatArray:
+def _forward_component(direction_t: FloatArray) -> FloatArray:
     forward = direction_t[..., 0]
     return np.where(forward > 0.0, forward, np.nan)

@@ -120,7 +120,7 @@ def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrio
         raise ValueError("the rotation of the image is not observable from one light: a prior attitude is needed")
     line_parts = covariance_by_source(lines.terms)
     line_covariance = total(line_parts)
-    rotation_nt = _start(image, camera, lines, line_covariance, prior)
+    rotation_nt = _initial_attitude(image, camera, lines, line_covariance, prior)
     for _ in range(_MAX_STEPS):
         equations = linearised(image, camera, lines.direction_n, line_covariance, rotation_nt, prior)
         information = equations.weighted_jacobian @ equations.jacobian
@@ -149,7 +149,7 @@ def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrio
     )
 
 
-def _start(
+def _initial_attitude(
     image: Image, camera: Camera, lines: LinesOfSight, line_covariance: FloatArray, prior: AttitudePrior | None
 ) -> FloatArray:
     """Return the initial attitude: Wahba's solution of the beacons, or the prior if that is not solved."""

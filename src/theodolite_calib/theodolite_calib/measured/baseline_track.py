@@ -77,7 +77,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         velocity: FloatArray = self._change(before, after) / self._seconds(before, after)
         return velocity
 
-    def jump_before(self, time_ns: int) -> BaselineJump | None:
+    def latest_jump(self, time_ns: int) -> BaselineJump | None:
         """Return the most significant jump among the last solutions up to the one after a time; None if there is none.
 
         Solutions with later stamps are not used, so that their time of arrival does not matter.

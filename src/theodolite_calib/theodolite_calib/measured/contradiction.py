@@ -135,12 +135,12 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
     places = (seconds / _MEAN_OVER_S).astype(int)
     count = np.bincount(places)
     rotation_nd, rate_d = _attitudes(told)
-    left_n = _left_by_rates(rotation_nd, rate_d, seconds)
+    left_n = _rate_residuals(rotation_nd, rate_d, seconds)
     means_n = np.stack([np.bincount(places, axis_n) for axis_n in left_n.T], axis=1) / count[:, None]
     spread_rad = float(np.max(np.ptp(means_n, axis=0)))
     stated_n = np.array([one.slow_covariance_n for one in told if one.slow_covariance_n is not None])
     may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
-    coarse_n = _left_by_rates(rotation_nd[::2], rate_d[::2], seconds[::2])
+    coarse_n = _rate_residuals(rotation_nd[::2], rate_d[::2], seconds[::2])
     may_rad += _BY_TRAPEZOIDS * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
     if spread_rad > _CREPT_SIGMAS * sigma_rad + may_rad:
         return True
@@ -152,7 +152,7 @@ def _attitudes(ship: list[ShipSample]) -> tuple[FloatArray, FloatArray]:
     return np.array([sample.rotation_nd for sample in ship]), np.array([sample.rate_d for sample in ship])
 
 
-def _left_by_rates(rotation_nd: FloatArray, rate_d: FloatArray, seconds: FloatArray) -> FloatArray:
+def _rate_residuals(rotation_nd: FloatArray, rate_d: FloatArray, seconds: FloatArray) -> FloatArray:
     """Return the residuals of attitudes against their integrated rates: rotation vectors in n, rad, shape (k, 3)."""
     rate_n = (rotation_nd @ rate_d[..., None])[..., 0]
     turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
@@ -164,7 +164,7 @@ def _ships_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> Larg
     """Return the largest step of the ship's attitude, using its rates if all samples have them."""
     seconds = _seconds(ship, since_ns)
     if all(sample.rate_d is not None for sample in ship):
-        return _largest_step(seconds, _left_by_rates(*_attitudes(ship), seconds), sigma_rad, _BY_RATES)
+        return _largest_step(seconds, _rate_residuals(*_attitudes(ship), seconds), sigma_rad, _BY_RATES)
     rotation_nd = np.array([sample.rotation_nd for sample in ship])
     turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
     turned_n = np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])

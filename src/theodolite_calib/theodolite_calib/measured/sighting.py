@@ -40,7 +40,7 @@ class Sighting:
     encoder: EncoderAt
     streaks: LightStreaks | None = None
 
-    def in_deck(self, rotation_nt: FloatArray) -> FloatArray:
+    def deck_from_telescope(self, rotation_nt: FloatArray) -> FloatArray:
         """Return deck from telescope, by the ship's attitude, shape (3, 3)."""
         rotation_dt: FloatArray = self.ship.rotation_nd.T @ rotation_nt
         return rotation_dt
@@ -58,7 +58,7 @@ class Sighting:
         return replace(
             self,
             names=tuple(self.names[row] for row in rows),
-            image=self.image.chosen(seen) if streaks is None else streaks.at_middle(),
+            image=self.image.chosen(seen) if streaks is None else streaks.image_at_middle(),
             lights=lights,
             streaks=streaks,
         )
@@ -160,7 +160,7 @@ class SightingAssembler:
             path_n=sighting.lights.baseline_n - ship.rotation_nd @ lever_m,
             moved_n=since_s * velocity_n - carried_n[:, None, :],
         )
-        return replace(sighting, image=streaks.at_middle(), streaks=streaks, ship=ship, encoder=encoder)
+        return replace(sighting, image=streaks.image_at_middle(), streaks=streaks, ship=ship, encoder=encoder)
 
     def _rotation_dt(self, azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
         """Return deck from telescope as configured, shape (..., 3, 3); an accuracy of one degree suffices."""

@@ -265,7 +265,7 @@ class MeasuredTracks:
         baseline = self.baselines[beacon_id].usable_at(time_ns)
         if isinstance(baseline, Refusal):
             return baseline
-        jump = self.baselines[beacon_id].jump_before(time_ns)
+        jump = self.baselines[beacon_id].latest_jump(time_ns)
         if beacon_id not in self.drones:
             return LightAt(*baseline, np.eye(3), jump)
         attitude = self.drones[beacon_id].at(time_ns)

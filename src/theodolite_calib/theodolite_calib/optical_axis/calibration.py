@@ -101,7 +101,7 @@ def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state:
     shown = [i for i, row in enumerate(model.state_indices("axes")) if NAMES[i] != "flexure" or variance[row] > 0.0 or axes[i]]
     rows = np.concatenate([model.state_indices("axes")[shown], model.state_indices("focal_length"), model.state_indices("deformation")])
     deformation = state.mean[model.slices["deformation"]]
-    by_stars = _by_stars(filter_, config, state)
+    by_stars = _star_values(filter_, config, state)
     rows = np.concatenate([rows, [one.row for one in by_stars]]).astype(np.intp)
     values = np.concatenate([axes[shown], [filter_.sightings.focal_length_m(state.mean)], deformation])
     return Calibration(
@@ -125,7 +125,7 @@ class _Named(NamedTuple):
     unit: str
 
 
-def _by_stars(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> list[_Named]:
+def _star_values(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> list[_Named]:
     """Return the values that stars add, if they are estimated: N' and the parallelism of each camera."""
     if not config.telescopes:
         return []

@@ -66,7 +66,7 @@ from theodolite_calib.optical_axis.memory import (
     start_from_memory,
     stood_still,
 )
-from theodolite_calib.optical_axis.output import DuePointing, PointingOutput, no_pointing
+from theodolite_calib.optical_axis.output import DuePointing, PointingOutput, invalid_pointing
 from theodolite_calib.optical_axis.targets import TargetAnswers
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class OpticalAxisCore:
         self._shell.reset(initial, clock_jumped)
         if self._sky is not None:
             self._sky.reset()
-        self._begin()
+        self._start_without_samples()
         return remarks
 
     def step_time_base(self, step_ns: int, state: CalibrationState) -> None:
@@ -159,15 +159,15 @@ class OpticalAxisCore:
         self._shell.step_time_base(with_shifted_stamps(state, step_ns), step_ns)
         if self._sky is not None:
             self._sky.step_time_base(step_ns)
-        self._begin()
+        self._start_without_samples()
 
-    def _begin(self) -> None:
+    def _start_without_samples(self) -> None:
         """Start without samples."""
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
         self._ship_watch = ShipWatch(self.config, self._tracks.ship_shift_ns)
-        self._of_targets.forget()
+        self._of_targets.reset()
         self._targets = TargetAnswers(self.config, self.filter, self._pointing, self._tracks, self._of_targets)
         self._escort = self._new_escort()
         self._waiting: deque[_WaitingReading] = deque()
@@ -314,13 +314,13 @@ class OpticalAxisCore:
         self._point_by_stars(outcome, waiting_ns)
         silent = _is_silent(self._encoder_arrival_ns, waiting_ns)
         missing = "no usable reading of the encoders" if silent else f"no attitude on {self.config.ship.source}"
-        self._shell.say_invalid(outcome, waiting_ns, lambda: no_pointing(self.filter, self.state, now_ns, missing))
+        self._shell.say_invalid(outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing))
         self._answer_targets(outcome, waiting_ns)
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> PointingEstimate:
         """Return an INVALID output with the given reason."""
-        return no_pointing(self.filter, self.state, now_ns, text)
+        return invalid_pointing(self.filter, self.state, now_ns, text)
 
     def estimates_due(self) -> list[tuple[slice, PointingRun | Refusal]]:
         """Return the pending pointings, as slices and series; see :meth:`PointingOutput.compute_pending`."""
@@ -387,7 +387,7 @@ class OpticalAxisCore:
             second.reset()
             return second
         second._shell.reset(start_from_memory(second.filter, memory))
-        second._begin()
+        second._start_without_samples()
         return second
 
     def take_jumps(self) -> list[OwnJump]:

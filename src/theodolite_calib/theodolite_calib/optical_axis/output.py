@@ -301,7 +301,7 @@ class PointingOutput:
         return Status.VALID, ""
 
 
-def no_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns: int, text: str) -> PointingEstimate:
+def invalid_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns: int, text: str) -> PointingEstimate:
     """Return an INVALID pointing."""
     unknown = np.full((3, 3), np.nan)
     return PointingEstimate(

@@ -119,7 +119,7 @@ class TargetAnswers:
             found = failure(error)
         if isinstance(found, Refusal):
             outcome.decisions.append(_refused(sample, found))
-            found = no_direction(sample, found.text)
+            found = invalid_direction(sample, found.text)
         outcome.targets.append(found)
 
     def _direction(self, sample: TargetSample, state: CalibrationState) -> TargetEstimate | Refusal:
@@ -287,7 +287,7 @@ class TargetOutput:
         return lever_n + place.path_n, 0.5 * (covariance_n + covariance_n.T)
 
 
-def no_direction(sample: TargetSample, text: str) -> TargetEstimate:
+def invalid_direction(sample: TargetSample, text: str) -> TargetEstimate:
     """Return an INVALID direction."""
     unknown, unknown_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
     return TargetEstimate(

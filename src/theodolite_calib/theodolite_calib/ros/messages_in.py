@@ -16,7 +16,7 @@ from ship_geometry.ros_axes import (
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, not_fixed
+from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, fix_rejection
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import (
     LARGEST_VARIANCE,
@@ -117,7 +117,7 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
         Refused: with the reason.
     """
     time_ns = baseline_stamp_ns(message, beacon.rtk, receive_ns)
-    refusal = not_fixed(message, least_fix)
+    refusal = fix_rejection(message, least_fix)
     if refusal is not None:
         return ReadMessage(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
     vector_n, covariance_n = baseline_vector(message)

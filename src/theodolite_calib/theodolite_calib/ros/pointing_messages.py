@@ -19,7 +19,7 @@ from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_fr
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.blocks import PublishedRows
-from ship_node.edge.messages_out import TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget
+from ship_node.edge.messages_out import TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget_message
 from ship_node.edge.output_numbers import (
     Fields,
     MessageFields,
@@ -163,7 +163,7 @@ def _messages(
 def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:
     """Return ship_msgs/ErrorBudget of a published pointing; ``sources`` name the parts of its covariance."""
     parts_n, covariance_n = estimate.parts_n, estimate.covariance_n
-    return error_budget(factory, "optical_axis", estimate.time_ns, MAIN_FRAME, sources, parts_n, covariance_n)
+    return error_budget_message(factory, "optical_axis", estimate.time_ns, MAIN_FRAME, sources, parts_n, covariance_n)
 
 
 def error_arcsec(factory: MessageFactory, estimate: PointingEstimate) -> Any:

@@ -71,7 +71,7 @@ class TriangulationAdapter(ReportingAdapter):
         """See :class:`ReportingAdapter`."""
         if outcome.estimates:
             self._told_ns = waiting_ns
-        return super().published(outcome, now_ns, waiting_ns)
+        return super().report_outcome(outcome, now_ns, waiting_ns)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """Return nothing: a position has no budget besides its covariance."""

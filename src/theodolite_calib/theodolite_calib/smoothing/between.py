@@ -57,7 +57,7 @@ class Between:
     ) -> tuple[Known, FloatArray | None]:
         """Return the states in :attr:`state_indices`; see ``StatePredictor.estimates_at`` of the smoother."""
         moments_ns, step = np.array(times_ns), self._step_at(anchor, times_ns)
-        wide = self._with_all(anchor, moments_ns)
+        wide = self._cross_covariance(anchor, moments_ns)
         known = _stepped(Known(self._means(anchor, moments_ns), wide[:, :, self.rows]), step)
         if later is None:
             return known, None
@@ -65,14 +65,14 @@ class Between:
         # A time before a jump may be later than the estimate whose covariance the jump inflates.
         together_ns = np.minimum(moments_ns, later.time_ns)
         if np.any(together_ns < moments_ns):
-            wide = self._with_all(anchor, together_ns) * self._decay(moments_ns - together_ns)[:, self.rows, None]
+            wide = self._cross_covariance(anchor, together_ns) * self._decay(moments_ns - together_ns)[:, self.rows, None]
         onward = self._decay(later.time_ns - together_ns)
         cross = wide * (onward * self._kept_to(anchor, later))[:, None, :]
         if step is not None:
             cross[:, SHIP] *= step.kept[:, :, None]
             then = self._step_to(anchor, later)
             if then is not None:
-                shared_n = np.array([_smaller(new_n, then.new_n[0]) for new_n in step.new_n])
+                shared_n = np.array([_common_covariance(new_n, then.new_n[0]) for new_n in step.new_n])
                 cross[:, SHIP, SHIP] += shared_n * onward[:, None, SHIP]
         return known, cross
 
@@ -83,7 +83,7 @@ class Between:
         means[:, SHIP] = self._ship.later(mean[SHIP], decay[:, SHIP])
         return means
 
-    def _with_all(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
+    def _cross_covariance(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
         """Return the covariance of the predicted states with all states at N times, before any step, (N, r, n)."""
         since_s = _since_ns(anchor, moments_ns).astype(float) * 1e-9
         decay, noise = self._model.transition(since_s)
@@ -132,7 +132,7 @@ def _stepped(known: Known, step: ShipErrorStep | None) -> Known:
     return known
 
 
-def _smaller(one: FloatArray, other: FloatArray) -> FloatArray:
+def _common_covariance(one: FloatArray, other: FloatArray) -> FloatArray:
     """Return the largest covariance that is, along common axes, within both of two covariances, shape (3, 3).
 
     Example:

@@ -73,7 +73,7 @@ class SmoothingAxisCore(OpticalAxisCore):
 
     def _begin(self) -> None:
         """See :meth:`OpticalAxisCore._start_without_samples`; pointings until then are not published again."""
-        super()._begin()
+        super()._start_without_samples()
         self._told: deque[_ToldAtOnce] = deque()
         self._stated_n: dict[int, FloatArray] = {}
         oldest = self._shell.oldest_state

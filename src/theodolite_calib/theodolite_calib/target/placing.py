@@ -122,7 +122,7 @@ class TriangulationCore:
         """Discard all directions."""
         self._targets: dict[str, _Target] = {}
         self._forgotten_ns = 0
-        self._contradictions.forget()
+        self._contradictions.reset()
         return []
 
     def step_time_base(self, _step_ns: int, _state: None) -> None:
@@ -144,7 +144,7 @@ class TriangulationCore:
             if sample.time_ns <= self._forgotten_ns:
                 outcome.refusal = _LATE
                 return outcome
-            target = self._begin(sample.target_id, outcome)
+            target = self._add_target(sample.target_id, outcome)
         if target.reports[number].add(sample.time_ns, waiting_ns):
             # The first target in the order is dropped first.
             self._targets[sample.target_id] = self._targets.pop(sample.target_id)
@@ -164,7 +164,7 @@ class TriangulationCore:
             self._answer(target_id, target, waiting_ns, outcome)
         return outcome
 
-    def _begin(self, target_id: str, outcome: PlacingOutcome) -> _Target:
+    def _add_target(self, target_id: str, outcome: PlacingOutcome) -> _Target:
         """Add a target and return it; at the maximum number another one is dropped."""
         if len(self._targets) >= MOST_TARGETS:
             self._forget(next(iter(self._targets)), outcome)
@@ -180,7 +180,7 @@ class TriangulationCore:
         for time_ns, number in sorted(target.waiting):
             target.done_ns = time_ns
             if leads(number, time_ns, target.seen_by):
-                outcome.estimates.append(_no_place(target_id, time_ns, (), None, refusal))
+                outcome.estimates.append(_invalid_position(target_id, time_ns, (), None, refusal))
         self._forgotten_ns = max(self._forgotten_ns, target.done_ns)
 
     def _take(self, target: _Target, number: int, sample: DirectionSample, waiting_ns: int) -> Refusal | None:
@@ -241,12 +241,12 @@ class TriangulationCore:
             placed = placed_at(time_ns, target.seen_by, self.config)
         except Exception as error:
             outcome.failures.append((time_ns, failure(error)))
-            return _no_place(target_id, time_ns, (), None, failure(error))
+            return _invalid_position(target_id, time_ns, (), None, failure(error))
         place = placed.place
         if isinstance(place, Refusal):
-            return _no_place(target_id, time_ns, placed.stations, None, place)
+            return _invalid_position(target_id, time_ns, placed.stations, None, place)
         if place.refusal is not None:
-            return _no_place(target_id, time_ns, placed.stations, place, place.refusal)
+            return _invalid_position(target_id, time_ns, placed.stations, place, place.refusal)
         status, text = placed.status, ""
         if status is not Status.VALID:
             text = f"a direction to it is {status.name}"
@@ -263,7 +263,7 @@ class TriangulationCore:
         return self._contradictions.text(sources & self._contradictions.at(time_ns).keys())
 
 
-def _no_place(
+def _invalid_position(
     target_id: str, time_ns: int, stations: tuple[str, ...], compared: TriangulatedPlace | None, refusal: Refusal
 ) -> PlaceEstimate:
     """Return an INVALID position."""

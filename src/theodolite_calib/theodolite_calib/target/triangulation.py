@@ -133,7 +133,7 @@ def triangulated(
         found = found + step_n
         if np.linalg.norm(step_n) < _SMALL_STEP_M:
             break
-    unknown = _unknown_distance(lines, found, covariance_n)
+    unknown = _distance_rejection(lines, found, covariance_n)
     if unknown is not None:
         return unknown
     residual, _, noise = _compared(lines, found, air)
@@ -198,7 +198,7 @@ def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
     return nearest
 
 
-def _unknown_distance(lines: Sequence[_Line], place_n: FloatArray, covariance_n: FloatArray) -> Refusal | None:
+def _distance_rejection(lines: Sequence[_Line], place_n: FloatArray, covariance_n: FloatArray) -> Refusal | None:
     """Return the rejection of a position whose distance from a theodolite is too uncertain; None if it is not."""
     for line in lines:
         path_n = place_n - line.foot_n
