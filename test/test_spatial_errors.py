@@ -72,6 +72,6 @@ def test_stars_are_identified_despite_spatial_errors():
         for outcome in attitude_outcomes(core_for(scenario), run, set()):
             for decision in outcome.decisions:
                 assert decision.accepted, decision.text
-                used, left_out = used + len(decision.components) // 2, left_out + len(decision.left_out)
+                used, left_out = used + len(decision.components) // 2, left_out + len(decision.rejected_parts)
     assert used > 2000
     assert left_out < 0.01 * used

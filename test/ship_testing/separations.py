@@ -22,6 +22,6 @@ def solution_separations(
     """
     asked = np.arange(len(distance)) if subfilter_indices is None else np.array(subfilter_indices, dtype=np.intp)
     components, of_all = np.eye(3), np.diag(variance_0)
-    left_out = variance[:, :, None] * components
+    subfilter_covariances = variance[:, :, None] * components
     by_output = components, components, of_all
-    return solution_separation(k, asked, np.arange(3), by_output, np.zeros(3), distance, of_all[None], left_out)
+    return solution_separation(k, asked, np.arange(3), by_output, np.zeros(3), distance, of_all[None], subfilter_covariances)

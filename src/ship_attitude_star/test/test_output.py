@@ -12,7 +12,7 @@ from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, correct
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import Doubt
 from ship_attitude_star.stars.spatial_errors import PixelStay
-from ship_estimation.exclusion import Exclusion
+from ship_estimation.exclusion import ExcludedSource
 from ship_estimation.hypotheses import filter_covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Status
@@ -63,7 +63,7 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     states = [
         usual,
         replace(usual, doubt=Doubt("doubt", 1e-8 * np.eye(3))),
-        replace(usual, excluded=MappingProxyType({"ins": Exclusion(time_ns)})),
+        replace(usual, excluded=MappingProxyType({"ins": ExcludedSource(time_ns)})),
         replace(usual, disputed_n=1e-9 * np.eye(3)),
         initial,
         usual,

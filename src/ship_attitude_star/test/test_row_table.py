@@ -29,7 +29,7 @@ def test_each_source_and_each_pair_of_three_and_the_ins_is_excluded_in_one_subfi
         "star.s1+ins",
         "reference.r0+ins",
     )
-    for row, names in enumerate(found.left_out, start=1):
+    for row, names in enumerate(found.excluded_sources, start=1):
         assert {found.sources[index] for index in (~found.uses[row]).nonzero()[0]} == set(names) - {"ins"}
         assert (row in found.ins_subfilters) == ("ins" in names)
     assert found.uses[0].all()

@@ -43,7 +43,7 @@ def solution_separation(
     mean: cython.const[cython.double][:],
     means: cython.const[cython.double][:, :],
     parts: cython.const[cython.double][:, :, :],
-    left_out: cython.const[cython.double][:, :, :],
+    subfilter_covariances: cython.const[cython.double][:, :, :],
     tested_subfilters: cython.const[cython.Py_ssize_t][:],
     right: cython.double,
     false_exclusion: cython.double,
@@ -75,8 +75,8 @@ def solution_separation(
     asked: cython.Py_ssize_t = tested_subfilters.shape[0]
     check("components", to_components.shape[0] == to_components.shape[1] == by_states.shape[0] == 3)
     check("covariance", covariance.shape[0] == covariance.shape[1] == 3 and by_states.shape[1] == n)
-    check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and left_out.shape[0] == hypotheses)
-    check("left_out", left_out.shape[1] == left_out.shape[2] == m and missed.shape[0] == hypotheses)
+    check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and subfilter_covariances.shape[0] == hypotheses)
+    check("left_out", subfilter_covariances.shape[1] == subfilter_covariances.shape[2] == m and missed.shape[0] == hypotheses)
     of_statistic, of_level = np.empty(asked), np.empty(3)
     statistic: cython.double[::1] = of_statistic
     level: cython.double[::1] = of_level
@@ -110,9 +110,9 @@ def solution_separation(
         row = tested_subfilters[k]
         check("rows", 0 <= row < hypotheses)
         for i in range(n):
-            widest = _larger(widest, left_out[row, states[i], states[i]])
+            widest = _larger(widest, subfilter_covariances[row, states[i], states[i]])
             for j in range(n):
-                covariances[1, i, j] = left_out[row, states[i], states[j]] - covariances[0, i, j]
+                covariances[1, i, j] = subfilter_covariances[row, states[i], states[j]] - covariances[0, i, j]
         of_row = statistic[k] = 0.0
         for i in range(3):
             distance = 0.0

@@ -496,7 +496,7 @@ def variance_along(
 def spread(
     jacobian: cython.const[cython.double][:, ::1],
     covariance: cython.const[cython.double][:, ::1],
-    without: cython.const[cython.double][::1],
+    excluded_states: cython.const[cython.double][::1],
 ) -> cython.double:
     """Return the trace of J P Jᵀ, the sum of the projected variances, without some states.
 
@@ -506,7 +506,7 @@ def spread(
         excluded_states: not zero for each state that is excluded, shape (n,).
     """
     n: cython.Py_ssize_t = jacobian.shape[1]
-    check("spread", covariance.shape[0] == covariance.shape[1] == without.shape[0] == n)
+    check("spread", covariance.shape[0] == covariance.shape[1] == excluded_states.shape[0] == n)
     total: cython.double = 0.0
     along: cython.double
     row: cython.Py_ssize_t
@@ -514,11 +514,11 @@ def spread(
     j: cython.Py_ssize_t
     for row in range(jacobian.shape[0]):
         for i in range(n):
-            if without[i] != 0.0 or jacobian[row, i] == 0.0:
+            if excluded_states[i] != 0.0 or jacobian[row, i] == 0.0:
                 continue
             along = 0.0
             for j in range(n):
-                if without[j] == 0.0:
+                if excluded_states[j] == 0.0:
                     along += covariance[i, j] * jacobian[row, j]
             total += jacobian[row, i] * along
     return total

@@ -49,7 +49,7 @@ _GROSS = 2.0
 
 
 @dataclass(frozen=True)
-class Exclusion:
+class ExcludedSource:
     """State of an excluded source.
 
     Attributes:
@@ -66,7 +66,7 @@ class Exclusion:
     """
 
     since_ns: int
-    times: int = 1
+    exclusion_count: int = 1
     agrees_since_ns: int | None = None
     offset: FloatArray | None = None
     share_left: float = 1.0
@@ -188,14 +188,14 @@ def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> i
 
 
 def evaluate_reinstatement(
-    exclusion: Exclusion,
+    excluded: ExcludedSource,
     means: InnovationMeans,
     source: int,
     time_ns: int,
     return_after_s: float,
     measured_share: float = 0.0,
     share_sigma: float = 0.0,
-) -> tuple[Exclusion, bool]:
+) -> tuple[ExcludedSource, bool]:
     """Return the state of an excluded source after one of its measurements, and True if it is reinstated.
 
     If its mounting is not estimated again, its offset must have vanished. A covariance of the other sources that has
@@ -217,24 +217,24 @@ def evaluate_reinstatement(
         True
     """
     agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN is inconsistent
-    if exclusion.offset is not None:
+    if excluded.offset is not None:
         measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
-        share_left = exclusion.share_left + (measured_share - exclusion.share_left) * 2.0 / (_MEAN_OVER + 1.0)
-        exclusion = replace(exclusion, share_left=share_left)
+        share_left = excluded.share_left + (measured_share - excluded.share_left) * 2.0 / (_MEAN_OVER + 1.0)
+        excluded = replace(excluded, share_left=share_left)
         agrees = agrees and share_left <= _HALF_BACK and _DRIFT_SIGMAS * share_sigma <= _HALF_BACK
     if not agrees:
-        return replace(exclusion, agrees_since_ns=None), False
-    since_ns = time_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
-    return replace(exclusion, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= must_agree_s(
-        exclusion, return_after_s
+        return replace(excluded, agrees_since_ns=None), False
+    since_ns = time_ns if excluded.agrees_since_ns is None else excluded.agrees_since_ns
+    return replace(excluded, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= must_agree_s(
+        excluded, return_after_s
     )
 
 
-def must_agree_s(exclusion: Exclusion, return_after_s: float) -> float:
+def must_agree_s(excluded: ExcludedSource, return_after_s: float) -> float:
     """Return the time for which an excluded source must be consistent before it is reinstated, s.
 
     Example:
         >>> must_agree_s(Exclusion(since_ns=0, times=3), return_after_s=60.0)
         240.0
     """
-    return return_after_s * 2.0 ** min(exclusion.times - 1, _MOST_DOUBLINGS)
+    return return_after_s * 2.0 ** min(excluded.exclusion_count - 1, _MOST_DOUBLINGS)

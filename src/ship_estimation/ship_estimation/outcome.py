@@ -84,7 +84,7 @@ class Decision(Generic[Measured]):
     nis: float = float("nan")
     gate: float = float("nan")
     text: str = ""
-    left_out: tuple[tuple[str, Refusal], ...] = ()
+    rejected_parts: tuple[tuple[str, Refusal], ...] = ()
     revised: bool = False
     covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     noise: FloatArray = field(default_factory=lambda: np.empty((0, 0)))

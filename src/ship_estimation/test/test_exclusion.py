@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.exclusion import Exclusion, find_fault, evaluate_reinstatement
+from ship_estimation.exclusion import ExcludedSource, find_fault, evaluate_reinstatement
 from ship_estimation.hypotheses import compare_rows, update_rows
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.protection import IntegrityConfig
@@ -213,7 +213,7 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
 
 
 def test_source_is_reinstated_after_an_unbroken_time_of_consistency():
-    means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
+    means, exclusion = no_means(1, 1), ExcludedSource(since_ns=0)
     for second in range(30):
         exclusion, back = evaluate_reinstatement(exclusion, means, 0, second * SECOND_NS, 60.0)
         assert not back
@@ -228,7 +228,7 @@ def test_source_is_reinstated_after_an_unbroken_time_of_consistency():
 
 def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanished():
     """60 s after the mean over 20 measurements is below a half, which takes ln(2) 21/2 = 7 of them."""
-    means, exclusion = no_means(1, 1), Exclusion(since_ns=0, offset=np.array([0.0, 30.0, 0.0]))
+    means, exclusion = no_means(1, 1), ExcludedSource(since_ns=0, offset=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
         share = 1.0 if second < 100 else 0.07
         exclusion, back = evaluate_reinstatement(exclusion, means, 0, second * SECOND_NS, 60.0, share)
@@ -240,7 +240,7 @@ def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanishe
 @pytest.mark.parametrize("gross", [np.nan, np.inf, -1e6, 1e6])
 def test_gross_error_delays_a_reinstatement_by_some_measurements_only(gross):
     """After eight of them the mean over 20 is 1.1, and after eight right ones 0.5 again."""
-    exclusion, agreed = Exclusion(since_ns=0, offset=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
+    exclusion, agreed = ExcludedSource(since_ns=0, offset=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
     for second, share in enumerate([gross] * 8 + [0.0] * 14):
         exclusion, _ = evaluate_reinstatement(exclusion, no_means(1, 1), 0, second * SECOND_NS, 60.0, share)
         agreed.append(exclusion.agrees_since_ns is not None)

@@ -59,7 +59,7 @@ def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
     residual = noise[kept].ravel() * STAR_SIGMA + predicted
     left_out = tuple((STARS[2 * row], Refusal(Reason.MISIDENTIFIED, "far")) for row in np.flatnonzero(~kept))
     if not names:
-        return Decision(VectorSample(k * PERIOD_NS, noise), Reason.MISIDENTIFIED, left_out=left_out)
+        return Decision(VectorSample(k * PERIOD_NS, noise), Reason.MISIDENTIFIED, rejected_parts=left_out)
     nis = float(residual @ np.linalg.solve(covariance, residual))
     return Decision(
         VectorSample(k * PERIOD_NS, residual),
@@ -70,7 +70,7 @@ def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
         covariance=covariance,
         noise=stated,
         nis=nis,
-        left_out=left_out,
+        rejected_parts=left_out,
     )
 
 

@@ -47,7 +47,7 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
         )
         held = star_exposure(run, "fore", index)
         read = reading.value
-        assert reading.left_out == ()
+        assert reading.rejected_parts == ()
         assert read.content() == held.content()
         assert (read.source, read.time_ns) == (held.source, held.time_ns)
         np.testing.assert_array_equal(read.sigma, held.sigma)

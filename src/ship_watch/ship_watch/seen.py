@@ -71,14 +71,14 @@ class StarsSeenBook:
         used = sum(1 for name in residuals if name)
         if not used and solution is not None:
             used = int(solution.star_count)
-        left_out = len(names) - used if names else int(solution.rejected_count) if solution is not None else 0
+        excluded = len(names) - used if names else int(solution.rejected_count) if solution is not None else 0
         self._history.stars[source] = StarsSeen(
             utc_ns=utc_ns,
             u=np.array([star.u for star in stars], dtype=float),
             v=np.array([star.v for star in stars], dtype=float),
             is_accepted=bool(verdict.accepted),
             star_count=used,
-            rejected_count=max(left_out, 0),
+            rejected_count=max(excluded, 0),
             azimuth=float(solution.azimuth) if solution is not None else math.nan,
             elevation=float(solution.elevation) if solution is not None else math.nan,
             residual_right=_star_residuals(names, residuals, "right"),

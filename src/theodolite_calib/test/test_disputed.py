@@ -58,7 +58,7 @@ def pointed() -> tuple[Pointed, ...]:
             sigma = float(np.sqrt(crept.encoder.noise))
             sample = EncoderSample(crept.time_ns, np.array([azimuth, crept.encoder.elevation]), sigma)
             estimate = out.estimate(DuePointing(sample, crept.ship, "", 0.0, state))
-            if state.fault_state.left_out:
+            if state.fault_state.exclusions:
                 break
             if estimate.status is Status.VALID:
                 found.append(Pointed(time_s - START_S, estimate, rotation_nm))

@@ -34,7 +34,7 @@ def test_six_terms(six_terms: AxisFit) -> None:
     assert rms(six_terms.before) / ARCSEC == pytest.approx(39.56, abs=0.01)
     assert rms(six_terms.residuals) / ARCSEC <= 12.05
     assert np.median(sizes(six_terms.residuals)) / ARCSEC <= 7.7
-    assert rms(six_terms.left_out) / ARCSEC <= 12.5
+    assert rms(six_terms.leave_one_out) / ARCSEC <= 12.5
 
 
 def test_outliers(sightings: Sightings, six_terms: AxisFit) -> None:
@@ -59,7 +59,7 @@ def test_left_out_is_what_refits_give(sightings: Sightings, six_terms: AxisFit) 
             sightings.direction_d[kept],
         )
         refitted = sightings.residuals(fit(others, {"flexure": 0.0}).errors)[number]
-        assert np.linalg.norm(refitted - six_terms.left_out[number]) <= 0.3 * ARCSEC
+        assert np.linalg.norm(refitted - six_terms.leave_one_out[number]) <= 0.3 * ARCSEC
 
 
 def test_agrees_with_the_observatory(sightings: Sightings) -> None:

@@ -115,10 +115,10 @@ def test_left_out_residuals_are_those_of_fits_without_the_sighting() -> None:
         others = Sightings(labels, sightings.azimuth[kept], sightings.elevation[kept], sightings.direction_d[kept])
         refitted.append(sightings.residuals(fit(others, STRAIGHT).errors)[left_out])
     # With the weights held, not the loss, it would be off by 0.19″.
-    assert np.max(sizes(np.array(refitted) - result.left_out)) < 0.12 * ARCSEC
-    assert rms(np.array(refitted)) == pytest.approx(rms(result.left_out), rel=0.002)
+    assert np.max(sizes(np.array(refitted) - result.leave_one_out)) < 0.12 * ARCSEC
+    assert rms(np.array(refitted)) == pytest.approx(rms(result.leave_one_out), rel=0.002)
     # Of the ordinary ones by 1 / (1 - 6 terms / 80 components) on the average.
-    assert rms(result.left_out[2:]) == pytest.approx(rms(result.residuals[2:]) / (1.0 - 6.0 / 80.0), rel=0.03)
+    assert rms(result.leave_one_out[2:]) == pytest.approx(rms(result.residuals[2:]) / (1.0 - 6.0 / 80.0), rel=0.03)
 
 
 def test_fixed_terms_stay() -> None:
@@ -196,7 +196,7 @@ def test_as_many_sightings_as_terms() -> None:
     rng = np.random.default_rng(9)
     result = fit(sight(rng, ERRORS, spread(rng, 6, (10.0, 80.0)), 5.0), STRAIGHT)
     assert np.all(np.isfinite(result.covariance))
-    assert np.all(np.isfinite(result.left_out))
+    assert np.all(np.isfinite(result.leave_one_out))
 
 
 def test_residuals_are_angles_to_the_right_and_up() -> None:

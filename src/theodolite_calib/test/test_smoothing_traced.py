@@ -5,11 +5,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from ship_estimation.exclusion import Exclusion
+from ship_estimation.exclusion import ExcludedSource
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.trust import LeftOut
+from theodolite_calib.filter.trust import ExclusionRecord
 from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
@@ -32,7 +32,7 @@ def stepped(filter_: CalibrationFilter, state: CalibrationState, sighting: Sight
 def without(state: TracedState, source: str) -> TracedState:
     """Return the state of a filter that excludes a source."""
     assert state.time_ns is not None
-    left_out = {source: LeftOut(Exclusion(state.time_ns), "it lies", 0.0)}
+    left_out = {source: ExclusionRecord(ExcludedSource(state.time_ns), "it lies", 0.0)}
     return replace(state, trust=replace(state.fault_state, left_out=left_out))
 
 

@@ -13,7 +13,7 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import ExposureLength, at_middle
 from ship_attitude_star.stars.fit import square_roots
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.exclusion import Exclusion
+from ship_estimation.exclusion import ExcludedSource
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
@@ -34,7 +34,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import ENCODER
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
-from theodolite_calib.filter.trust import LeftOut
+from theodolite_calib.filter.trust import ExclusionRecord
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.measured.star_sighting import StarSighting
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
@@ -210,7 +210,7 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
         assert decision.accepted
         names = {component.removesuffix(" up") for component in decision.components if component.endswith(" up")}
         assert names <= {f"HIP {number}" for number in sighting.exposure.hip}
-        named, left_open = named + len(names), left_open + len(decision.left_out)
+        named, left_open = named + len(names), left_open + len(decision.rejected_parts)
     # By a prediction known to a minute of arc one in a hundred has two candidates.
     assert named >= 110
     assert named + left_open == 120
@@ -256,7 +256,7 @@ def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     encoder = np.array([2.0, 0.8])
     sighting = night.sighting(encoder, 6)
     state, _ = mount.step(mount.filter.initial_state(), sighting)
-    left_out = LeftOut(Exclusion(TIME_NS), "slipped")
+    left_out = ExclusionRecord(ExcludedSource(TIME_NS), "slipped")
     state = replace(state, trust=replace(state.fault_state, left_out={ENCODER: left_out}))
     slipped = replace(sighting.encoder, azimuth=sighting.encoder.azimuth + np.deg2rad(1.0))
     sighting = replace(sighting, encoder=slipped)
@@ -284,7 +284,7 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
     wrong = replace(sighting, exposure=replace(sighting.exposure, directions_s=directions_s))
     state, decision = mount.step(mount.filter.initial_state(), wrong)
     assert decision.accepted
-    assert [left_out for left_out, _ in decision.left_out] == [name]
+    assert [left_out for left_out, _ in decision.rejected_parts] == [name]
     squares, variance, _ = off_axis(night.main_axis(encoder), mount.pointing(night, state, encoder))
     assert squares < 13.8 * variance  # one in a thousand
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from ship_estimation.exclusion import Exclusion
+from ship_estimation.exclusion import ExcludedSource
 from ship_geometry.time_scales import SECOND_NS
 from ship_testing.simulated_session import config
 from theodolite_calib.filter.alternatives import BEACON, ENCODER
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.filter.trust import UnresolvedFault, LeftOut, FaultDetector, FaultState, initial_fault_state
+from theodolite_calib.filter.trust import UnresolvedFault, ExclusionRecord, FaultDetector, FaultState, initial_fault_state
 
 SETTINGS = config()
 ROWS = CalibrationFilter(SETTINGS).subfilters
@@ -26,14 +26,14 @@ def agreeing(heard_ns: dict[str, int]) -> FaultState:
     seen_ns = trust.innovation_means.heard_ns.copy()
     for name, time_ns in heard_ns.items():
         seen_ns[ROWS.beacons.index(name)] = time_ns
-    left_out = {name: LeftOut(Exclusion(0, agrees_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
+    left_out = {name: ExclusionRecord(ExcludedSource(0, agrees_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
     conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], lasting=True, agrees_since_ns=AGREED_NS)
     return replace(trust, means=replace(trust.innovation_means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
 
 
 def since_ns(trust: FaultState) -> list[int | None]:
     assert trust.conflict is not None
-    exclusions = [trust.left_out[name].exclusion for name in (BEACON + FIRST, ENCODER)]
+    exclusions = [trust.exclusions[name].exclusion for name in (BEACON + FIRST, ENCODER)]
     return [*(exclusion.agrees_since_ns for exclusion in exclusions), trust.conflict.agrees_since_ns]
 
 
@@ -64,7 +64,7 @@ def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
         heard_ns = trust.innovation_means.heard_ns.copy()
         heard_ns[ROWS.beacons.index(SECOND)] = time_ns
         trust = replace(trust, means=replace(trust.innovation_means, heard_ns=heard_ns))
-        if ENCODER in trust.left_out:
+        if ENCODER in trust.exclusions:
             trust = REFEREE.watched_turn(trust, ENCODER, True, time_ns)
-            returned += [] if ENCODER in trust.left_out else [(time_ns - back_ns) / SECOND_NS]
+            returned += [] if ENCODER in trust.exclusions else [(time_ns - back_ns) / SECOND_NS]
     assert returned == [SETTINGS.integrity.return_after_s]

@@ -211,7 +211,7 @@ def seen_stars(message: Any, **sensor: Any) -> ReadMessage[SeenStars]:
     """
     read = star_exposure(message, **sensor, named_by_number=True)
     source, time_ns, refused = read.value.source, read.value.time_ns, []
-    for name, refusal in read.left_out:
+    for name, refusal in read.rejected_parts:
         refused.append(RefusedStar(source, time_ns, name, refusal))
     return ReadMessage(SeenStars(time_ns, read.value, tuple(refused)), read.covariance_known)
 

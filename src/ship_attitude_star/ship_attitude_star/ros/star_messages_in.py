@@ -123,8 +123,8 @@ def star_exposure(
         optics=camera_config.optics_errors(camera),
         spatial=camera_config.spatial_errors(camera),
     )
-    left_out = _left_out(message.stars, refusals, named_by_number)
-    return ReadMessage(exposure, told.sigma_known, left_out, empty=not message.stars)
+    unused_stars = _unused_stars(message.stars, refusals, named_by_number)
+    return ReadMessage(exposure, told.sigma_known, unused_stars, empty=not message.stars)
 
 
 def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
@@ -160,7 +160,7 @@ def _refusals(
     ]
 
 
-def _left_out(
+def _unused_stars(
     stars: Sequence[Any], refusals: Sequence[Refusal | None], named_by_number: bool
 ) -> tuple[tuple[str, Refusal], ...]:
     """Return the rejected stars by name. Stars beyond ``MOST_STARS`` are reported once, by the first of them."""

@@ -80,7 +80,7 @@ class Compared(NamedTuple):
     rotation_nv: FloatArray
     predicted_nv: FloatArray
     attitude_noise_v: FloatArray
-    left_out: tuple[tuple[str, Refusal], ...] = ()
+    rejected_stars: tuple[tuple[str, Refusal], ...] = ()
 
     @property
     def attitude_noise_n(self) -> FloatArray:
@@ -179,7 +179,7 @@ def compare(
         rotation_nv=predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns,
         predicted_nv=predicted.rotation_nv,
         attitude_noise_v=np.zeros((3, 3)),
-        left_out=stars.refused,
+        rejected_stars=stars.refused,
     )
 
 

@@ -296,7 +296,7 @@ class ShipFilter:
             noise=linear.noise,
             nis=float(innovations.nis[0]),
             gate=gate,
-            left_out=found.compared.left_out,
+            rejected_parts=found.compared.rejected_stars,
         )
         after = self.fault_detector.learned(state, predicted, measurement, found.compared, innovations, accepted)
         if decision.accepted:

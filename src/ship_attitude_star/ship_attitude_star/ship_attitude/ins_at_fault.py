@@ -19,7 +19,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, RowTable
 from ship_attitude_star.ship_attitude.state import Doubt, FilterState, changed, with_entry, without
-from ship_estimation.exclusion import Exclusion, must_agree_s
+from ship_estimation.exclusion import ExcludedSource, must_agree_s
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations, add_error
 from ship_estimation.running_means import forgotten
@@ -143,7 +143,7 @@ class InsAtFault:
         if distrusted(state) or not self.may_be_excluded(state.in_use(self._subfilters.sources, time_ns)):
             return state
         times = state.record.get(INS, 0) + 1
-        excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times, is_self_reported=True))
+        excluded = with_entry(state.excluded, INS, ExcludedSource(time_ns, times, is_self_reported=True))
         state = changed(state, excluded=excluded, record=with_entry(state.record, INS, times))
         return self._with_unresolved_fault(state, time_ns, "the INS is excluded: step of its clock")
 

@@ -88,13 +88,13 @@ class RowTable:
         one = (*self.sources, INS) if len(self.sources) > 1 else self.sources
         with_pairs = config.integrity.pairs and len(self.sources) >= LEAST_FOR_PAIRS
         two = itertools.combinations(one, 2) if with_pairs else ()
-        self.left_out: tuple[tuple[str, ...], ...] = (*((name,) for name in one), *two)
-        self.names = tuple("+".join(names) for names in self.left_out)
+        self.excluded_sources: tuple[tuple[str, ...], ...] = (*((name,) for name in one), *two)
+        self.names = tuple("+".join(names) for names in self.excluded_sources)
         self.count = len(self.names) + 1
         self._check_number(config.integrity.max_hypotheses)
         self.singles, self.pairs = range(1, len(one) + 1), range(len(one) + 1, self.count)
-        self.ins_subfilters = tuple(row for row, names in enumerate(self.left_out, start=1) if INS in names)
-        used = [[name not in names for name in self.sources] for names in ((), *self.left_out)]
+        self.ins_subfilters = tuple(row for row, names in enumerate(self.excluded_sources, start=1) if INS in names)
+        used = [[name not in names for name in self.sources] for names in ((), *self.excluded_sources)]
         self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
         self.users = {name: self.uses[:, index].copy() for index, name in enumerate(self.sources)}
         self.own = {name: _own_states(model, name) for name in self.sources}
@@ -102,7 +102,7 @@ class RowTable:
         prior = config.integrity.prior_per_h
         prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
         prior_per_h[INS] = prior.ins
-        priors_per_h = [prior_of_all([prior_per_h[name] for name in names]) for names in self.left_out]
+        priors_per_h = [prior_of_all([prior_per_h[name] for name in names]) for names in self.excluded_sources]
         k = factors(config.integrity, [*priors_per_h, prior.all_stars])
         self.k: Factors = replace(k, missed=k.missed[:-1])
         self.common_missed = float(k.missed[-1])
@@ -124,7 +124,7 @@ class RowTable:
         if INS in excluded or len(in_use) < LEAST_FOR_PAIRS:
             return []
         everyone = {INS, *in_use}
-        return [row for row in self.pairs if everyone.issuperset(self.left_out[row - 1])]
+        return [row for row in self.pairs if everyone.issuperset(self.excluded_sources[row - 1])]
 
     def contradict_ins(self, in_use: Collection[str]) -> bool:
         """True if sources that are consistent with one another can show a fault of the INS.
@@ -157,7 +157,7 @@ class RowTable:
         if self.count > most:
             reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.count} for these sources: "
             reason += ", ".join(self.names)
-            if len(self.left_out[-1]) > 1:
+            if len(self.excluded_sources[-1]) > 1:
                 reason += f"; set it to {self.count}, or 'integrity.pairs' to false"
             raise ParameterError(reason, "integrity.max_hypotheses", value=most)
 

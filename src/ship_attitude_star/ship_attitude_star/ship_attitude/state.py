@@ -15,7 +15,7 @@ from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation import compiled_steps
 from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed
-from ship_estimation.exclusion import HEARD_NS, Exclusion
+from ship_estimation.exclusion import HEARD_NS, ExcludedSource
 from ship_estimation.running_means import InnovationMeans
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
@@ -169,7 +169,7 @@ class FilterState:
     means: FloatArray
     stack: FloatArray
     innovation_means: InnovationMeans
-    excluded: MappingProxyType[str, Exclusion] = field(default_factory=lambda: MappingProxyType({}))
+    excluded: MappingProxyType[str, ExcludedSource] = field(default_factory=lambda: MappingProxyType({}))
     record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     unresolved_fault: Doubt | None = None
     last_innovations: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))

@@ -27,7 +27,7 @@ from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, La
 from ship_estimation.common_error import COMMON_ERROR_START_SIGMAS
 from ship_estimation.exclusion import (
     HEARD_NS,
-    Exclusion,
+    ExcludedSource,
     Finding,
     agrees_with_all,
     find_fault,
@@ -337,10 +337,10 @@ class Suspects:
 
         If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
         """
-        left_out = self.subfilters.left_out
-        known = [row for row in isolation.explaining_subfilters if state.record.keys() >= set(left_out[row - 1])]
+        excluded_sources = self.subfilters.excluded_sources
+        known = [row for row in isolation.explaining_subfilters if state.record.keys() >= set(excluded_sources[row - 1])]
         row = known[0] if len(known) == 1 else isolation.subfilter
-        return () if row is None else left_out[row - 1]
+        return () if row is None else excluded_sources[row - 1]
 
     def _without(self, state: FilterState, wrong: tuple[str, ...], time_ns: int) -> tuple[FilterState, str]:
         """Exclude sources: all filters restart from the subfilter without them.
@@ -353,7 +353,7 @@ class Suspects:
         Returns:
             The state, and a text that names the excluded and the remaining sources.
         """
-        row, rows = self.subfilters.left_out.index(wrong) + 1, len(state.means)
+        row, rows = self.subfilters.excluded_sources.index(wrong) + 1, len(state.means)
         means = np.tile(state.means[row], (rows, 1))
         stack = promoted(state.stack, rows, row)
         excluded, record, used_ns = dict(state.excluded), dict(state.record), dict(state.used_ns)
@@ -364,7 +364,7 @@ class Suspects:
                 self._open_mounting(stack, state, name)
             record[name] = state.record.get(name, 0) + 1
             rotation_v = None if relearns or name == INS else state.last_innovations[name].rotation_v
-            excluded[name] = Exclusion(time_ns, record[name], offset=rotation_v)
+            excluded[name] = ExcludedSource(time_ns, record[name], offset=rotation_v)
             used_ns.pop(name, None)
         state = changed(
             state,
@@ -400,7 +400,7 @@ class Suspects:
             mean[self._slow] -= absorbed.turn_n
             self.ins.open_slow_error(parts, np.diag(absorbed.variance))
         excluded = {
-            name: Exclusion(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
+            name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
         }
         means, stack = self.ins.all_filters_at(mean, parts)
         return changed(

@@ -25,7 +25,7 @@ from ship_bags.renamed_topics import is_topic_parameter
 DEPTH = 1000
 """Queue depth per topic while the disk delays the recorder: ten seconds at 100 Hz, one at 1 kHz."""
 
-_LEFT_OUT = ("/clock",)
+_EXCLUDED_TOPICS = ("/clock",)
 """Topics that are recorded only if named: /clock is the time of the log, which a player publishes."""
 
 REPORTS = frozenset(
@@ -73,7 +73,7 @@ def offered_topics(node: Node, wanted: Sequence[str]) -> dict[str, list[TopicEnd
     names = {node.resolve_topic_name(name) for name in wanted}
     found = {}
     for topic, _ in node.get_topic_names_and_types():
-        if topic in names if wanted else topic not in _LEFT_OUT and "/_" not in topic:
+        if topic in names if wanted else topic not in _EXCLUDED_TOPICS and "/_" not in topic:
             endpoints = node.get_publishers_info_by_topic(topic)
             if endpoints:
                 found[topic] = endpoints

@@ -180,12 +180,12 @@ class _Field:
         self.figure.axis.visible = False
         self.figure.grid.visible = False
         self._used = _source(u=[], v=[])
-        self._left_out = _source(u=[], v=[])
+        self._excluded_stars = _source(u=[], v=[])
         self._scale = _source(x=[], y=[])
         self._word = _source(x=[], y=[], text=[])
         self._bars = ResidualBars(theme, self.figure, BAR_STEPS_ARCSEC)
         self._dots = self.figure.scatter("u", "v", source=self._used, size=7, line_color=None, fill_color=theme.text)
-        self.figure.scatter("u", "v", source=self._left_out, size=8, marker="x", line_color=theme.caution_border)
+        self.figure.scatter("u", "v", source=self._excluded_stars, size=8, marker="x", line_color=theme.caution_border)
         scale = {"length": ResidualBars.FULL_PX, "length_units": "screen", "angle": 0.0}
         self.figure.ray("x", "y", source=self._scale, line_color=theme.second_text, line_width=2.5, **scale)
         words(self.figure, self._word, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
@@ -200,7 +200,7 @@ class _Field:
         self.figure.height = 300 if shown == 1 else 150 if shown == 2 else 105
         used = used_star_mask(seen)
         self._used.data = {"u": seen.u[used], "v": seen.v[used]}
-        self._left_out.data = {"u": seen.u[~used], "v": seen.v[~used]}
+        self._excluded_stars.data = {"u": seen.u[~used], "v": seen.v[~used]}
         told = len(seen.residual_right) == len(seen.u)
         right, up = (seen.residual_right, seen.residual_up) if told else (np.full(len(seen.u), np.nan),) * 2
         step = self._bars.draw(seen.u, seen.v, right, up, theme.caution_border if is_bad else theme.series[1])
@@ -209,8 +209,8 @@ class _Field:
         frame(theme, self.figure, is_marked, theme.caution_border if is_bad else theme.border)
         self.figure.outline_line_dash = "dashed" if is_bad else "solid"
         fate = "REJECTED" if is_bad else "used"
-        left_out = f" · {seen.rejected_count} excluded" if seen.rejected_count else ""
-        text = f"{'✕' if is_bad else '✓'} {name}  {seen.star_count} stars {fate}{left_out}"
+        excluded = f" · {seen.rejected_count} excluded" if seen.rejected_count else ""
+        text = f"{'✕' if is_bad else '✓'} {name}  {seen.star_count} stars {fate}{excluded}"
         self.figure.title.text = without_formulas(with_mark(text, is_marked))
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
 

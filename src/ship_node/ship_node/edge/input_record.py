@@ -220,8 +220,8 @@ class InputRecords:
         self.arrived(topic, waiting_ns)
         if not reading.covariance_known:
             self.noted(topic, Reason.COVARIANCE_UNKNOWN)
-        for _, left_out in reading.left_out:
-            self.noted(topic, left_out.reason)
+        for _, part_rejection in reading.rejected_parts:
+            self.noted(topic, part_rejection.reason)
         if refusal is not None:
             self.rejected(topic, refusal, receive_ns, reading.value.time_ns)
         elif used:
@@ -268,8 +268,8 @@ class InputRecords:
                 self.noted(topic, decision.reason)
         else:
             self.rejected(topic, Refusal(decision.reason, decision.text), now_ns, time_ns)
-        for _, left_out in decision.left_out:
-            self.noted(topic, left_out.reason)
+        for _, part_rejection in decision.rejected_parts:
+            self.noted(topic, part_rejection.reason)
 
     def arrived(self, topic: str, waiting_ns: int) -> None:
         """Record the arrival of a message at a timeout-clock time."""

@@ -54,7 +54,7 @@ class ReadMessage(Generic[Value]):
 
     value: Value
     covariance_known: bool = True
-    left_out: tuple[tuple[str, Refusal], ...] = ()
+    rejected_parts: tuple[tuple[str, Refusal], ...] = ()
     empty: bool = False
 
 

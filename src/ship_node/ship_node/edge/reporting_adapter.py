@@ -197,7 +197,7 @@ class ReportingAdapter(ABC):
         """
         return None
 
-    def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
+    def rejected_part_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
         """Return the ship_msgs/Innovation of a rejected part (a star, a light) of a measurement."""
         told = Refusal(refusal.reason, f"{name}: {refusal.text}")
         return messages_out.refused_input(self.factory, source, time_ns, told)
@@ -253,8 +253,8 @@ class ReportingAdapter(ABC):
         used = not feed.judged or outcome is None
         self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, refusal, used)
         published: list[Published] = []
-        for name, left_out in reading.left_out:
-            published.append(self._left_out(feed.source, time_ns, name, left_out))
+        for name, left_out in reading.rejected_parts:
+            published.append(self._rejected_part(feed.source, time_ns, name, left_out))
         if refusal is not None:
             published.append(self.rejection_message(feed.source, time_ns, refusal))
         return published if outcome is None else published + self.report_outcome(outcome, receive_ns, waiting_ns)
@@ -404,7 +404,7 @@ class ReportingAdapter(ABC):
         for source, decision in judged:
             time_ns = decision.measurement.time_ns
             for name, left_out in decision.left_out:
-                published.append(self._left_out(source, time_ns, name, left_out))
+                published.append(self._rejected_part(source, time_ns, name, left_out))
             message = messages_out.judged_input(self.factory, source, decision)
             published.append((self.innovation_topic, message))
         for time_ns, refusal in outcome.failures:
@@ -426,8 +426,8 @@ class ReportingAdapter(ABC):
         self.health.failed(f"{what}: {refusal.text}")
         return self.rejection_message(what, time_ns, refusal)
 
-    def _left_out(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Published:
-        return self.innovation_topic, self.left_out_message(source, time_ns, name, refusal)
+    def _rejected_part(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Published:
+        return self.innovation_topic, self.rejected_part_message(source, time_ns, name, refusal)
 
     # -- the node itself ------------------------------------------------------------------------------------
 

@@ -162,7 +162,7 @@ def axis_sightings(
 def _row(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
     """Return the sighting of an exposure; None if not all its lights were used, or if they are too few."""
     sighting = core.sighting(exposure)
-    usable = decision.accepted and decision.reason is Reason.NONE and not decision.left_out
+    usable = decision.accepted and decision.reason is Reason.NONE and not decision.rejected_parts
     if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:
         return None
     # Camera and lines of sight as configured: estimates of the filter must not enter a sighting.

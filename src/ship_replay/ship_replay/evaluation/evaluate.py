@@ -180,7 +180,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     found = [errors for source in collectors.values() for errors in source.errors()]
     errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]
     problems = [problem for candidate in bags for problem in candidate.problems]
-    problems += [*refused.lines(), *_left_out(collectors, errors)]
+    problems += [*refused.lines(), *_missing_source_lines(collectors, errors)]
     if not errors and not innovations.sources and not last:
         raise BadInput(
             "nothing to evaluate: expected topics "
@@ -200,7 +200,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     )
 
 
-def _left_out(collectors: Mapping[str, AttitudeSource], errors: list[AttitudeErrors]) -> list[str]:
+def _missing_source_lines(collectors: Mapping[str, AttitudeSource], errors: list[AttitudeErrors]) -> list[str]:
     """Return one line for each configured sensor that has no errors."""
     shown = {series.label for series in errors}
     return [

@@ -210,7 +210,7 @@ def _sail_theodolite(run: SimulatedRun, watched: Watched) -> None:
     for outcome in pointing_outcomes(core, run):
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
-            watched.look_at_sources(since_s, frozenset(core.state.fault_state.left_out))
+            watched.look_at_sources(since_s, frozenset(core.state.fault_state.exclusions))
         for estimate in outcome.estimates:
             if estimate.time_ns in wanted and estimate.status is not Status.INVALID:
                 truth_nm = truth.mount.rotation_nm[rows[estimate.time_ns]]

@@ -90,7 +90,7 @@ def _residuals(fit: AxisFit) -> Iterator[str]:
         ("without a model", fit.before),
         ("of it common errors", fit.shared),
         ("with the fitted terms", fit.residuals),
-        ("each left out of its fit", fit.left_out),
+        ("each left out of its fit", fit.leave_one_out),
     ):
         if words == "of it common errors" and not np.any(residuals):
             continue
@@ -182,7 +182,7 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, table_warnings: 
         "outliers": [label for label, outlier in zip(sightings.labels, fit.outliers, strict=True) if outlier],
         "rms_before_arcsec": rms(fit.before) / ARCSEC,
         "rms_after_arcsec": rms(fit.residuals) / ARCSEC,
-        "rms_left_out_arcsec": rms(fit.left_out) / ARCSEC,
+        "rms_left_out_arcsec": rms(fit.leave_one_out) / ARCSEC,
     }
     write_whole(path, yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None))
     return path
@@ -205,7 +205,7 @@ def _correlation_rows(fit: AxisFit) -> Iterator[tuple[Any, ...]]:
 
 def _residual_rows(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[Any, ...]]:
     azimuth, elevation = np.rad2deg(azimuth_and_elevation(sightings.direction_d))
-    residuals = np.concatenate([fit.before, fit.residuals, fit.left_out], axis=1) / ARCSEC
+    residuals = np.concatenate([fit.before, fit.residuals, fit.leave_one_out], axis=1) / ARCSEC
     size = sizes(fit.residuals) / ARCSEC
     for number, label in enumerate(sightings.labels):
         outlier = "yes" if fit.outliers[number] else "no"

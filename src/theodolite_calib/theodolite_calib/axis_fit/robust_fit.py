@@ -82,7 +82,7 @@ class AxisFit:
     before: FloatArray
     shared: FloatArray
     residuals: FloatArray
-    left_out: FloatArray
+    leave_one_out: FloatArray
     weights: FloatArray
     design: FloatArray
 
@@ -217,7 +217,7 @@ def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: fl
         before=sightings.residuals(AxisErrors()),
         shared=problem.slow @ shared,
         residuals=residuals,
-        left_out=_left_out(residuals, design, weights, scale**2 * problem.information),
+        leave_one_out=_leave_one_out_residuals(residuals, design, weights, scale**2 * problem.information),
         weights=weights,
         design=design[..., :terms],
     )
@@ -257,7 +257,7 @@ def _root_of_inverse(seen: FloatArray, information: FloatArray) -> FloatArray:
     return root
 
 
-def _left_out(residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray) -> FloatArray:
+def _leave_one_out_residuals(residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray) -> FloatArray:
     """Return the residual of each sighting against the fit of the others, by one Newton step of the loss without it."""
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
     flat = np.where(weights < 1.0, weights, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]

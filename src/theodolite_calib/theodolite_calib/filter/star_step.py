@@ -79,7 +79,7 @@ class StarStep:
             noise=measurement.noise,
             nis=nis,
             gate=gate,
-            left_out=found.stars.refused,
+            rejected_parts=found.stars.refused,
         )
         # Written so that NaN fails.
         if not nis <= gate:

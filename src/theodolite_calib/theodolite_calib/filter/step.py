@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.exclusion import Exclusion
+from ship_estimation.exclusion import ExcludedSource
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.protection import Factors, IntegrityConfig, factors, separation_sigma
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
@@ -23,7 +23,7 @@ from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, A
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
 from theodolite_calib.filter.model import chain_rows
-from theodolite_calib.filter.trust import LeftOut, FaultDetector, FaultState, isolate_step_fault, isolate_drift_fault
+from theodolite_calib.filter.trust import ExclusionRecord, FaultDetector, FaultState, isolate_step_fault, isolate_drift_fault
 from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.contradiction import Streams
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
@@ -97,15 +97,15 @@ class SightingStep:
         if trust.jumped_ns.get(source, jump.time_ns - 1) >= jump.time_ns:
             return predicted
         why = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, more than its flight can explain"
-        exclusion = Exclusion(sighting.time_ns)
-        left_out = LeftOut(exclusion, why, 0.0, jump.jump_n, jump.sigma_m, jump.time_ns)
-        return self._excluded(predicted, source, left_out)
+        exclusion = ExcludedSource(sighting.time_ns)
+        excluded = ExclusionRecord(exclusion, why, 0.0, jump.jump_n, jump.sigma_m, jump.time_ns)
+        return self._excluded(predicted, source, excluded)
 
     def _excluded(
-        self, state: CalibrationState, source: str, left_out: LeftOut, explaining_subfilter: str | None = None
+        self, state: CalibrationState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
     ) -> CalibrationState:
         """Exclude a source: its subfilter becomes the main filter."""
-        trust = self._fault_detector.without(state.fault_state, source, left_out, explaining_subfilter)
+        trust = self._fault_detector.without(state.fault_state, source, exclusion, explaining_subfilter)
         return replace(self._filter.without(state, source), trust=trust)
 
     def _judged(
@@ -116,7 +116,7 @@ class SightingStep:
         held = state if excluded == state.fault_state.excluded else predicted
         rows = range(len(sighting.names))
         used_rows = [row for row in rows if BEACON + sighting.names[row] not in excluded]
-        left_out = tuple(self._left_out(predicted, name) for name in sighting.names if BEACON + name in excluded)
+        excluded_beacons = tuple(self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON + name in excluded)
         unknown = self._filter.unknown(predicted)
         for source in sorted(excluded & CHAIN):
             predicted = self._watched_turn(predicted, sighting, source)
@@ -124,13 +124,13 @@ class SightingStep:
         if not used_rows:
             held = replace(held, alternatives=predicted.subfilters, trust=trust)
             reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
-            return held, ExposureDecision(exposure, reason, text=text, left_out=left_out)
+            return held, ExposureDecision(exposure, reason, text=text, rejected_parts=excluded_beacons)
         unknown = replace(unknown, trust=trust)
         chosen = sighting if len(used_rows) == len(rows) else sighting.chosen(used_rows)
         if excluded & CHAIN:
             unknown = self._filter.aligned(unknown, chosen)
         judgement = self._judge.judge(unknown, chosen, exposure)
-        decision = replace(judgement.decision, left_out=left_out + judgement.decision.left_out)
+        decision = replace(judgement.decision, left_out=excluded_beacons + judgement.decision.rejected_parts)
         if judgement.sighting is not None and judgement.comparison is not None:
             after, compared = self._filter.used(unknown, judgement.sighting, judgement.comparison)
             if ENCODER in excluded:
@@ -236,8 +236,8 @@ class SightingStep:
         refused_m = float(np.max(np.abs(decision.residual), initial=0.0)) * self._filter.sightings.focal_length_m(
             state.mean
         )
-        left_out = LeftOut(Exclusion(decision.measurement.time_ns), why, refused_m)
-        state = self._excluded(state, source, left_out, source if source in self._filter.subfilters.sources else explaining_subfilter)
+        exclusion = ExclusionRecord(ExcludedSource(decision.measurement.time_ns), why, refused_m)
+        state = self._excluded(state, source, exclusion, source if source in self._filter.subfilters.sources else explaining_subfilter)
         text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
         return replace(state, refusals=0), replace(decision, text=text)
 
@@ -267,24 +267,24 @@ class SightingStep:
             if comparison is not None:
                 measurement = comparison.measurement
                 compared = light_compared(measurement.residual, comparison.covariance, measurement.noise)
-                refused_m = self._refused_m(trust.left_out[BEACON + name], comparison, others)
+                refused_m = self._refused_m(trust.exclusions[BEACON + name], comparison, others)
                 trust = self._fault_detector.watched_light(trust, name, compared, sighting.time_ns, refused_m)
         return trust
 
     @staticmethod
-    def _refused_m(left_out: LeftOut, comparison: Comparison, others: bool) -> float:
+    def _refused_m(exclusion: ExclusionRecord, comparison: Comparison, others: bool) -> float:
         """Return the size on the detector of the residual that the fault would cause now, m."""
         direction_n = comparison.prediction.lines.direction_n[0]
-        across_m = np.linalg.norm(np.cross(left_out.jumped_n, direction_n))
+        across_m = np.linalg.norm(np.cross(exclusion.jumped_n, direction_n))
         distance_m = comparison.prediction.lines.distance_m[0]
         by_jump = float(focal_length_m(comparison) * across_m / distance_m)
-        if np.any(left_out.jumped_n):
+        if np.any(exclusion.jumped_n):
             # A jump along the line of sight is not observable: no reinstatement then.
             return max(by_jump, np.finfo(float).tiny)
-        return 0.0 if others else left_out.refused_m
+        return 0.0 if others else exclusion.refused_m
 
-    def _left_out(self, state: CalibrationState, name: str) -> tuple[str, Refusal]:
-        return name, Refusal(Reason.EXCLUDED, state.fault_state.left_out[BEACON + name].why)
+    def _exclusion_rejection(self, state: CalibrationState, name: str) -> tuple[str, Refusal]:
+        return name, Refusal(Reason.EXCLUDED, state.fault_state.exclusions[BEACON + name].why)
 
 
 @functools.lru_cache(maxsize=16)

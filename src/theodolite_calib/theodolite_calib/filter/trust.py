@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, evaluate_reinstatement
+from ship_estimation.exclusion import HEARD_NS, ExcludedSource, Finding, find_fault, evaluate_reinstatement
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import IntegrityConfig
@@ -41,7 +41,7 @@ beacon."""
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class ExclusionRecord:
     """Excluded source, with the reason of its exclusion.
 
     Attributes:
@@ -54,7 +54,7 @@ class LeftOut:
         jump_ns: stamp of the last jump, ns.
     """
 
-    exclusion: Exclusion
+    exclusion: ExcludedSource
     why: str
     refused_m: float = 0.0
     jumped_n: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -90,14 +90,14 @@ class FaultState:
     """
 
     innovation_means: InnovationMeans
-    left_out: Mapping[str, LeftOut] = field(default_factory=dict)
+    exclusions: Mapping[str, ExclusionRecord] = field(default_factory=dict)
     conflict: UnresolvedFault | None = None
     jumped_ns: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def excluded(self) -> Set[str]:
         """Names of the excluded sources."""
-        return self.left_out.keys()
+        return self.exclusions.keys()
 
 
 def isolate_step_fault(source: str, explaining: Set[str], told: Streams, off_rad: float) -> str | None:
@@ -163,7 +163,7 @@ class FaultDetector:
         self._limit = excess_limit(config, max(len(subfilters.beacons), 1))
         self._light_gate, self._degraded_after = chi_square_gate(gate.probability, 2), gate.degraded_after
         own = np.array([[BEACON + id_ == source for id_ in subfilters.beacons] for source in subfilters.sources], dtype=bool)
-        self._leaves_out = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
+        self._excludes = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
     def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
         """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
@@ -175,23 +175,23 @@ class FaultDetector:
         """
         heard_ns, silent_ns = fault_state.innovation_means.heard_ns, time_ns - HEARD_NS
         quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._subfilters.beacons.index(name)] < silent_ns}
-        if not quiet or not (fault_state.left_out or fault_state.conflict):
+        if not quiet or not (fault_state.exclusions or fault_state.conflict):
             return fault_state
         conflict = fault_state.conflict
         if heard_ns.max() < silent_ns:
             quiet = quiet | CHAIN
             conflict = None if conflict is None else replace(conflict, agrees_since_ns=None)
-        left_out = dict(fault_state.left_out)
-        for name in quiet & left_out.keys():
-            exclusion = replace(left_out[name].exclusion, agrees_since_ns=None)
-            left_out[name] = replace(left_out[name], exclusion=exclusion)
-        return replace(fault_state, left_out=left_out, conflict=conflict)
+        exclusions = dict(fault_state.exclusions)
+        for name in quiet & exclusions.keys():
+            exclusion = replace(exclusions[name].exclusion, agrees_since_ns=None)
+            exclusions[name] = replace(exclusions[name], exclusion=exclusion)
+        return replace(fault_state, left_out=exclusions, conflict=conflict)
 
     def update_means(self, fault_state: FaultState, names: tuple[str, ...], innovations: RowsSeen, used: bool, time_ns: int) -> FaultState:
         """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
         beacons = [self._subfilters.beacons.index(name) for name in names]
         by_row = np.concatenate([[used], innovations.accepted])[:, None]
-        accepted = np.where(self._leaves_out[:, beacons], innovations.light_nis <= self._light_gate, by_row)
+        accepted = np.where(self._excludes[:, beacons], innovations.light_nis <= self._light_gate, by_row)
         means = observed(fault_state.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
         return replace(fault_state, means=means)
 
@@ -205,7 +205,7 @@ class FaultDetector:
         """
         sources, excluded = self._subfilters.sources, fault_state.excluded
         gone = np.array([BEACON + id_ in excluded for id_ in self._subfilters.beacons], dtype=bool)
-        uses = ~(self._leaves_out | gone)
+        uses = ~(self._excludes | gone)
         all_separations = np.concatenate([[0.0], separations])
 
         def found(names: list[str]) -> Finding:
@@ -251,28 +251,28 @@ class FaultDetector:
         row = 1 + self._subfilters.sources.index(SHIP)
         return bool(np.all(fault_state.innovation_means.excess[row, heard] <= WELL) and np.all(fault_state.innovation_means.refused[row, heard] == 0))
 
-    def without(self, fault_state: FaultState, source: str, left_out: LeftOut, explaining_subfilter: str | None = None) -> FaultState:
+    def without(self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None) -> FaultState:
         """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
         row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), fault_state.innovation_means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._subfilters.sources), axis=0)
             for name in FIELDS_BY_SUBFILTER
         }
-        all_left_out = {**fault_state.left_out, source: left_out}
-        return replace(fault_state, means=replace(means, **same), left_out=all_left_out, conflict=None)
+        exclusions = {**fault_state.exclusions, source: exclusion}
+        return replace(fault_state, means=replace(means, **same), left_out=exclusions, conflict=None)
 
     def jumped(self, fault_state: FaultState, source: str, jump: BaselineJump) -> FaultState:
         """Record another jump of the baseline of an excluded drone, which may have jumped back."""
-        left_out = fault_state.left_out[source]
-        if jump.time_ns <= left_out.jump_ns + _SAME_JUMP_NS:
+        record = fault_state.exclusions[source]
+        if jump.time_ns <= record.jump_ns + _SAME_JUMP_NS:
             return fault_state
-        jumped_n, sigma_m = left_out.jumped_n + jump.jump_n, float(np.hypot(left_out.jumped_sigma_m, jump.sigma_m))
-        again = replace(left_out, jumped_n=jumped_n, jumped_sigma_m=sigma_m, jump_ns=jump.time_ns)
+        jumped_n, sigma_m = record.jumped_n + jump.jump_n, float(np.hypot(record.jumped_sigma_m, jump.sigma_m))
+        again = replace(record, jumped_n=jumped_n, jumped_sigma_m=sigma_m, jump_ns=jump.time_ns)
         means = fault_state.innovation_means
         if np.linalg.norm(jumped_n) <= _UNDONE_SIGMAS * sigma_m:
             again = replace(again, jumped_n=np.zeros(3), jumped_sigma_m=0.0)
             means = forgotten(means, slice(None), [self._subfilters.sources.index(source)])
-        return replace(fault_state, means=means, left_out={**fault_state.left_out, source: again})
+        return replace(fault_state, means=means, left_out={**fault_state.exclusions, source: again})
 
     def watched_light(
         self, fault_state: FaultState, name: str, compared: FilterInnovations, time_ns: int, refused_m: float
@@ -287,12 +287,12 @@ class FaultDetector:
             refused_m: residual on the detector that the fault would cause now, m; 0 if there is none.
         """
         index, source = self._subfilters.beacons.index(name), BEACON + name
-        left_out = fault_state.left_out[source]
+        record = fault_state.exclusions[source]
         rows = 1 + len(self._subfilters.sources)
         whitened_innovation = np.repeat(compared.whitened_innovation, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
         means = observed(fault_state.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
-        exclusion, returns = evaluate_reinstatement(left_out.exclusion, means, index, time_ns, self._config.return_after_s)
+        exclusion, returns = evaluate_reinstatement(record.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
@@ -300,23 +300,23 @@ class FaultDetector:
 
     def watched_turn(self, fault_state: FaultState, source: str, agrees: bool, time_ns: int) -> FaultState:
         """Record whether excluded encoders, or an excluded ship's attitude, predict a sighting; reinstate when due."""
-        exclusion = fault_state.left_out[source].exclusion
+        exclusion = fault_state.exclusions[source].exclusion
         since_ns = (exclusion.agrees_since_ns or time_ns) if agrees else None
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
         return self._watched(fault_state, source, replace(exclusion, agrees_since_ns=since_ns), returns)
 
-    def _watched(self, fault_state: FaultState, source: str, exclusion: Exclusion, is_reinstated: bool) -> FaultState:
-        left_out, jumped_ns, means = dict(fault_state.left_out), dict(fault_state.jumped_ns), fault_state.innovation_means
+    def _watched(self, fault_state: FaultState, source: str, exclusion: ExcludedSource, is_reinstated: bool) -> FaultState:
+        exclusions, jumped_ns, means = dict(fault_state.exclusions), dict(fault_state.jumped_ns), fault_state.innovation_means
         if is_reinstated:
-            jumped_ns[source] = left_out.pop(source).jump_ns + _SAME_JUMP_NS
+            jumped_ns[source] = exclusions.pop(source).jump_ns + _SAME_JUMP_NS
             row = len(self._subfilters.beacons) if source in CHAIN else self._subfilters.sources.index(source)
             if row < len(self._subfilters.beacons):
                 # Means of an excluded source are not valid for subfilters that use it again.
                 others = [other for other in range(1 + len(self._subfilters.sources)) if other != 1 + row]
                 means = forgotten(means, others, [row])
         else:
-            left_out[source] = replace(left_out[source], exclusion=exclusion)
-        return replace(fault_state, means=means, left_out=left_out, jumped_ns=jumped_ns)
+            exclusions[source] = replace(exclusions[source], exclusion=exclusion)
+        return replace(fault_state, means=means, left_out=exclusions, jumped_ns=jumped_ns)
 
     def disagreed(self, fault_state: FaultState, disagreement_n: FloatArray, lasting: bool) -> FaultState:
         """Record a fault that no single source explains."""

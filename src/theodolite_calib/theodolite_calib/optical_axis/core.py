@@ -499,9 +499,9 @@ class OpticalAxisCore:
         if assembled.sighting is None:
             assert assembled.refusal is not None
             reason, text = assembled.refusal.reason, assembled.refusal.text
-            return state, ExposureDecision(exposure, reason, text=text, left_out=assembled.lights_refused)
+            return state, ExposureDecision(exposure, reason, text=text, rejected_parts=assembled.lights_refused)
         state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
-        return state, replace(decision, left_out=assembled.lights_refused + decision.left_out)
+        return state, replace(decision, left_out=assembled.lights_refused + decision.rejected_parts)
 
     def _step_by_stars(
         self, state: CalibrationState, exposure: StarExposure

@@ -38,7 +38,7 @@ class PointingLevels:
         sources = filter_.subfilters.sources
         self._k = hypothesis_factors(config.integrity, sources)
         self._turning = chain_rows(filter_.model)
-        excluded = {name: told.exclusion.since_ns for name, told in state.fault_state.left_out.items()}
+        excluded = {name: told.exclusion.since_ns for name, told in state.fault_state.exclusions.items()}
         self._subfilter_indices = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
         self._names = tuple([sources[row] for row in self._subfilter_indices])
         self._excluded = tuple(sorted(excluded.items()))

@@ -287,10 +287,10 @@ class PointingOutput:
             return Status.DEGRADED, text + state.refused_for
         if state.fault_state.conflict is not None:
             return Status.DEGRADED, "unresolved fault: lights are inconsistent with encoders and ship's attitude"
-        for source, left_out in state.fault_state.left_out.items():
-            unconfirmed = state.informed_ns is None or state.informed_ns < left_out.exclusion.since_ns
+        for source, record in state.fault_state.exclusions.items():
+            unconfirmed = state.informed_ns is None or state.informed_ns < record.exclusion.since_ns
             if mode == Mode.ENCODER or unconfirmed or not source.startswith(BEACON):
-                return Status.DEGRADED, f"{source} is excluded: {left_out.why}"
+                return Status.DEGRADED, f"{source} is excluded: {record.why}"
         if ship_status is Status.DEGRADED:
             return Status.DEGRADED, "the ship's attitude is DEGRADED"
         if state.informed_ns is None and not np.any(state.parts[self._saved]):

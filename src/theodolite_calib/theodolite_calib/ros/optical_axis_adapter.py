@@ -243,7 +243,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
         """Return ship_msgs/Innovation of a beacon rejected within its exposure, by name; of a star as elsewhere."""
         if source != "lights":
-            return super().left_out_message(source, time_ns, name, refusal)
+            return super().rejected_part_message(source, time_ns, name, refusal)
         return refused_input(self.factory, f"light.{name}", time_ns, refusal)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
@@ -282,7 +282,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return ()
-        lacking = {name for name, refusal in decision.left_out if refusal.reason not in SHOWS_SOURCE}
+        lacking = {name for name, refusal in decision.rejected_parts if refusal.reason not in SHOWS_SOURCE}
         return [BEACON + light.beacon_id for light in exposure.lights if light.beacon_id not in lacking]
 
     def may_be_valid(self, there: Set[str]) -> bool:
