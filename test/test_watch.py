@@ -13,7 +13,7 @@ import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import ns_from_stamp
-from ship_testing.watched_voyages import BAGS, Watched, records, replayed, watched
+from ship_testing.watched_voyages import BAGS, MonitoredVoyage, records, replayed, watched
 from ship_watch.alert_conditions import conditions
 from ship_watch.limits import Limits
 from ship_watch.picture import Presence, Safety
@@ -35,12 +35,12 @@ CLOUDS = (69.9, 91.5)
 
 
 @pytest.fixture(scope="module")
-def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> MonitoredVoyage:
     return watched(replayed(tmp_path_factory.mktemp("one"), "demo", ONE_BY_ONE)[1])
 
 
 @pytest.fixture(scope="module")
-def theodolite(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+def theodolite(tmp_path_factory: pytest.TempPathFactory) -> MonitoredVoyage:
     return watched(*replayed(tmp_path_factory.mktemp("theodolite"), "theodolite", THEODOLITE))
 
 
@@ -50,7 +50,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
-def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one: Watched) -> None:
+def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one: MonitoredVoyage) -> None:
     first_s = 30.117  # its first exposure after the knock
     assert first_s < one_by_one.out["star.starboard"][0] <= first_s + 2.0
     told = one_by_one.seen["star.starboard"][0]
@@ -63,7 +63,7 @@ def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one
 
 
 @pytest.mark.slow
-def test_an_ins_that_steps_is_out_and_returns(one_by_one: Watched) -> None:
+def test_an_ins_that_steps_is_out_and_returns(one_by_one: MonitoredVoyage) -> None:
     assert 55.0 < one_by_one.out["ins"][0] <= 57.0
     assert one_by_one.seen["ins"][0].reason == "5 rejected in a row"
     assert one_by_one.back["ins"] == [pytest.approx(57.1, abs=1.1)]
@@ -72,7 +72,7 @@ def test_an_ins_that_steps_is_out_and_returns(one_by_one: Watched) -> None:
     assert "heading CAUTION → UNSAFE, ins rejected" in words
 
 
-def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(one_by_one: Watched) -> None:
+def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(one_by_one: MonitoredVoyage) -> None:
     clouds, silent = one_by_one.out["star.fore"]
     assert CLOUDS[0] < clouds < CLOUDS[1]
     assert 101.9 <= silent <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
@@ -80,7 +80,7 @@ def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_mis
     assert one_by_one.back["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
 
 
-def test_no_other_source_is_named(one_by_one: Watched) -> None:
+def test_no_other_source_is_named(one_by_one: MonitoredVoyage) -> None:
     guilty = [name for time_s, name in one_by_one.guilty if not CLOUDS[0] < time_s < CLOUDS[1]]
     assert guilty == ["star.starboard", "ins", "star.fore"]
 
@@ -113,7 +113,7 @@ def test_a_source_that_only_degrades_is_not_named_for_a_missing_output(tmp_path:
 
 
 @pytest.mark.slow
-def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: Watched) -> None:
+def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: MonitoredVoyage) -> None:
     assert 10.0 < theodolite.out["baselines"][0] <= 12.0
     assert theodolite.seen["baselines"][0].reason == "a 5 rejected in a row: not fixed"
     assert theodolite.seen["lights"][0].because_of == "baselines"
@@ -122,7 +122,7 @@ def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: Watched) ->
 
 
 @pytest.mark.slow
-def test_exchanged_light_names_are_reported_although_corrected(theodolite: Watched) -> None:
+def test_exchanged_light_names_are_reported_although_corrected(theodolite: MonitoredVoyage) -> None:
     told = [(time_s, text) for time_s, text in theodolite.events("source") if "lights" in text]
     exchanged = [time_s for time_s, text in told if text == "lights IN, names exchanged"]
     assert len(exchanged) == 1
@@ -132,7 +132,7 @@ def test_exchanged_light_names_are_reported_although_corrected(theodolite: Watch
     assert words_between(theodolite, 26.0, 33.0) == {Safety.SAFE}
 
 
-def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: Watched) -> None:
+def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: MonitoredVoyage) -> None:
     assert 61.9 < theodolite.out["encoder"][0] <= 60.002 + 2.0 + 1e-6
     assert "needs encoder" in [source.reason for source in theodolite.seen["lights"]]
     assert theodolite.back["encoder"][0] == pytest.approx(66.2, abs=0.5)
@@ -199,7 +199,7 @@ def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> 
             assert point.sigma[name] == pytest.approx(getattr(same, f"sigma_{name}"), rel=1e-6)
 
 
-def test_history_has_the_data_of_plots(theodolite: Watched) -> None:
+def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
     history = theodolite.watch.history
     assert set(history.lights) == {"a", "b"}
     used = [point for point in history.lights["b"] if point.is_used]
@@ -216,7 +216,7 @@ def test_history_has_the_data_of_plots(theodolite: Watched) -> None:
     assert history.position == pytest.approx(np.radians(_first_fix()), abs=1e-3)
 
 
-def words_between(seen: Watched, start_s: float, end_s: float) -> set[Safety | None]:
+def words_between(seen: MonitoredVoyage, start_s: float, end_s: float) -> set[Safety | None]:
     """Return the states of the azimuth in the ribbon."""
     points = [point for point in seen.watch.history.ribbons if start_s <= (point.utc_ns - seen.start_ns) * 1e-9 < end_s]
     return {point.words["azimuth"] for point in points}

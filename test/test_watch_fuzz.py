@@ -15,7 +15,7 @@ from ship_msgs.msg import Alert, AlertArray
 from ship_testing.garbage import paths, spoil
 from ship_testing.watched_voyages import replayed
 from ship_watch.picture import Safety
-from ship_watch.topics import watched_topic
+from ship_watch.topics import monitored_topic
 from ship_watch.watch import Watch
 
 SECONDS = 20
@@ -33,7 +33,7 @@ def heard(*bags: Path) -> list[tuple[int, str, Any]]:
     found = []
     for path in bags:
         with read_bag(path) as bag:
-            wanted = [topic for topic, type_name in bag.topics.items() if watched_topic(topic, type_name)]
+            wanted = [topic for topic, type_name in bag.topics.items() if monitored_topic(topic, type_name)]
             kinds, last = {topic: kind_of(bag.topics[topic]) for topic in wanted}, dict.fromkeys(wanted, 0)
             for record in bag.records(wanted):
                 if record.log_time_ns > (bag.start_ns or 0) + SECONDS * 1_000_000_000:

@@ -15,7 +15,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_replay.commands.replay import main as replay
 from ship_simulation.inject_command import main as inject
 from ship_watch.picture import Event, Picture, Presence
-from ship_watch.topics import watched_topic
+from ship_watch.topics import monitored_topic
 from ship_watch.watch import Watch
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -58,7 +58,7 @@ def within_s(source: str) -> float:
 
 
 @dataclass
-class Watched:
+class MonitoredVoyage:
     """Monitored states of a voyage.
 
     Attributes:
@@ -127,18 +127,18 @@ def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
     found = []
     for path in paths:
         with read_bag(path) as bag:
-            wanted = [topic for topic, type_name in bag.topics.items() if watched_topic(topic, type_name)]
+            wanted = [topic for topic, type_name in bag.topics.items() if monitored_topic(topic, type_name)]
             found += [(record.log_time_ns, record.topic, record.decode()) for record in bag.records(wanted)]
     return iter(sorted(found, key=lambda entry: entry[0]))
 
 
-def watched(*paths: Path) -> Watched:
+def watched(*paths: Path) -> MonitoredVoyage:
     """Return a voyage monitored at 10 Hz; inputs of the same bag may be given in addition to its outputs."""
-    seen: Watched | None = None
+    seen: MonitoredVoyage | None = None
     due_ns, before = 0, {}
     for time_ns, topic, message in records(*paths):
         if seen is None:
-            seen, due_ns = Watched(Watch(), time_ns), time_ns
+            seen, due_ns = MonitoredVoyage(Watch(), time_ns), time_ns
         while due_ns <= time_ns:
             picture = seen.watch.look(due_ns)
             before = _note(seen, picture, before, (due_ns - seen.start_ns) * 1e-9)
@@ -149,7 +149,7 @@ def watched(*paths: Path) -> Watched:
     return seen
 
 
-def _note(seen: Watched, picture: Picture, before: dict[str, Presence], time_s: float) -> dict[str, Presence]:
+def _note(seen: MonitoredVoyage, picture: Picture, before: dict[str, Presence], time_s: float) -> dict[str, Presence]:
     """Record a suite state; return the presence of each source in it."""
     if abs(time_s - round(time_s)) < 1e-6:
         seen.at_s[float(round(time_s))] = picture

@@ -11,7 +11,7 @@ from ship_replay.trials.clean_hours import (
     THREE,
     TWO,
     CleanVoyage,
-    Watched,
+    VoyageStatistics,
     clean_voyages,
     make_clean_voyage,
     scenario_of,
@@ -56,14 +56,14 @@ def test_three_sensors_meet_twelve_arcseconds_after_ten_minutes():
     assert found["available"] == found["settled"]
 
 
-def look(watched, since_s, level_arcsec, error_arcsec, status=Status.VALID):
+def look(statistics, since_s, level_arcsec, error_arcsec, status=Status.VALID):
     level = np.full(3, level_arcsec) * ARCSEC
     report = IntegrityReport(0, IntegrityState.NO_LIMIT, level, (), np.zeros(0), 5.0, (), "", 0.0)
-    watched.look_at_output(since_s, status, report, np.full(3, error_arcsec) * ARCSEC, ARCSEC**2 * np.eye(3))
+    statistics.look_at_output(since_s, status, report, np.full(3, error_arcsec) * ARCSEC, ARCSEC**2 * np.eye(3))
 
 
 def test_what_is_beyond_and_what_is_available_is_counted():
-    watched = Watched(limit=12.0 * ARCSEC)
+    watched = VoyageStatistics(limit=12.0 * ARCSEC)
     look(watched, 100.0, 50.0, 1.0)
     look(watched, 700.0, 11.0, 1.0)
     look(watched, 701.0, 13.0, 6.0)
@@ -77,7 +77,7 @@ def test_what_is_beyond_and_what_is_available_is_counted():
 
 
 def test_an_exclusion_and_an_unresolved_fault_count_once_each_time():
-    watched = Watched(limit=np.inf)
+    watched = VoyageStatistics(limit=np.inf)
     for since_s, excluded in ((1.0, {"star.fore"}), (2.0, {"star.fore"}), (3.0, set()), (4.0, {"star.fore", "ins"})):
         watched.look_at_sources(since_s, frozenset(excluded))
     assert watched.exclusions == [(1.0, "star.fore"), (4.0, "ins"), (4.0, "star.fore")]

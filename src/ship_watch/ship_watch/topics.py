@@ -11,7 +11,7 @@ MESSAGES = "ship_msgs/msg/"
 
 
 @dataclass(frozen=True)
-class WatchedTopic:
+class MonitoredTopic:
     """A monitored topic.
 
     Attributes:
@@ -30,33 +30,33 @@ class WatchedTopic:
 
 
 TOPICS = (
-    WatchedTopic("ship/attitude", MESSAGES + "ShipAttitude", False),
-    WatchedTopic("theodolite/pointing", MESSAGES + "OpticalAxisPointing", False),
-    WatchedTopic("ship/integrity", MESSAGES + "Integrity", True),
-    WatchedTopic("theodolite/integrity", MESSAGES + "Integrity", True),
-    WatchedTopic("ship/innovation", MESSAGES + "Innovation", True),
-    WatchedTopic("theodolite/innovation", MESSAGES + "Innovation", True),
-    WatchedTopic("star/innovation", MESSAGES + "Innovation", True),
-    WatchedTopic("input_health", MESSAGES + "InputHealth", True),
-    WatchedTopic("ship/alerts", MESSAGES + "AlertArray", True),
-    WatchedTopic("ship/error_budget", MESSAGES + "ErrorBudget", True),
-    WatchedTopic("theodolite/error_budget", MESSAGES + "ErrorBudget", True),
-    WatchedTopic("ship/error_arcsec", MESSAGES + "AttitudeErrorArcsec", True),
-    WatchedTopic("theodolite/error_arcsec", MESSAGES + "PointingErrorArcsec", True),
-    WatchedTopic("ship/alignment", MESSAGES + "AlignmentState", False),
-    WatchedTopic("theodolite/calibration", MESSAGES + "TheodoliteCalibration", False),
-    WatchedTopic("star/<id>/solution", MESSAGES + "StarHorizonAttitude", True),
-    WatchedTopic("star/<id>/horizon_attitude", MESSAGES + "StarHorizonAttitude", False),
-    WatchedTopic("star/<id>/observations", MESSAGES + "StarObservationArray", False),
-    WatchedTopic("theodolite/beacons", MESSAGES + "BeaconImage", True),
-    WatchedTopic("gnss/fix", "sensor_msgs/msg/NavSatFix", False),
-    WatchedTopic("truth/attitude", MESSAGES + "ShipAttitude", True),
-    WatchedTopic("truth/pointing", MESSAGES + "OpticalAxisPointing", True),
+    MonitoredTopic("ship/attitude", MESSAGES + "ShipAttitude", False),
+    MonitoredTopic("theodolite/pointing", MESSAGES + "OpticalAxisPointing", False),
+    MonitoredTopic("ship/integrity", MESSAGES + "Integrity", True),
+    MonitoredTopic("theodolite/integrity", MESSAGES + "Integrity", True),
+    MonitoredTopic("ship/innovation", MESSAGES + "Innovation", True),
+    MonitoredTopic("theodolite/innovation", MESSAGES + "Innovation", True),
+    MonitoredTopic("star/innovation", MESSAGES + "Innovation", True),
+    MonitoredTopic("input_health", MESSAGES + "InputHealth", True),
+    MonitoredTopic("ship/alerts", MESSAGES + "AlertArray", True),
+    MonitoredTopic("ship/error_budget", MESSAGES + "ErrorBudget", True),
+    MonitoredTopic("theodolite/error_budget", MESSAGES + "ErrorBudget", True),
+    MonitoredTopic("ship/error_arcsec", MESSAGES + "AttitudeErrorArcsec", True),
+    MonitoredTopic("theodolite/error_arcsec", MESSAGES + "PointingErrorArcsec", True),
+    MonitoredTopic("ship/alignment", MESSAGES + "AlignmentState", False),
+    MonitoredTopic("theodolite/calibration", MESSAGES + "TheodoliteCalibration", False),
+    MonitoredTopic("star/<id>/solution", MESSAGES + "StarHorizonAttitude", True),
+    MonitoredTopic("star/<id>/horizon_attitude", MESSAGES + "StarHorizonAttitude", False),
+    MonitoredTopic("star/<id>/observations", MESSAGES + "StarObservationArray", False),
+    MonitoredTopic("theodolite/beacons", MESSAGES + "BeaconImage", True),
+    MonitoredTopic("gnss/fix", "sensor_msgs/msg/NavSatFix", False),
+    MonitoredTopic("truth/attitude", MESSAGES + "ShipAttitude", True),
+    MonitoredTopic("truth/pointing", MESSAGES + "OpticalAxisPointing", True),
 )
 """All monitored topics. Inputs at a high rate are not among them: ``input_health`` reports their state."""
 
 
-def watched_topic(topic: str, type_name: str | None = None) -> WatchedTopic | None:
+def monitored_topic(topic: str, type_name: str | None = None) -> MonitoredTopic | None:
     """Return the entry of a topic; None if it is not monitored, or if its messages have another type."""
     for row in TOPICS:
         if row.fits(topic):

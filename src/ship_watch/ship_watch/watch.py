@@ -38,7 +38,7 @@ from ship_watch.picture import (
 from ship_watch.published_state import PublishedState, published_state
 from ship_watch.sources import STAR_INNOVATION, SourceBook, first_faulty_source, newest_age_s
 from ship_watch.states import COUNTDOWN, AngleClaim, HeldWord, TimeOver, angle_word
-from ship_watch.topics import reading_node, source_of_topic, watched_topic
+from ship_watch.topics import reading_node, source_of_topic, monitored_topic
 
 STEP_NS = 100_000_000
 """Period at which safety and events are evaluated, ns."""
@@ -135,7 +135,7 @@ class Watch:
 
     def _taker(self, topic: str) -> Callable[[Any, int], None] | None:
         """Return the handler of a topic's messages; None if it is not monitored."""
-        if watched_topic(topic) is None or not has_room(self._takers, topic, "topic"):
+        if monitored_topic(topic) is None or not has_room(self._takers, topic, "topic"):
             return None
         keeper = self._keeper
         first, _, last = topic.rpartition("/")

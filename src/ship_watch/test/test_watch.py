@@ -15,7 +15,7 @@ from ship_watch.alerts import AlertBook
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, Presence, Safety
 from ship_watch.published_state import STATE_TYPE, state_fields
-from ship_watch.topics import TOPICS, source_of_name, source_of_topic, watched_topic
+from ship_watch.topics import TOPICS, source_of_name, source_of_topic, monitored_topic
 from ship_watch.watch import Watch
 
 SECOND = 1_000_000_000
@@ -315,9 +315,9 @@ def test_reason_of_a_caution_is_current_at_any_time() -> None:
 
 def test_topics_are_monitored_only_with_their_type() -> None:
     for row in TOPICS:
-        assert watched_topic(row.pattern.replace("<id>", "bow"), row.type_name) is row
-        assert watched_topic(row.pattern.replace("<id>", "bow"), "std_msgs/msg/String") is None
-    assert watched_topic("ins/imu") is None
+        assert monitored_topic(row.pattern.replace("<id>", "bow"), row.type_name) is row
+        assert monitored_topic(row.pattern.replace("<id>", "bow"), "std_msgs/msg/String") is None
+    assert monitored_topic("ins/imu") is None
 
 
 @pytest.mark.parametrize(

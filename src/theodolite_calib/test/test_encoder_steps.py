@@ -24,7 +24,7 @@ def motion(seconds, rng, sigma_arcsec=1.0):
     return np.column_stack([azimuth, elevation]) % (2 * np.pi) + noise
 
 
-def watched(angles, acceleration=FAST, times_ns=None):
+def check_readings(angles, acceleration=FAST, times_ns=None):
     """Return for each reading: True if unconfirmed after it; its rejection; the slip that it proves."""
     watch, found = EncoderWatch(ARCSEC, acceleration), []
     for number, row in enumerate(angles):
@@ -42,7 +42,7 @@ def test_step_is_unconfirmed_until_beacons_agree(axis):
     for seed in range(200):
         angles = motion(seconds, np.random.default_rng(seed))
         angles[at:, axis] += 20.0 * ARCSEC
-        watch, found = watched(angles)
+        watch, found = check_readings(angles)
         first += found[at][0]
         lasts += all(doubt for doubt, *_ in found[at:])
         assert all(refusal is None and jump is None for _, refusal, jump in found)
@@ -60,7 +60,7 @@ def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
     for seed in range(50):
         angles = motion(seconds, np.random.default_rng(seed))
         angles[at:, 1] -= 55.0 * ARCSEC
-        _, found = watched(angles)
+        _, found = check_readings(angles)
         (number,) = [n for n, (_, refusal, _) in enumerate(found) if refusal is not None]
         _, refusal, jump = found[number]
         assert number == at + 1
@@ -69,7 +69,7 @@ def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
         assert np.all(np.abs(jump.jump - [0.0, -55.0 * ARCSEC]) < 4.5 * jump.sigma_rad)
         assert all(doubt for doubt, *_ in found[at:])
         # A mount with twice the acceleration goes 72" so: then it may have moved.
-        assert all(refusal is None for _, refusal, _ in watched(angles, 2.0 * FAST)[1])
+        assert all(refusal is None for _, refusal, _ in check_readings(angles, 2.0 * FAST)[1])
 
 
 def test_slews_are_no_steps():
@@ -85,7 +85,7 @@ def test_slews_are_no_steps():
         turned = np.interp(seconds, fine, np.cumsum(rate) * 1e-4)
         angles = motion(seconds, rng)
         angles[:, 0] += turned * rng.choice([-1.0, 1.0])
-        _, found = watched(angles % (2 * np.pi), FAST)
+        _, found = check_readings(angles % (2 * np.pi), FAST)
         assert all(refusal is None and jump is None for _, refusal, jump in found)
         assert not found[-1][0]
         corners, doubts = corners + 4, doubts + sum(doubt for doubt, *_ in found)
@@ -95,7 +95,7 @@ def test_slews_are_no_steps():
 def test_single_wrong_reading_is_not_unconfirmed():
     angles = motion(np.arange(130) / RATE_HZ, np.random.default_rng(1))
     angles[100] += 60.0 * ARCSEC
-    _, found = watched(angles)
+    _, found = check_readings(angles)
     assert [number for number, (doubt, *_) in enumerate(found) if doubt] == [100]
 
 
@@ -106,7 +106,7 @@ def test_valid_readings_are_no_steps(sigma_arcsec):
     rng = np.random.default_rng(7)
     seconds = np.arange(20_000) / RATE_HZ + rng.uniform(-0.1, 0.1, 20_000) / RATE_HZ
     angles = motion(seconds, rng, sigma_arcsec)
-    _, found = watched(angles, times_ns=np.round(seconds * 1e9) + 10**9)
+    _, found = check_readings(angles, times_ns=np.round(seconds * 1e9) + 10**9)
     assert not any(doubt for doubt, *_ in found)
 
 
@@ -118,7 +118,7 @@ def test_a_mount_that_takes_out_the_roll_at_twenty_hertz_hides_no_step():
         angles = motion(seconds, np.random.default_rng(seed))
         angles[:, 1] += np.radians(4.0) * np.sin(2.0 * np.pi * seconds / 11.0 + seed)
         angles[at:, 1] += 20.0 * ARCSEC
-        _, found = watched(angles, times_ns=np.round(seconds * 1e9))
+        _, found = check_readings(angles, times_ns=np.round(seconds * 1e9))
         first += found[at][0]
         assert not any(doubt for doubt, *_ in found[:at])
     assert first >= 99

@@ -65,6 +65,6 @@ def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
         heard_ns[ROWS.beacons.index(SECOND)] = time_ns
         trust = replace(trust, means=replace(trust.innovation_means, heard_ns=heard_ns))
         if ENCODER in trust.exclusions:
-            trust = REFEREE.watched_turn(trust, ENCODER, True, time_ns)
+            trust = REFEREE.monitor_prediction(trust, ENCODER, True, time_ns)
             returned += [] if ENCODER in trust.exclusions else [(time_ns - back_ns) / SECOND_NS]
     assert returned == [SETTINGS.integrity.return_after_s]

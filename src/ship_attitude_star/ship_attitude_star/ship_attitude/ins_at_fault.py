@@ -165,7 +165,7 @@ class InsAtFault:
         self._open(stack, len(state.means), _UNKNOWN_RAD**2 * np.eye(3), None)
         return self.contradicted_now(changed(state, stack=stack), time_ns)
 
-    def watched(self, state: FilterState, innovations: FilterInnovations, agrees: bool, time_ns: int) -> FilterState:
+    def monitor(self, state: FilterState, innovations: FilterInnovations, agrees: bool, time_ns: int) -> FilterState:
         """Monitor an INS that the stars have excluded, after a measurement.
 
         Args:

@@ -54,7 +54,7 @@ _KNOCKED_SIGMA = 2.0
 _LEAST_KNOCK_RAD, _LARGEST_KNOCK_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
 """Minimum and maximum standard deviation of the mounting after a mounting shift, rad."""
 
-_WATCHED_NS = 3 * SECOND_NS
+_DRIFT_OBSERVED_NS = 3 * SECOND_NS
 """Minimum uninterrupted reception of all sources in use before a drift of the INS is detected, ns."""
 
 _CREEPS_FOR_NS = 10 * SECOND_NS
@@ -207,7 +207,7 @@ class Suspects:
                 return state, text
         if distrusted(state):
             agrees = not self._contradicts(state, self._sources.index(source))
-            return self.ins.watched(state, innovations, agrees, time_ns), ""
+            return self.ins.monitor(state, innovations, agrees, time_ns), ""
         table, uses, in_use = self.subfilters, self.uses(state), state.in_use(self._sources, time_ns)
         separations_n, statistic = self.separations(state)
         candidates: Sequence[int] = table.singles
@@ -240,7 +240,7 @@ class Suspects:
             return self.ins.contradicted_now(state, time_ns), text
         if INS in wrong and (stepped or not table.contradict_ins([name for name in in_use if name not in wrong])):
             wrong = ()  # A position error rotates all stars equally, as a step of an INS without rates does.
-        if INS in wrong and any(time_ns - state.heard_since_ns[name] < _WATCHED_NS for name in in_use):
+        if INS in wrong and any(time_ns - state.heard_since_ns[name] < _DRIFT_OBSERVED_NS for name in in_use):
             wrong = ()  # After a timeout a few measurements do not isolate whether the INS or a sensor has moved.
         if INS in state.excluded and len(in_use) < LEAST_FOR_PAIRS:
             wrong = ()  # Of two sources each explains the contradiction with the other.

@@ -22,7 +22,7 @@ from ship_node.parameters.companions import named_companions
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
-from ship_watch.topics import MESSAGES, TOPICS, watched_topic
+from ship_watch.topics import MESSAGES, TOPICS, monitored_topic
 
 ALERTS_TOPIC = "ship/alerts"
 SENSORS = "sensors"
@@ -154,7 +154,7 @@ class _SuiteRights:
         if played:
             truth = (row for row in TOPICS if row.pattern.startswith(TRUTH_PREFIX))
             self._types |= {row.pattern: row.type_name for row in truth}
-        self._watched = {name for name, kind in self._types.items() if watched_topic(name, kind)} - {ALERTS_TOPIC}
+        self._watched = {name for name, kind in self._types.items() if monitored_topic(name, kind)} - {ALERTS_TOPIC}
         self._alerts = self._full("alerts")
         self._nodes = [self._full(adapter.node_name) for adapter in self._adapters]
 

@@ -12,7 +12,7 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_watch.availability import QUANTITIES, START_UP_S, WANTED_SHARE, Availability, AvailabilityRecord
 from ship_watch.limits import Limits
-from ship_watch.topics import watched_topic
+from ship_watch.topics import monitored_topic
 
 
 def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: Limits) -> list[str]:
@@ -35,7 +35,7 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
             topics = {
                 name
                 for name, kind in replayed.topics.items()
-                if watched_topic(name, kind) and not name.startswith(TRUTH_PREFIX)
+                if monitored_topic(name, kind) and not name.startswith(TRUTH_PREFIX)
             }
             for each in watched(replayed.records(topics), replayed):
                 record.take(each.topic, each.decode(), each.log_time_ns)

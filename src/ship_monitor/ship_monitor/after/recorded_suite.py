@@ -10,7 +10,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
-from ship_watch.topics import watched_topic
+from ship_watch.topics import monitored_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing")
 STANDING = ("ship/alerts", "ship/alignment", "theodolite/calibration")
@@ -56,8 +56,8 @@ class RecordedSuite:
         names = relative_topics(self._bag.topics, namespace or self._only_namespace())
         if namespace and not names:
             raise BadInput(f"there is no topic in the namespace /{namespace.strip('/')}", file=path)
-        usable = {relative: name for relative, name in names.items() if watched_topic(relative, self._bag.topics[name])}
-        self._topics = {name: (relative, watched_topic(relative)) for relative, name in usable.items()}
+        usable = {relative: name for relative, name in names.items() if monitored_topic(relative, self._bag.topics[name])}
+        self._topics = {name: (relative, monitored_topic(relative)) for relative, name in usable.items()}
         self.start_ns, self.end_ns = self._bag.start_ns or 0, self._bag.end_ns or 0
         has_truth = any(relative.startswith(TRUTH_PREFIX) for relative in names)
         self.is_simulated = has_truth or SCENARIO_ATTACHMENT in self._bag.attachments
@@ -126,6 +126,6 @@ def _namespace_of(name: str, type_name: str) -> str | None:
     """Return the namespace in which a topic of a bag is a monitored one; None if it is none."""
     words = name.strip("/").split("/")
     for length in range(len(words)):
-        if watched_topic("/".join(words[length:]), type_name) is not None:
+        if monitored_topic("/".join(words[length:]), type_name) is not None:
             return "/".join(words[:length])
     return None

@@ -36,7 +36,7 @@ from ship_watch.alerts import AlertChange
 from ship_watch.limits import Limits, read_limits
 from ship_watch.picture import AlertShown, Priority
 from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_of_state, state_fields
-from ship_watch.topics import watched_topic
+from ship_watch.topics import monitored_topic
 
 LOOK_NS = NS_PER_S // 5
 """Period of the updates, ns."""
@@ -257,7 +257,7 @@ def _wanted(topic: str, type_name: str) -> int:
     """Return the queue depth of a topic; 0 for topics that are not needed."""
     if topic == DIAGNOSTICS_TOPIC:
         return KEPT if type_name == DIAGNOSTICS_TYPE else 0
-    row = watched_topic(topic, type_name) if topic != ALERTS_TOPIC else None
+    row = monitored_topic(topic, type_name) if topic != ALERTS_TOPIC else None
     return 0 if row is None else KEPT if row.every else 1
 
 

@@ -19,7 +19,7 @@ from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.picture import Picture
 from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
-from ship_watch.topics import watched_topic
+from ship_watch.topics import monitored_topic
 from ship_watch.watch import Watch
 
 TAKE_PERIOD_S = 0.2
@@ -154,5 +154,5 @@ def messages_wanted(topic: str, type_name: str) -> int:
     """Return the queue depth of a topic (:class:`ship_monitor.live.topic_reader.TopicReader`)."""
     if topic == STATE_TOPIC:
         return int(type_name == STATE_TYPE)
-    row = watched_topic(topic, type_name)
+    row = monitored_topic(topic, type_name)
     return 0 if row is None else KEPT if row.every else 1

@@ -26,7 +26,7 @@ from ship_watch.history import BudgetPoint, ParameterShown, newer
 from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, AlertShown, Event, Picture, Safety
-from ship_watch.topics import watched_topic
+from ship_watch.topics import monitored_topic
 from ship_watch.watch import Watch
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing", JOINT_SOLUTION)
@@ -192,7 +192,7 @@ class _Reading:
         rows = {
             name: row
             for name, topic in topics.items()
-            if not topic.startswith(TRUTH_PREFIX) and (row := watched_topic(topic, bag.topics[name]))
+            if not topic.startswith(TRUTH_PREFIX) and (row := monitored_topic(topic, bag.topics[name]))
         }
         newest: dict[str, int] = {}
         next_ns = self._night.start_ns + _LOOK_NS

@@ -93,7 +93,7 @@ def scenario_of(voyage: CleanVoyage, folder: Path, length_s: float) -> Scenario:
 
 
 @dataclass
-class Watched:
+class VoyageStatistics:
     """Statistics of a voyage.
 
     Attributes:
@@ -166,12 +166,12 @@ def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Res
     result |= {"length_s": length_s, "exception": ""}
     try:
         run = simulate(scenario_of(voyage, folder, length_s), voyage.number)
-        watched = Watched(ALERT_LIMIT_ARCSEC.get(voyage.kind, np.inf) * ARCSEC)
-        (_sail_theodolite if voyage.kind == THEODOLITE else _sail_ship)(run, watched)
-        told = {name: value for name, value in vars(watched).items() if name[0] != "_" and name != "limit"}
+        statistics = VoyageStatistics(ALERT_LIMIT_ARCSEC.get(voyage.kind, np.inf) * ARCSEC)
+        (_sail_theodolite if voyage.kind == THEODOLITE else _sail_ship)(run, statistics)
+        told = {name: value for name, value in vars(statistics).items() if name[0] != "_" and name != "limit"}
         result |= told | {
-            "squares": (watched.squares / ARCSEC**2).tolist(),
-            "worst_level": watched.worst_level / ARCSEC,
+            "squares": (statistics.squares / ARCSEC**2).tolist(),
+            "worst_level": statistics.worst_level / ARCSEC,
         }
     except Exception:
         # A software defect is recorded, and the other voyages continue.
@@ -179,18 +179,18 @@ def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Res
     return result | {"cpu_s": round(time.process_time() - start_s, 2)}
 
 
-def _sail_ship(run: SimulatedRun, watched: Watched) -> None:
+def _sail_ship(run: SimulatedRun, statistics: VoyageStatistics) -> None:
     core = core_for(run.scenario)
     rows = {int(run.ins.time_ns[index]): row for row, index in enumerate(run.truth.ins_index)}
     for outcome in attitude_outcomes(core, run, _stamps_each_second(run, rows)):
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
-            watched.look_at_sources(since_s, frozenset(core.state.excluded))
+            statistics.look_at_sources(since_s, frozenset(core.state.excluded))
             if core.state.unresolved_fault is not None:
-                watched.look_at_status(since_s, Status.DEGRADED, core.state.unresolved_fault.text)
+                statistics.look_at_status(since_s, Status.DEGRADED, core.state.unresolved_fault.text)
         for estimate in outcome.estimates:
             truth_nd = run.truth.rotation_nd[rows[estimate.time_ns]]
-            _look(watched, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False)
+            _look(statistics, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False)
 
 
 def _stamps_each_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
@@ -201,7 +201,7 @@ def _stamps_each_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
     return set(first.values())
 
 
-def _sail_theodolite(run: SimulatedRun, watched: Watched) -> None:
+def _sail_theodolite(run: SimulatedRun, statistics: VoyageStatistics) -> None:
     core = pointing_core_for(run.scenario)
     theodolite = theodolite_of(run)
     truth, encoder_ns = theodolite.truth, theodolite.encoder.time_ns
@@ -210,16 +210,16 @@ def _sail_theodolite(run: SimulatedRun, watched: Watched) -> None:
     for outcome in pointing_outcomes(core, run):
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
-            watched.look_at_sources(since_s, frozenset(core.state.fault_state.exclusions))
+            statistics.look_at_sources(since_s, frozenset(core.state.fault_state.exclusions))
         for estimate in outcome.estimates:
             if estimate.time_ns in wanted and estimate.status is not Status.INVALID:
                 truth_nm = truth.mount.rotation_nm[rows[estimate.time_ns]]
                 report = core.integrity(estimate)
-                _look(watched, run, estimate, report, estimate.rotation_nm, truth_nm, cos_elevation=True)
+                _look(statistics, run, estimate, report, estimate.rotation_nm, truth_nm, cos_elevation=True)
 
 
 def _look(
-    watched: Watched,
+    statistics: VoyageStatistics,
     run: SimulatedRun,
     estimate: AttitudeEstimate | PointingEstimate,
     report: IntegrityReport,
@@ -234,8 +234,8 @@ def _look(
     if cos_elevation:
         to_angles[0] *= np.cos(second)
     error = to_angles @ log_rotation(truth @ rotation.T)
-    watched.look_at_status(since_s, estimate.status, estimate.text)
-    watched.look_at_output(since_s, estimate.status, report, error, to_angles @ estimate.covariance_n @ to_angles.T)
+    statistics.look_at_status(since_s, estimate.status, estimate.text)
+    statistics.look_at_output(since_s, estimate.status, report, error, to_angles @ estimate.covariance_n @ to_angles.T)
 
 
 def by_kind(results: list[Result]) -> Iterator[tuple[str, list[Result]]]:

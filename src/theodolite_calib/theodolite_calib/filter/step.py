@@ -119,8 +119,8 @@ class SightingStep:
         excluded_beacons = tuple(self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON + name in excluded)
         unknown = self._filter.unknown(predicted)
         for source in sorted(excluded & CHAIN):
-            predicted = self._watched_turn(predicted, sighting, source)
-        trust = self._watched_lights(predicted.fault_state, unknown, sighting, bool(used_rows))
+            predicted = self._monitor_prediction(predicted, sighting, source)
+        trust = self._monitor_beacons(predicted.fault_state, unknown, sighting, bool(used_rows))
         if not used_rows:
             held = replace(held, alternatives=predicted.subfilters, trust=trust)
             reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
@@ -249,16 +249,16 @@ class SightingStep:
         farthest = separation_n[np.argmax(np.sum(separation_n**2, axis=1))]
         return np.outer(farthest, farthest)
 
-    def _watched_turn(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
+    def _monitor_prediction(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
         """Compare the sighting with the prediction of excluded encoders, or of an excluded ship's attitude."""
         used = [row for row, name in enumerate(sighting.names) if BEACON + name not in predicted.fault_state.excluded]
         comparison = self._filter.compare(predicted, sighting.chosen(used)) if used else None
         gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
         agrees = comparison is not None and comparison.nis <= gate
-        trust = self._fault_detector.watched_turn(predicted.fault_state, source, agrees, sighting.time_ns)
+        trust = self._fault_detector.monitor_prediction(predicted.fault_state, source, agrees, sighting.time_ns)
         return replace(predicted, trust=trust)
 
-    def _watched_lights(self, trust: FaultState, state: CalibrationState, sighting: Sighting, others: bool) -> FaultState:
+    def _monitor_beacons(self, trust: FaultState, state: CalibrationState, sighting: Sighting, others: bool) -> FaultState:
         """Compare the beacons of excluded drones with the estimate by the other sources."""
         for row, name in enumerate(sighting.names):
             if BEACON + name not in state.fault_state.excluded:
@@ -268,7 +268,7 @@ class SightingStep:
                 measurement = comparison.measurement
                 compared = light_compared(measurement.residual, comparison.covariance, measurement.noise)
                 refused_m = self._refused_m(trust.exclusions[BEACON + name], comparison, others)
-                trust = self._fault_detector.watched_light(trust, name, compared, sighting.time_ns, refused_m)
+                trust = self._fault_detector.monitor_beacon(trust, name, compared, sighting.time_ns, refused_m)
         return trust
 
     @staticmethod

@@ -274,7 +274,7 @@ class FaultDetector:
             means = forgotten(means, slice(None), [self._subfilters.sources.index(source)])
         return replace(fault_state, means=means, left_out={**fault_state.exclusions, source: again})
 
-    def watched_light(
+    def monitor_beacon(
         self, fault_state: FaultState, name: str, compared: FilterInnovations, time_ns: int, refused_m: float
     ) -> FaultState:
         """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
@@ -298,7 +298,7 @@ class FaultDetector:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
         return self._watched(replace(fault_state, means=means), source, exclusion, returns)
 
-    def watched_turn(self, fault_state: FaultState, source: str, agrees: bool, time_ns: int) -> FaultState:
+    def monitor_prediction(self, fault_state: FaultState, source: str, agrees: bool, time_ns: int) -> FaultState:
         """Record whether excluded encoders, or an excluded ship's attitude, predict a sighting; reinstate when due."""
         exclusion = fault_state.exclusions[source].exclusion
         since_ns = (exclusion.agrees_since_ns or time_ns) if agrees else None
