@@ -153,7 +153,7 @@ def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) ->
     assert picture.ages_s["stars"] == min(each.age_s for each in picture.sources if each.name.startswith("star."))
     # Two star sensors with consistent sigmas: estimated with 600 degrees of freedom each.
     verdicts = {source.name: source.verdict for source in picture.sources if source.verdict}
-    assert {name: verdict.is_as_stated for name, verdict in verdicts.items() if verdict} == {
+    assert {name: verdict.is_consistent for name, verdict in verdicts.items() if verdict} == {
         "star.fore": True, "star.starboard": True
     }  # fmt: skip
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.guards.hints import Departure, heading_hint, odd_one_out
+from ship_attitude_star.guards.hints import Departure, heading_hint, consistency_text
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -77,9 +77,9 @@ MAST, FORE, OTHER = off((300.0, 20.0, 0.0)), off((290.0, 10.0, 5.0)), off((-200.
 def test_the_inconsistent_source_is_named(
     agreeing: list[str], disagreeing: dict[str, Departure], told: str
 ) -> None:
-    assert odd_one_out("star.mast", agreeing, disagreeing).startswith(told)
+    assert consistency_text("star.mast", agreeing, disagreeing).startswith(told)
 
 
 def test_noise_about_the_boresight_is_no_disagreement_among_sensors() -> None:
     noisy = Departure(0, np.array([150.0, 20.0, 110.0]) * ARCSEC, np.diag([100.0, 3.0, 100.0]) ** 2 * ARCSEC**2)
-    assert odd_one_out("star.a", [], {"star.a": off((150.0, 20.0, 0.0)), "star.b": noisy}).startswith("only the INS")
+    assert consistency_text("star.a", [], {"star.a": off((150.0, 20.0, 0.0)), "star.b": noisy}).startswith("only the INS")

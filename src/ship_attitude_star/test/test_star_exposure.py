@@ -12,7 +12,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
 from ship_attitude_star.stars.exposure import ExposureLength, at_middle, identified
-from ship_attitude_star.stars.fit import agreement, linearized
+from ship_attitude_star.stars.fit import fit_attitude, linearized
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -135,7 +135,7 @@ def smeared_scene(rng: np.random.Generator):
 def test_the_attitude_by_streaks_is_the_most_likely_one():
     """Compared with a minimiser of the residuals, each weighted by its own two by two covariance."""
     _, stars = smeared_scene(np.random.default_rng(3))
-    found = agreement(stars)
+    found = fit_attitude(stars)
     basis = tangent_basis(stars.reference_n)
 
     def residuals(vector: FloatArray) -> FloatArray:
@@ -152,7 +152,7 @@ def test_the_attitude_by_streaks_is_the_most_likely_one():
 
 def test_the_linearised_streaks_are_the_derivative():
     _, stars = smeared_scene(np.random.default_rng(4))
-    rotation_nb = agreement(stars).rotation_nb
+    rotation_nb = fit_attitude(stars).rotation_nb
     fit, step = linearized(stars, rotation_nb), 1e-7
     for axis in range(3):
         turned = linearized(stars, exp_rotation(-step * np.eye(3)[axis]) @ rotation_nb)

@@ -86,7 +86,7 @@ def innovation_statistics(
     own: cython.double = 0.0
     total: cython.double
     in_rad: cython.double
-    alike: cython.double
+    correlation_sum: cython.double
     row: cython.double
     count: cython.Py_ssize_t
     group: cython.Py_ssize_t
@@ -111,15 +111,15 @@ def innovation_statistics(
             own += white[k, i] * row
     for group in range(axes):
         count = _members(axis_of, group, chosen)
-        total = in_rad = alike = 0.0
+        total = in_rad = correlation_sum = 0.0
         for i in range(count):
             total += residual[chosen[i]] / sqrt(covariance[chosen[i], chosen[i]])
             in_rad += residual[chosen[i]]
             for j in range(count):
-                alike += covariance[chosen[i], chosen[j]] / (
+                correlation_sum += covariance[chosen[i], chosen[j]] / (
                     sqrt(covariance[chosen[i], chosen[i]]) * sqrt(covariance[chosen[j], chosen[j]])
                 )
-        along[group, 0], along[group, 1] = total / sqrt(alike), in_rad / count
+        along[group, 0], along[group, 1] = total / sqrt(correlation_sum), in_rad / count
     for group in range(parts):
         count = _members(part_of, group, chosen)
         if count < m or parts > 1:

@@ -98,7 +98,7 @@ def observed(
     weights: cython.const[cython.double][::1],
     limit: cython.double,
     max_innovation: cython.double,
-    well: cython.double,
+    consistent_ratio: cython.double,
     long_ago_ns: cython.longlong,
     beside: cython.bint,
     turn_noise: cython.const[cython.double][:, :],
@@ -181,7 +181,7 @@ def observed(
             refusals[row, s] = 0 if accepted[row, one] else refusals[row, s] + 1
         heard[s] = max(heard[s], time_ns)
         # Written so that NaN is inconsistent.
-        if excesses[0, s] <= well and refusals[0, s] == 0:
+        if excesses[0, s] <= consistent_ratio and refusals[0, s] == 0:
             contradicts[s] = long_ago_ns
         elif contradicts[s] == long_ago_ns:
             contradicts[s] = time_ns

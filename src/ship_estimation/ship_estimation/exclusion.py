@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.running_means import LONG_AGO_NS, WELL, InnovationMeans
+from ship_estimation.running_means import LONG_AGO_NS, CONSISTENT_RATIO, InnovationMeans
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -67,7 +67,7 @@ class ExcludedSource:
 
     since_ns: int
     exclusion_count: int = 1
-    agrees_since_ns: int | None = None
+    consistent_since_ns: int | None = None
     offset: FloatArray | None = None
     share_left: float = 1.0
     farther_since_ns: int | None = None
@@ -138,7 +138,7 @@ def find_fault(
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
     # A subfilter explains a fault if it is consistent with all its sources, each measured since the fault began.
     began_ns = np.max(means.contradicts_ns, initial=LONG_AGO_NS, where=heard)
-    well = (means.excess <= WELL) & (means.refused == 0) & (means.heard_ns >= began_ns)
+    well = (means.excess <= CONSISTENT_RATIO) & (means.refused == 0) & (means.heard_ns >= began_ns)
     explains = np.all(well | ~counts, axis=-1)
     asked = larger_subfilters if larger_subfilters and not np.any(worst[candidates] <= 1.0) else candidates
     explaining = sorted((row for row in asked if explains[row]), key=lambda row: worst[row])
@@ -216,7 +216,7 @@ def evaluate_reinstatement(
         >>> judge_return(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
-    agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN is inconsistent
+    agrees = means.excess[0, source] <= CONSISTENT_RATIO and means.refused[0, source] == 0  # NaN is inconsistent
     if excluded.offset is not None:
         measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
         share_left = excluded.share_left + (measured_share - excluded.share_left) * 2.0 / (_MEAN_OVER + 1.0)
@@ -224,7 +224,7 @@ def evaluate_reinstatement(
         agrees = agrees and share_left <= _HALF_BACK and _DRIFT_SIGMAS * share_sigma <= _HALF_BACK
     if not agrees:
         return replace(excluded, agrees_since_ns=None), False
-    since_ns = time_ns if excluded.agrees_since_ns is None else excluded.agrees_since_ns
+    since_ns = time_ns if excluded.consistent_since_ns is None else excluded.consistent_since_ns
     return replace(excluded, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= must_agree_s(
         excluded, return_after_s
     )

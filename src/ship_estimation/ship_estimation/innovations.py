@@ -369,8 +369,8 @@ class Axis:
     @property
     def _sigma_of_median(self) -> float:
         """Sigma of the median, in predicted sigmas; correlated innovations count as fewer."""
-        alike = min(max(self.correlation, 0.0), _MOST_CORRELATED)
-        variance = (_MEDIAN_SIGMA * self.spread) ** 2 * (1.0 + alike) / (1.0 - alike) / self.count
+        correlation = min(max(self.correlation, 0.0), _MOST_CORRELATED)
+        variance = (_MEDIAN_SIGMA * self.spread) ** 2 * (1.0 + correlation) / (1.0 - correlation) / self.count
         return math.sqrt(variance + self.lasting)
 
 

@@ -156,7 +156,7 @@ class InsGuard:
         return "" if found is None else found.text(self._stated_rad)
 
     def judge(
-        self, sample: AttitudeSample, used: AttitudeTrack, witnesses: Mapping[str, Witness], told_rad: float = 0.0
+        self, sample: AttitudeSample, used: AttitudeTrack, motion_references: Mapping[str, Witness], told_rad: float = 0.0
     ) -> JudgedIns:
         """Check a sample against those before it in time.
 
@@ -174,7 +174,7 @@ class InsGuard:
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
             judged = JudgedIns(sample, self._late_refusal(sample, used.last_before(sample.time_ns - 1)))
         else:
-            judged = self._with_noise(self._judge_next(sample, previous, witnesses))
+            judged = self._with_noise(self._judge_next(sample, previous, motion_references))
         if self._rates.usable or sample.rate_d is None:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
@@ -216,7 +216,7 @@ class InsGuard:
                 break
         return followed
 
-    def arrive(self, values: FloatArray, followed: Followed, witnesses: Mapping[str, Witness]) -> None:
+    def arrive(self, values: FloatArray, followed: Followed, motion_references: Mapping[str, Witness]) -> None:
         """Commit the samples that :meth:`check_block` checked.
 
         Args:
@@ -226,7 +226,7 @@ class InsGuard:
         """
         by_rates = followed.by_rates(followed.count - 1)
         # The stuck check uses the rates as they were before their check with the last sample.
-        self._stuck.follow(by_rates.time_ns, values, {**witnesses, "rate": by_rates})
+        self._stuck.follow(by_rates.time_ns, values, {**motion_references, "rate": by_rates})
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
         self.by_rates = by_rates if self._rates.usable else None
         self._smooth_since_taken = True
@@ -294,7 +294,7 @@ class InsGuard:
         return SeenSample(samples[count - 2], last.number - 1, before[-3], integrated.one(count - 2)), last
 
     def _judge_next(
-        self, sample: AttitudeSample, previous: SeenSample | None, witnesses: Mapping[str, Witness]
+        self, sample: AttitudeSample, previous: SeenSample | None, motion_references: Mapping[str, Witness]
     ) -> JudgedIns:
         """Check a sample later than all before."""
         integrated = self._integrator.integrate(sample.time_ns, sample.rate_d)
@@ -303,8 +303,8 @@ class InsGuard:
         self.by_rates = None
         if integrated is not None and self._rates.usable:
             self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, self._leads.drift.bound_rad_per_s)
-            witnesses = {**witnesses, "rate": self.by_rates}
-        stuck = self._stuck.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, witnesses)
+            motion_references = {**motion_references, "rate": self.by_rates}
+        stuck = self._stuck.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, motion_references)
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
         if stuck:
             self._rates.restart()

@@ -24,7 +24,7 @@ WINDOW_LENGTHS = (3, 30, 300)
 MEASUREMENTS_PER_H = 18_000
 """Number of measurements of one source in an hour, for the probability of a false exclusion: five in a second."""
 
-WELL = 0.5
+CONSISTENT_RATIO = 0.5
 """Share of the chi² limit below which a source counts as consistent."""
 
 LONG_AGO_NS = -(2**62)
@@ -144,7 +144,7 @@ def observed(
         _WEIGHTS,
         limit,
         _MAX_INNOVATION_RATIO * math.sqrt(limit),
-        WELL,
+        CONSISTENT_RATIO,
         LONG_AGO_NS,
         turn_noise is not None,
         _NO_NOISE if turn_noise is None else turn_noise,

@@ -25,9 +25,9 @@ class Unconfirmed(NamedTuple):
 
     since_ns: int
     why: str
-    by: str
-    agreed_ns: int | None = None
-    agreed_by: str = ""
+    confirming: str
+    confirmed_ns: int | None = None
+    confirmed_by: str = ""
 
     def after_agreement(self, time_ns: int, source: str = "") -> "Unconfirmed | None":
         """Return the step after a consistent measurement of a source; None if it is confirmed now.
@@ -41,13 +41,13 @@ class Unconfirmed(NamedTuple):
         >>> first.after_agreement(10, "star.fore") is first, first.after_agreement(10, "star.aft")
         (True, None)
         """
-        is_other_source = self.agreed_by not in ("", source)
-        if time_ns <= self.since_ns or (time_ns == self.agreed_ns and not is_other_source):
+        is_other_source = self.confirmed_by not in ("", source)
+        if time_ns <= self.since_ns or (time_ns == self.confirmed_ns and not is_other_source):
             return self
-        return self._replace(agreed_ns=time_ns) if self.agreed_ns is None else None
+        return self._replace(agreed_ns=time_ns) if self.confirmed_ns is None else None
 
     @property
     def text(self) -> str:
         """Text of an unconfirmed step."""
-        of = "another time or sensor" if self.agreed_by else "two different times"
-        return f"{self.why}; confirmation by {self.by} of {of} is pending"
+        of = "another time or sensor" if self.confirmed_by else "two different times"
+        return f"{self.why}; confirmation by {self.confirming} of {of} is pending"

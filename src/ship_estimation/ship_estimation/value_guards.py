@@ -77,7 +77,7 @@ class StuckGuard:
         """True if the value is the one at which the source is stuck."""
         return self._held is not None and self._held.stuck and _same(value, self._held.value)
 
-    def observe(self, time_ns: int, value: FloatArray, sigma_rad: float, witnesses: Mapping[str, Witness]) -> bool:
+    def observe(self, time_ns: int, value: FloatArray, sigma_rad: float, motion_references: Mapping[str, Witness]) -> bool:
         """Check the next value of the source; return True if the source is stuck.
 
         Args:
@@ -90,12 +90,12 @@ class StuckGuard:
         if held is not None and _same(value, held.value):
             held.repeats += 1
         else:
-            held = self._changed(time_ns, value, witnesses)
+            held = self._changed(time_ns, value, motion_references)
         self.repeated = held.repeats > 0
         if self.repeated:
             if held.watch is None:
                 held.watch = TurnWatch(held.since_ns, held.first_said)
-            turned = held.watch.turned(witnesses, sigma_rad, ACROSS * self._resolution_rad)
+            turned = held.watch.turned(motion_references, sigma_rad, ACROSS * self._resolution_rad)
             held.stuck = held.stuck or (turned and time_ns - held.since_ns >= _LEAST_NS)
         return held.stuck
 
@@ -114,7 +114,7 @@ class StuckGuard:
         new = (np.diff(values, axis=0, prepend=held.value[None]) != 0.0).any(axis=(1, 2))
         return len(new) if new.all() else int(np.argmin(new))
 
-    def follow(self, time_ns: int, values: FloatArray, witnesses: Mapping[str, Witness]) -> None:
+    def follow(self, time_ns: int, values: FloatArray, motion_references: Mapping[str, Witness]) -> None:
         """Accept values without repetition, as counted by :meth:`count_new_values`.
 
         Args:
@@ -128,9 +128,9 @@ class StuckGuard:
         self._learn(before, newest)
         self._repeated.extend([False] * min(len(values), _STEPS))
         self.coarseness_rad, self.repeated = 0.0, False
-        self._held = _Held(values[-1], time_ns, dict(witnesses))
+        self._held = _Held(values[-1], time_ns, dict(motion_references))
 
-    def _changed(self, time_ns: int, value: FloatArray, witnesses: Mapping[str, Witness]) -> "_Held":
+    def _changed(self, time_ns: int, value: FloatArray, motion_references: Mapping[str, Witness]) -> "_Held":
         """Start a value that differs from the one before: a new value, or the frozen value again."""
         before, former = self._held, self._former
         if former is not None and time_ns - self._left_ns <= RECENT_NS and _same(value, former.value):
@@ -144,7 +144,7 @@ class StuckGuard:
                 if before.value.shape == value.shape:
                     self._learn(np.atleast_2d(before.value), value.reshape(1, -1, value.shape[-1]))
                 self.coarseness_rad = self._resolution_rad if any(self._repeated) or not self._steps else 0.0
-        self._held = _Held(value, time_ns, dict(witnesses))
+        self._held = _Held(value, time_ns, dict(motion_references))
         return self._held
 
     def _learn(self, before: FloatArray, values: FloatArray) -> None:
@@ -343,7 +343,7 @@ class JumpGuard:
         self.refused = 0
         self.since_ns = 0
 
-    def judge(self, time_ns: int, continues: bool, agrees: bool) -> JumpVerdict:
+    def judge(self, time_ns: int, continues: bool, is_consistent: bool) -> JumpVerdict:
         """Return the decision about a value.
 
         Args:
@@ -354,10 +354,10 @@ class JumpGuard:
         if continues:
             self.refused = 0
             return JumpVerdict.TAKEN
-        if self.refused >= self.samples and agrees:
+        if self.refused >= self.samples and is_consistent:
             self.refused = 0
             return JumpVerdict.JUMPED
-        self.refused = self.refused + 1 if agrees else 1
+        self.refused = self.refused + 1 if is_consistent else 1
         if self.refused == 1:
             self.since_ns = time_ns
         return JumpVerdict.REFUSED

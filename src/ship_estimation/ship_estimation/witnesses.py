@@ -50,7 +50,7 @@ class TurnWatch:
         self._records: dict[str, _Record] = {}
         self.turned(first_said, 0.0, 0.0)
 
-    def turned(self, witnesses: Mapping[str, Witness], sigma_rad: float, resolution_rad: float) -> bool:
+    def turned(self, motion_references: Mapping[str, Witness], sigma_rad: float, resolution_rad: float) -> bool:
         """True if a reference has rotated too far for the repeated value.
 
         Args:
@@ -59,7 +59,7 @@ class TurnWatch:
             resolution_rad: largest rotation that the value cannot resolve.
         """
         turned = False
-        for name, now in witnesses.items():
+        for name, now in motion_references.items():
             if now.time_ns < self._since_ns:
                 continue
             if name not in self._records:

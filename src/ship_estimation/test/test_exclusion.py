@@ -243,6 +243,6 @@ def test_gross_error_delays_a_reinstatement_by_some_measurements_only(gross):
     exclusion, agreed = ExcludedSource(since_ns=0, offset=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
     for second, share in enumerate([gross] * 8 + [0.0] * 14):
         exclusion, _ = evaluate_reinstatement(exclusion, no_means(1, 1), 0, second * SECOND_NS, 60.0, share)
-        agreed.append(exclusion.agrees_since_ns is not None)
+        agreed.append(exclusion.consistent_since_ns is not None)
     assert not any(agreed[3:14])
     assert all(agreed[17:])

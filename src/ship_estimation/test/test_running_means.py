@@ -9,7 +9,7 @@ from ship_estimation.running_means import (
     LONG_AGO_NS,
     WINDOW_LENGTHS,
     NO_MEANS,
-    WELL,
+    CONSISTENT_RATIO,
     InnovationMeans,
     averaged,
     no_means,
@@ -46,7 +46,7 @@ def numpy_observed(
         chi2[0] = numpy_beside(now[0, 0], noise)
     running[:, sources], excess[:, sources] = now, chi2.max(axis=-1) / LIMIT
     heard_ns[sources] = np.maximum(heard_ns[sources], time_ns)
-    well = (excess[0, sources] <= WELL) & (refused[0, sources] == 0)
+    well = (excess[0, sources] <= CONSISTENT_RATIO) & (refused[0, sources] == 0)
     since_ns = np.where(contradicts_ns[sources] == LONG_AGO_NS, time_ns, contradicts_ns[sources])
     contradicts_ns[sources] = np.where(well, LONG_AGO_NS, since_ns)
     return InnovationMeans(running, excess, refused, heard_ns, contradicts_ns)

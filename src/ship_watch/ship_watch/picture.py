@@ -111,7 +111,7 @@ class NisVerdict:
     ratio: float
     degrees: int
     text: str
-    is_as_stated: bool
+    is_consistent: bool
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,7 @@ def _source_fields(source: SourceShown) -> dict[str, Any]:
         "nis_degrees": verdict.degrees,
         "nis_ratio": verdict.ratio,
         "nis_text": verdict.text,
-        "is_as_stated": verdict.is_as_stated,
+        "is_as_stated": verdict.is_consistent,
         "age_s": source.age_s,
         "rate_hz": source.rate_hz,
         "rejected_in_a_row": source.refused,

@@ -51,7 +51,7 @@ class NisWindow:
     def _judged(self) -> NisVerdict:
         degrees = self._degrees
         if degrees == 0:
-            return NisVerdict(math.nan, 0, "", is_as_stated=True)
+            return NisVerdict(math.nan, 0, "", is_consistent=True)
         ratio = math.sqrt(max(self._nis, 0.0) / degrees)
         band = BAND_SIGMAS / math.sqrt(2.0 * degrees)
         fits = abs(ratio - 1.0) <= band

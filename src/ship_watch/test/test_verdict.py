@@ -22,15 +22,15 @@ def test_correct_sigmas_are_consistent() -> None:
     # One run in a thousand is outside 3.3 sigma: about 2 of 2000, more than 9 in one of 20 000 such tests (Poisson).
     found = [filled(1.0, seed, count=60, degrees=15).verdict(12 * SECOND) for seed in range(2000)]
     assert all(verdict.degrees == 900 for verdict in found)
-    assert 1 <= sum(not verdict.is_as_stated for verdict in found) <= 9
-    stated = next(verdict for verdict in found if verdict.is_as_stated)
+    assert 1 <= sum(not verdict.is_consistent for verdict in found) <= 9
+    stated = next(verdict for verdict in found if verdict.is_consistent)
     assert stated.text == f"σ as stated ({stated.ratio:.2f})"
 
 
 @pytest.mark.parametrize(("ratio", "text"), [(1.6, "σ optimistic by 1.6"), (0.5, "σ pessimistic by 2.0")])
 def test_wrong_sigma_is_reported_with_its_factor(ratio: float, text: str) -> None:
     found = filled(ratio, 3, count=299, degrees=100).verdict(60 * SECOND)
-    assert not found.is_as_stated
+    assert not found.is_consistent
     assert found.text == text
 
 

@@ -26,15 +26,15 @@ def agreeing(heard_ns: dict[str, int]) -> FaultState:
     seen_ns = trust.innovation_means.heard_ns.copy()
     for name, time_ns in heard_ns.items():
         seen_ns[ROWS.beacons.index(name)] = time_ns
-    left_out = {name: ExclusionRecord(ExcludedSource(0, agrees_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
-    conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], lasting=True, agrees_since_ns=AGREED_NS)
+    left_out = {name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
+    conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], lasting=True, consistent_since_ns=AGREED_NS)
     return replace(trust, means=replace(trust.innovation_means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
 
 
 def since_ns(trust: FaultState) -> list[int | None]:
     assert trust.conflict is not None
     exclusions = [trust.exclusions[name].exclusion for name in (BEACON + FIRST, ENCODER)]
-    return [*(exclusion.agrees_since_ns for exclusion in exclusions), trust.conflict.agrees_since_ns]
+    return [*(exclusion.consistent_since_ns for exclusion in exclusions), trust.conflict.consistent_since_ns]
 
 
 @pytest.mark.parametrize(

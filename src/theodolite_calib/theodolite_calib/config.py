@@ -401,8 +401,8 @@ class EscortConfig:
                 )
         near, far, field = self.range_min_m, self.range_max_m, np.deg2rad(self.field_deg)
         # Both far, or one of them near: across the whole field.
-        alike_m, unlike_m = 2.0 * far * np.sin(field), abs(far - near * np.exp(2j * field))
-        widest_m = float(max(alike_m, unlike_m))
+        same_range_m, different_range_m = 2.0 * far * np.sin(field), abs(far - near * np.exp(2j * field))
+        widest_m = float(max(same_range_m, different_range_m))
         if not self.separation_min_m <= widest_m:
             raise ParameterError(
                 f"parameter 'escort.separation_min_m' = {self.separation_min_m:g} m: no two positions in the field and "

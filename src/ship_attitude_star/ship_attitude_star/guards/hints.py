@@ -22,13 +22,13 @@ _SAME_TILT_RAD = np.deg2rad(15.0)
 
 _QUARTER_TURN = 0.5 * np.pi
 _STAR = "star."
-_ALIKE = 0.5
+_SAME_RATIO = 0.5
 """Maximum difference of two equal residuals, as a ratio to the smaller one."""
 
 _RECENT_NS = 10_000_000_000
 """Maximum age of a measurement for a hint, ns."""
 
-_ALIKE_CHI2 = chi_square_gate(0.999, 3)
+_SAME_CHI2 = chi_square_gate(0.999, 3)
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,14 @@ def diagnosis_hint(
         measured_nd: attitude of the deck by the source, shape (3, 3).
     """
     since_ns = departures[source].time_ns - _RECENT_NS
-    agreeing = [name for name, time_ns in used_ns.items() if time_ns >= since_ns and not refusals.get(name, 0)]
-    disagreeing = {
+    consistent = [name for name, time_ns in used_ns.items() if time_ns >= since_ns and not refusals.get(name, 0)]
+    inconsistent = {
         name: departure
         for name, departure in departures.items()
         if departure.time_ns >= since_ns and refusals.get(name, 0)
     }
-    hint = heading_hint(ins_nd, measured_nd, source, ins_confirmed=bool(agreeing) and len(disagreeing) == 1)
-    return f"{hint}; {odd_one_out(source, agreeing, disagreeing)}"
+    hint = heading_hint(ins_nd, measured_nd, source, ins_confirmed=bool(consistent) and len(inconsistent) == 1)
+    return f"{hint}; {consistency_text(source, consistent, inconsistent)}"
 
 
 def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_confirmed: bool) -> str:
@@ -105,7 +105,7 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     return ""
 
 
-def odd_one_out(source: str, agreeing: Sequence[str], disagreeing: Mapping[str, Departure]) -> str:
+def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mapping[str, Departure]) -> str:
     """Return a text about which sources are consistent with the INS and which are not.
 
     Args:
@@ -113,35 +113,35 @@ def odd_one_out(source: str, agreeing: Sequence[str], disagreeing: Mapping[str, 
         consistent: other sources, consistent with the INS.
         inconsistent: residuals of the sources that disagree with the INS, ``source`` included.
     """
-    others = [other for other in disagreeing if other != source]
-    if agreeing and not others:
-        return f"only {source} differs, {_listed(agreeing)} with the INS"
-    if agreeing:
-        against = f"{', '.join(sorted(disagreeing))} disagree with the INS"
-        return f"{against}, {_listed(agreeing)} with it"
+    others = [other for other in inconsistent if other != source]
+    if consistent and not others:
+        return f"only {source} differs, {_listed(consistent)} with the INS"
+    if consistent:
+        against = f"{', '.join(sorted(inconsistent))} disagree with the INS"
+        return f"{against}, {_listed(consistent)} with it"
     if not others:
         return "no other source shows which of the two is faulty"
-    if _all_alike(list(disagreeing.values())):
-        return f"only the INS differs, {', '.join(sorted(disagreeing))} disagree with it equally"
-    return f"{', '.join(sorted(disagreeing))} disagree with the INS and with each other"
+    if _are_same_residual(list(inconsistent.values())):
+        return f"only the INS differs, {', '.join(sorted(inconsistent))} disagree with it equally"
+    return f"{', '.join(sorted(inconsistent))} disagree with the INS and with each other"
 
 
-def _listed(agreeing: Sequence[str]) -> str:
-    return f"{', '.join(sorted(agreeing))} {'agree' if len(agreeing) > 1 else 'agrees'}"
+def _listed(consistent: Sequence[str]) -> str:
+    return f"{', '.join(sorted(consistent))} {'agree' if len(consistent) > 1 else 'agrees'}"
 
 
-def _all_alike(departures: Sequence[Departure]) -> bool:
-    return all(_alike(first, second) for first, second in combinations(departures, 2))
+def _are_same_residual(departures: Sequence[Departure]) -> bool:
+    return all(_is_same_residual(first, second) for first, second in combinations(departures, 2))
 
 
-def _alike(first: Departure, second: Departure) -> bool:
+def _is_same_residual(first: Departure, second: Departure) -> bool:
     """True if two residuals are equal within half the smaller one or within their noise."""
     difference = first.turn_n - second.turn_n
     size = min(float(np.linalg.norm(first.turn_n)), float(np.linalg.norm(second.turn_n)))
-    if float(np.linalg.norm(difference)) <= _ALIKE * size:
+    if float(np.linalg.norm(difference)) <= _SAME_RATIO * size:
         return True
     noise_n = first.noise_n + second.noise_n
-    return bool(noise_n.any()) and bool(normalized_error_squared(difference, noise_n) <= _ALIKE_CHI2)
+    return bool(noise_n.any()) and bool(normalized_error_squared(difference, noise_n) <= _SAME_CHI2)
 
 
 def _mounted(source: str) -> str:

@@ -29,7 +29,7 @@ class StreamGuards:
 
     def __init__(self, config: GuardedInsConfig) -> None:
         self.ins = InsGuard(config)
-        self.witnesses: dict[str, Witness] = {}
+        self.motion_references: dict[str, Witness] = {}
         self._stuck: dict[str, StuckGuard] = {}
         self._latest_ns: dict[str, int] = {}
 
@@ -51,25 +51,25 @@ class StreamGuards:
         value, sigma_rad, stands_still = watched
         # Exposures without stars may repeat, also on a moving ship.
         if len(value) > 0:
-            witnesses = {name: witness for name, witness in self.witnesses.items() if name != source}
+            references = {name: witness for name, witness in self.motion_references.items() if name != source}
             ins, by_rates = track.last_before(time_ns), self.ins.by_rates
             if ins is not None:
-                witnesses["ins"] = Witness(ins.time_ns, ins.rotation_nd, self.ins.noise_rad)
+                references["ins"] = Witness(ins.time_ns, ins.rotation_nd, self.ins.noise_rad)
             if by_rates is not None and by_rates.time_ns <= time_ns:
-                witnesses["rate"] = by_rates
+                references["rate"] = by_rates
             if source not in self._stuck:
                 self._stuck[source] = StuckGuard()
-            if self._stuck[source].observe(time_ns, value, sigma_rad, witnesses):
+            if self._stuck[source].observe(time_ns, value, sigma_rad, references):
                 return Refusal(Reason.STUCK, f"{stands_still} while other sources move")
             if isinstance(measurement, AttitudeMeasurement):
-                self.witnesses[source] = Witness(time_ns, value, sigma_rad)
+                self.motion_references[source] = Witness(time_ns, value, sigma_rad)
         self._latest_ns[source] = time_ns
         return None
 
-    def used(self, attitude: AttitudeMeasurement) -> None:
+    def add_motion_reference(self, attitude: AttitudeMeasurement) -> None:
         """Add an accepted attitude as motion reference for the other checks."""
         sigma_rad = _sigma_rad(attitude.noise_v)
-        self.witnesses[attitude.source] = Witness(attitude.time_ns, attitude.rotation_nv, sigma_rad)
+        self.motion_references[attitude.source] = Witness(attitude.time_ns, attitude.rotation_nv, sigma_rad)
 
 
 def _watched(measurement: Measurement) -> tuple[FloatArray, float, str] | None:

@@ -186,7 +186,7 @@ class ShipAttitudeCore:
         if sample.time_ns < self._shell.window.oldest_ns:
             return AttitudeOutcome(self._shell.window.late(sample.time_ns))
         outcome = AttitudeOutcome()
-        judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
+        judged = self._guards.ins.judge(sample, self._track, self._guards.motion_references)
         return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsAhead | None:
@@ -249,7 +249,7 @@ class ShipAttitudeCore:
     def end_ahead(self, ahead: InsAhead) -> AttitudeOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
         values, last = ahead.block.rotations_nd[: ahead.followed.count], ahead.followed.last
-        self._guards.ins.arrive(values, ahead.followed, self._guards.witnesses)
+        self._guards.ins.arrive(values, ahead.followed, self._guards.motion_references)
         if last is None:
             return None
         return self._use_ins(last, int(ahead.arrivals_ns[len(ahead.samples)]), AttitudeOutcome(), True)

@@ -305,11 +305,11 @@ class ShipFilter:
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
             after, decision = self._held(after, decision, found)
-        vouched = self._ins_vouched(state, found)
-        if self.devices[source].is_star and not (accepted[0] or vouched):
+        is_ins_confirmed = self._is_ins_confirmed(state, found)
+        if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # No other data show whether the INS has jumped.
             after = changed(after, unconfirmed=_unconfirmed_ins_jump(measurement.time_ns))
-        after, text = self.fault_detector.judged(after, source, innovations, vouched, measurement.time_ns)
+        after, text = self.fault_detector.judged(after, source, innovations, is_ins_confirmed, measurement.time_ns)
         return after, self._told(decision, after, text)
 
     def _lacks_latitude(self, time_ns: int) -> bool:
@@ -319,7 +319,7 @@ class ShipFilter:
             return False
         return math.isnan(self.vertical.at(time_ns).latitude)
 
-    def _ins_vouched(self, state: FilterState, found: Linearised) -> bool:
+    def _is_ins_confirmed(self, state: FilterState, found: Linearised) -> bool:
         """True if the rates of the INS exclude a step: they are available, and the INS reported no recent jump."""
         if found.ins.sample is None or found.ins.sample.rate_d is None:
             return False

@@ -190,7 +190,7 @@ class InsAtFault:
         distrust = distrusted(state)
         if state.unresolved_fault is not None and not distrust:
             return state
-        since_ns = exclusion.since_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
+        since_ns = exclusion.since_ns if exclusion.consistent_since_ns is None else exclusion.consistent_since_ns
         after_s = _UNCONTRADICTED_S if exclusion.is_self_reported else must_agree_s(exclusion, self._return_after_s)
         if (time_ns - since_ns) / SECOND_NS < after_s:
             return state
@@ -229,4 +229,4 @@ class InsAtFault:
 def distrusted(state: FilterState) -> bool:
     """True if the INS is excluded because all stars contradicted it after it had reported a jump."""
     exclusion = state.excluded.get(INS)
-    return exclusion is not None and exclusion.agrees_since_ns is not None
+    return exclusion is not None and exclusion.consistent_since_ns is not None

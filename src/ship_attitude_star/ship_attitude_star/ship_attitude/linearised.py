@@ -249,7 +249,7 @@ class Linearisation:
         if ins is None:
             text = "no INS samples on both sides of the measurement"
             return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
-        alike = task.count_between(ins)
+        shared_count = task.count_between(ins)
         if isinstance(measurement, _AGAINST_SKY):
             assert task.watch is not None
             turned = in_horizon(measurement, task.watch)
@@ -274,10 +274,10 @@ class Linearisation:
                 error_covariance_d=turning.error_covariance,
             )
             measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0).turns)
-        if alike > 1.0:
+        if shared_count > 1.0:
             # The interpolation error between two samples is common to all measurements there. The filter treats it as
             # noise; with the variance multiplied by their number, their mean has the variance of the common error.
-            ins = replace(ins, error_covariance_d=alike * ins.error_covariance_d)
+            ins = replace(ins, error_covariance_d=shared_count * ins.error_covariance_d)
         if around_ns:
             bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
             if bent_d is None:

@@ -170,9 +170,9 @@ class ShipStateModel(StateModel):
         looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
         if looks_at_sky:
             blocks += sky_blocks(config.sky)
-        alike = [star for star in config.star_sensors.values() if star.sharing == SHARED_BY_MESSAGES]
-        if alike:
-            time_s = max(star.common_time_s for star in alike)
+        sharing = [star for star in config.star_sensors.values() if star.sharing == SHARED_BY_MESSAGES]
+        if sharing:
+            time_s = max(star.common_time_s for star in sharing)
             blocks.append(block("sky.common", [1.0] * 3, SOURCE_STAR_COMMON, time_s=time_s))
         for name, reference in config.references.items():
             blocks += _reference_blocks(f"reference.{name}", reference)

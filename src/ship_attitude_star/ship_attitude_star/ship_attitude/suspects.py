@@ -184,7 +184,7 @@ class Suspects:
         return solution_separations(state.means, state.stack, self._slow)
 
     def judged(
-        self, state: FilterState, source: str, innovations: FilterInnovations, ins_vouched: bool, time_ns: int
+        self, state: FilterState, source: str, innovations: FilterInnovations, is_ins_confirmed: bool, time_ns: int
     ) -> tuple[FilterState, str]:
         """Detect and isolate faults after a measurement.
 
@@ -216,7 +216,7 @@ class Suspects:
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
         # The rates show a step of the INS, but not a drift.
         stepped = any(state.innovation_means.refused[0].tolist())
-        if ins_vouched and stepped:
+        if is_ins_confirmed and stepped:
             candidates, pairs = ([row for row in rows if row not in table.ins_subfilters] for rows in (candidates, pairs))
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
             pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
@@ -437,8 +437,8 @@ class Suspects:
                 state = changed(state, stack=stack, seen=forgotten(state.innovation_means, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             agrees = "not consistent with the others"
-            if exclusion.agrees_since_ns is not None:
-                agreed_s = (time_ns - exclusion.agrees_since_ns) / SECOND_NS
+            if exclusion.consistent_since_ns is not None:
+                agreed_s = (time_ns - exclusion.consistent_since_ns) / SECOND_NS
                 agrees = f"consistent with the others for {agreed_s:.0f} s of {after_s:g} s"
             return state, f"{source} is excluded since {since_s:.0f} s: {agrees}"
         together = self._reinstated_with(state, source)
@@ -493,7 +493,7 @@ class Suspects:
             name
             for name, one in state.excluded.items()
             if name == source
-            or (one.offset is not None and one.since_ns == own.since_ns and one.agrees_since_ns is not None)
+            or (one.offset is not None and one.since_ns == own.since_ns and one.consistent_since_ns is not None)
         ]
 
     def _share_left(self, state: FilterState, source: str, time_ns: int) -> float:

@@ -51,7 +51,7 @@ JUMP_CONFIRMATION_S = 25.0
 A node cannot know which of two positions is right, and the wrong one may have come first.
 """
 
-SETTLED_BY_FIXES = 10
+MIN_CONSISTENT_FIXES = 10
 """Number of different consistent fixes that establish a position; until then, as many other fixes replace it."""
 
 FIX_AT_ONCE_M = 50.0
@@ -115,7 +115,7 @@ class PlaceByFixes:
         self._delay_ns = round(config.gnss_delay_s * SECOND_NS)
         self._oldest_ns: int | None = None
         lasts_s = min(JUMP_CONFIRMATION_S, config.fix_max_age_s)
-        reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, lasts_s, "m", SETTLED_BY_FIXES)
+        reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, lasts_s, "m", MIN_CONSISTENT_FIXES)
         self._fixes: StampedValues[_Fix] = StampedValues(reach)
 
     def refusal(self, fix: PositionFix) -> Refusal | None:
@@ -172,7 +172,7 @@ class PlaceByFixes:
         """
         if self._fixes.has_conflict_at(time_ns - self._delay_ns):
             disputed = "the first position fixes contradict one another"
-            return Refusal(Reason.NO_FIX, f"{disputed}: no position until {SETTLED_BY_FIXES} in a row are consistent")
+            return Refusal(Reason.NO_FIX, f"{disputed}: no position until {MIN_CONSISTENT_FIXES} in a row are consistent")
         line = self._line(time_ns)
         return self._place_by_nearest(time_ns) if line is None else self._place_on_line(*line, time_ns)
 

@@ -109,7 +109,7 @@ class _Belief(Generic[Value]):
     refused: _Stamped[Value] | None = None
     since_ns: int = 0
     follows_jump: bool = False
-    agreed: int = 1
+    consistent_count: int = 1
     opposed: int = 0
 
 
@@ -260,8 +260,8 @@ class StampedValues(Generic[Value]):
         if good is None:
             return _Belief(new, new.time_ns)
         away, step_s = new.value.away(good.value), 0.0
-        agreed = min(before.agreed + (away != 0.0), limits.settled_by)
-        taken = _Belief(new, before.stood_ns if away == 0.0 else new.time_ns, alone=False, agreed=agreed)
+        consistent_count = min(before.consistent_count + (away != 0.0), limits.settled_by)
+        taken = _Belief(new, before.stood_ns if away == 0.0 else new.time_ns, alone=False, consistent_count=consistent_count)
         if refused is not None:
             step_s = (new.time_ns - refused.time_ns) / SECOND_NS
         if refused is None or not new.value.away(refused.value) <= limits.between(refused.value, new.value, step_s):
@@ -275,18 +275,18 @@ class StampedValues(Generic[Value]):
         count = before.opposed + 1
         has_lasted = new.time_ns - before.since_ns >= self._lasts_ns
         if before.alone or has_lasted or (self._is_provisional(before) and count >= limits.settled_by):
-            agreed = limits.settled_by if has_lasted else min(count, limits.settled_by)
-            return _Belief(new, new.time_ns, alone=False, follows_jump=True, agreed=agreed)
+            consistent_count = limits.settled_by if has_lasted else min(count, limits.settled_by)
+            return _Belief(new, new.time_ns, alone=False, follows_jump=True, consistent_count=consistent_count)
         return replace(before, refused=new, anew=False, opposed=count)
 
     def _is_provisional(self, belief: _Belief[Value]) -> bool:
         """True if too few values are consistent with the last accepted one."""
-        return belief.agreed < self._limits.settled_by
+        return belief.consistent_count < self._limits.settled_by
 
     def _has_conflict(self, belief: _Belief[Value]) -> bool:
         """True if a value contradicts a single provisional one, or two values contradict several."""
         opposed = 0 if belief.refused is None else belief.opposed
-        return opposed >= min(2, belief.agreed) and self._is_provisional(belief)
+        return opposed >= min(2, belief.consistent_count) and self._is_provisional(belief)
 
     def _reach(self, before: _Belief[Value], time_ns: int, value: Value) -> float:
         """Return the maximum distance of a value from the last accepted one."""

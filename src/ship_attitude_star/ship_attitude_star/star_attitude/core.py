@@ -349,7 +349,7 @@ class StarCore:
         if solved.sources:
             rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
             noise_s = rotation_ns.T @ covariance_n @ rotation_ns
-            self._guards.used(AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT))
+            self._guards.add_motion_reference(AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT))
         return placed, solved
 
     def _joint(self, group: list[PlacedExposure]) -> Solved:

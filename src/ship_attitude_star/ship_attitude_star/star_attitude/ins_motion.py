@@ -111,7 +111,7 @@ class InsMotion:
 
     def add(self, sample: AttitudeSample) -> Refusal | None:
         """Add a sample; return the rejection if it is not used."""
-        return self._use(self._guards.ins.judge(sample, self.track, self._guards.witnesses))
+        return self._use(self._guards.ins.judge(sample, self.track, self._guards.motion_references))
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsTurns | None:
         """Check the samples of a block as one batch, up to the first sample that needs separate handling.
@@ -148,7 +148,7 @@ class InsMotion:
 
     def end(self, turns: InsTurns) -> Refusal | None:
         """Finish a batch; use a last sample that needs separate handling and return its rejection, if any."""
-        self._guards.ins.arrive(turns.values, turns.followed, self._guards.witnesses)
+        self._guards.ins.arrive(turns.values, turns.followed, self._guards.motion_references)
         return None if turns.followed.last is None else self._use(turns.followed.last)
 
     def _use(self, judged: JudgedIns) -> Refusal | None:

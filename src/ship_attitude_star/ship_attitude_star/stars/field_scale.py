@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.camera import StarCamera
-from ship_attitude_star.stars.fit import ATTITUDE, SightedStars, agreement, linearized
+from ship_attitude_star.stars.fit import ATTITUDE, SightedStars, fit_attitude, linearized
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_geometry.rotations import FloatArray
 
@@ -102,7 +102,7 @@ def field_information(
         None if the members do not determine an attitude.
     """
     count = len(stars) if members is None else int(np.count_nonzero(members))
-    found = agreement(stars, members) if count > 1 else None
+    found = fit_attitude(stars, members) if count > 1 else None
     if found is None:
         return None
     slopes_b = -camera.optics_slopes(stars.measured_b)[..., OPTICS]

@@ -218,7 +218,7 @@ def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class AttitudeFit:
     """The attitude that some of the stars give, and its fit.
 
     Attributes:
@@ -238,7 +238,7 @@ class Agreement:
     field_weight: FloatArray | None = None
 
 
-def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> Agreement | None:
+def fit_attitude(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> AttitudeFit | None:
     """Return the attitude by the members (None: all stars); None if they do not determine it."""
     sigma = stars.white_sigma if members is None else np.where(members, stars.white_sigma, np.inf)
     solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
@@ -246,7 +246,7 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
         return None
     fit = linearized(stars, solution.rotation_nd)
     if stars.smear_b is None and stars.field_b is None:
-        return Agreement(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
+        return AttitudeFit(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
     # Wahba's problem has one sigma per star, also along a streak, and no shared field errors. One Gauss-Newton step
     # from its solution gives the best attitude.
     information, right_side = fit.normal_equations(members)
@@ -257,7 +257,7 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
     covariance_n: FloatArray = np.asarray(np.linalg.inv(information[ATTITUDE, ATTITUDE]), dtype=float)
     rotation_nb = exp_rotation(covariance_n @ right_side[ATTITUDE]) @ solution.rotation_nd
     fit = linearized(stars, rotation_nb)
-    return Agreement(rotation_nb, covariance_n, fit, fit.judge(members), weight)
+    return AttitudeFit(rotation_nb, covariance_n, fit, fit.judge(members), weight)
 
 
 def field_columns(stars: SightedStars, unknowns: int) -> slice:

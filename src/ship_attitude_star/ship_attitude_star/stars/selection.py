@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance, surely_few
-from ship_attitude_star.stars.fit import Agreement, SightedStars, StarFit, StarJudgement, agreement, linearized
+from ship_attitude_star.stars.fit import AttitudeFit, SightedStars, StarFit, StarJudgement, fit_attitude, linearized
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
 
@@ -94,7 +94,7 @@ class Choice:
     """
 
     members: BoolArray
-    agreement: Agreement | None = None
+    attitude_fit: AttitudeFit | None = None
     by_chance: float | None = None
 
 
@@ -122,14 +122,14 @@ def _select_alone(stars: SightedStars) -> Choice:
     everything = np.ones(len(stars), dtype=bool)
     if len(stars) < 2:
         return Choice(~everything)
-    whole = agreement(stars)
+    whole = fit_attitude(stars)
     if whole is not None and whole.judgement.probability >= DROP_PROBABILITY:
         return Choice(everything, whole)
     trials = _pair_trials(stars)
     for trial in trials[:_TRIALS_REFINED]:
         members = _refined_alone(stars, trial.members)
         if members.any() and not _has_rival(trials, members, shared=2):
-            refined = agreement(stars, members)
+            refined = fit_attitude(stars, members)
             assert refined is not None
             return Choice(_unambiguous(refined.fit, members))
     return Choice(~everything)
@@ -138,7 +138,7 @@ def _select_alone(stars: SightedStars) -> Choice:
 def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
     """Drop the members that do not fit the rest; return none if the rest is not consistent either."""
     while np.count_nonzero(members) >= 2:
-        refined = agreement(stars, members)
+        refined = fit_attitude(stars, members)
         if refined is None:
             break
         if refined.judgement.probability >= DROP_PROBABILITY:

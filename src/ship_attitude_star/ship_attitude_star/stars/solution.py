@@ -16,9 +16,9 @@ from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import ambiguous_identity_rejection
 from ship_attitude_star.stars.fit import (
     ATTITUDE,
-    Agreement,
+    AttitudeFit,
     SightedStars,
-    agreement,
+    fit_attitude,
     field_columns,
     linearized,
 )
@@ -138,7 +138,7 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
         return no_attitude(members, ambiguous_identity_rejection(choice.by_chance))
     count = int(np.count_nonzero(members))
     together = members if count else np.ones_like(members)
-    found = choice.agreement or agreement(stars, together)
+    found = choice.attitude_fit or fit_attitude(stars, together)
     if found is None:
         return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(together)))))
     if not count:
@@ -216,7 +216,7 @@ def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> Sol
     return SolutionStatus.ANGLES_SINGULAR if singular else SolutionStatus.VALID
 
 
-def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) -> FloatArray:
+def _parts(stars: SightedStars, found: AttitudeFit, members: NDArray[np.bool_]) -> FloatArray:
     """Return the covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0

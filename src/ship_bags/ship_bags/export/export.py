@@ -26,7 +26,7 @@ _BATCH_CELLS = 30_000
 
 _LONGEST_STEM = 180
 _MOST_NAMED = 20
-_ALIKE, _THE_SAME = 0.6, 0.85
+_MIN_SIMILARITY, _THE_SAME = 0.6, 0.85
 """Similarities of names by difflib: similar, and equal except for a typing error."""
 
 _NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9_.-]")
@@ -220,7 +220,7 @@ def _hint(name: str, known: Collection[str]) -> str:
     """
     truth = sorted(topic for topic in known if f"/{TRUTH_PREFIX}" in f"/{topic}")
     others = sorted(set(known).difference(truth))
-    near = difflib.get_close_matches(name, others, 1, _ALIKE) or difflib.get_close_matches(name, truth, 1, _THE_SAME)
+    near = difflib.get_close_matches(name, others, 1, _MIN_SIMILARITY) or difflib.get_close_matches(name, truth, 1, _THE_SAME)
     return f"did you mean '{near[0]}'?" if near else f"it has {', '.join([*others, *truth][:_MOST_NAMED])}"
 
 

@@ -205,8 +205,8 @@ def _one_line(picture: Picture, view: View) -> Line:
     worst = max(picture.angles, key=lambda angle: angle.safety, default=None)
     told = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
     if worst is not None and not told:
-        alike = [angle.name for angle in picture.angles if angle.safety is worst.safety]
-        told = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(alike)}"
+        names = [angle.name for angle in picture.angles if angle.safety is worst.safety]
+        told = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(names)}"
     look = Look.TEXT if worst is None else _LOOKS[worst.safety]
     small = f"  {words.utc_clock(picture.utc_ns)}  too small: {LEAST_WIDTH} by {LEAST_HEIGHT} needed"
     return view.pen.styled_line(Ink(told, look), Ink(small, Look.SECOND))

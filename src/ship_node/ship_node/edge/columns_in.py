@@ -102,8 +102,8 @@ def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Good]:
         beside = 0.5 * above + 0.5 * below
         a, b, c = (beside / limits).T
         determinant = 1.0 + 2.0 * a * b * c - a * a - b * b - c * c
-        alike = np.abs(above - below) <= COVARIANCE_TOLERANCE * limits
-    good = np.isfinite(values).all(axis=1) & (limits > 0.0).all(axis=1) & alike.all(axis=1)
+        symmetric_enough = np.abs(above - below) <= COVARIANCE_TOLERANCE * limits
+    good = np.isfinite(values).all(axis=1) & (limits > 0.0).all(axis=1) & symmetric_enough.all(axis=1)
     good &= (np.abs(a) < 1.0) & (determinant > CLEAR_DETERMINANT)
     symmetric = values.copy()
     symmetric[:, _ABOVE] = symmetric[:, _BELOW] = beside

@@ -138,8 +138,8 @@ def _common_rotation(far: Sequence[_Residual]) -> FloatArray | None:
     if len(far) < 2:
         return None
     turns = np.array([residual.turn_d for residual in far])
-    alike = np.linalg.norm(turns - turns.mean(axis=0), axis=-1) < _TOO_FAR
-    return turns.mean(axis=0) if np.all(alike) else None
+    are_equal = np.linalg.norm(turns - turns.mean(axis=0), axis=-1) < _TOO_FAR
+    return turns.mean(axis=0) if np.all(are_equal) else None
 
 
 def _words_of_ins(turn_d: FloatArray, far: Sequence[_Residual], bag: Bag) -> str:

@@ -125,8 +125,8 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
         diagnoses.append(window.verdict(int(stamps[rows[-1]])))
     diagnoses = [verdict for verdict in diagnoses if verdict.text]  # too few innovations in the others
     outside = {
-        "optimistic": [verdict for verdict in diagnoses if not verdict.is_as_stated and verdict.ratio > 1.0],
-        "pessimistic": [verdict for verdict in diagnoses if not verdict.is_as_stated and verdict.ratio < 1.0],
+        "optimistic": [verdict for verdict in diagnoses if not verdict.is_consistent and verdict.ratio > 1.0],
+        "pessimistic": [verdict for verdict in diagnoses if not verdict.is_consistent and verdict.ratio < 1.0],
     }
     minutes = {word: len(found) for word, found in outside.items()}
     told = {"as stated": len(diagnoses) - sum(minutes.values()), **minutes}

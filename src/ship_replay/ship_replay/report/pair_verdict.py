@@ -14,7 +14,7 @@ from ship_replay.report.wording import number, utc
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES, Safety
 
-_ALIKE = 0.02
+_EQUAL_WITHIN = 0.02
 """Relative difference of RMS errors below which neither run counts as better."""
 
 _LAST_BITS_ARCSEC = 1e-6
@@ -72,10 +72,10 @@ def _which_is_better(errors: Sequence[ErrorRow]) -> list[str]:
     if not ratios:
         return []
     nearer = {
-        "A has the smaller RMS error in": [name for name, ratio in ratios.items() if ratio > 1.0 + _ALIKE],
-        "B has the smaller RMS error in": [name for name, ratio in ratios.items() if ratio < 1.0 - _ALIKE],
+        "A has the smaller RMS error in": [name for name, ratio in ratios.items() if ratio > 1.0 + _EQUAL_WITHIN],
+        "B has the smaller RMS error in": [name for name, ratio in ratios.items() if ratio < 1.0 - _EQUAL_WITHIN],
         "RMS errors are equal within 2 % in":
-            [name for name, ratio in ratios.items() if 1.0 - _ALIKE <= ratio <= 1.0 + _ALIKE],
+            [name for name, ratio in ratios.items() if 1.0 - _EQUAL_WITHIN <= ratio <= 1.0 + _EQUAL_WITHIN],
     }
     parts = [f"{text} {', '.join(map(channel_name, names))}" for text, names in nearer.items() if names]
     sentence = "; ".join(parts)
@@ -148,9 +148,9 @@ def _sources(pair: Pair) -> list[str]:
                 more = f" and {len(found) - _MOST_NAMED} times more" if len(found) > _MOST_NAMED else ""
                 times = ", ".join(one.text for one in found[:_MOST_NAMED])
                 sentences.append(f"{source} was out in {letter} and not in {other}: {times}{more}.")
-    alike = [source for source in dict.fromkeys(outage.source for outage in a) if source not in told]
-    if alike:
-        sentences.append(f"Identical outages in both runs: {', '.join(alike)}.")
+    common = [source for source in dict.fromkeys(outage.source for outage in a) if source not in told]
+    if common:
+        sentences.append(f"Identical outages in both runs: {', '.join(common)}.")
     return sentences if a or b else ["No source was out in either."]
 
 

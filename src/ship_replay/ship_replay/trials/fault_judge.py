@@ -170,8 +170,8 @@ def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> tuple[in
         if name not in INTEGRITY or log_ns >= end_ns:
             continue
         if (name, status) not in usual:
-            alike = sorted(stamp for other, stamp, _, bad in clean.not_valid if other == name and bad >= status)
-            usual[name, status] = np.array(alike)
+            stamps = sorted(stamp for other, stamp, _, bad in clean.not_valid if other == name and bad >= status)
+            usual[name, status] = np.array(stamps)
         stamps_ns = usual[name, status]
         place = int(np.searchsorted(stamps_ns, stamp_ns - _BESIDE_NS))
         if place < len(stamps_ns) and stamps_ns[place] <= stamp_ns + _BESIDE_NS:

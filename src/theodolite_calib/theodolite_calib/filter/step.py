@@ -167,8 +167,8 @@ class SightingStep:
         after = replace(after, alternatives=alternatives, trust=after_acceptance, separation=separation)
         is_detected, source, explaining = self._fault_detector.isolate_fault(after.fault_state, after.separation, time_ns)
         if is_detected and not trust.excluded:
-            alike = self._fault_detector.creep_alike(trust, time_ns)
-            source = isolate_drift_fault(source, explaining, alike, self._ship_crept(time_ns))
+            is_common = self._fault_detector.creep_alike(trust, time_ns)
+            source = isolate_drift_fault(source, explaining, is_common, self._ship_crept(time_ns))
             source = self._faulty(source, explaining, time_ns)
         elif not is_detected and self._fault_detector.indicates_ship_drift(trust, time_ns) and self._ship_crept(time_ns):
             source = SHIP
@@ -254,8 +254,8 @@ class SightingStep:
         used = [row for row, name in enumerate(sighting.names) if BEACON + name not in predicted.fault_state.excluded]
         comparison = self._filter.compare(predicted, sighting.chosen(used)) if used else None
         gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
-        agrees = comparison is not None and comparison.nis <= gate
-        trust = self._fault_detector.monitor_prediction(predicted.fault_state, source, agrees, sighting.time_ns)
+        is_consistent = comparison is not None and comparison.nis <= gate
+        trust = self._fault_detector.monitor_prediction(predicted.fault_state, source, is_consistent, sighting.time_ns)
         return replace(predicted, trust=trust)
 
     def _monitor_beacons(self, trust: FaultState, state: CalibrationState, sighting: Sighting, others: bool) -> FaultState:

@@ -18,7 +18,7 @@ from ship_estimation.exclusion import HEARD_NS, ExcludedSource, Finding, find_fa
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import IntegrityConfig
-from ship_estimation.running_means import FIELDS_BY_SUBFILTER, WELL, InnovationMeans, excess_limit, forgotten, no_means, observed
+from ship_estimation.running_means import FIELDS_BY_SUBFILTER, CONSISTENT_RATIO, InnovationMeans, excess_limit, forgotten, no_means, observed
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
@@ -29,7 +29,7 @@ _SAME_JUMP_NS = SECOND_NS
 """Jumps of one baseline within this time count as one jump, ns."""
 _UNDONE_SIGMAS = 4.0
 """A baseline counts as returned if the sum of its jumps is below this many standard deviations."""
-_ALIKE_SIGMAS, _ALIKE_COSINE = 2.0, 0.7
+_COMMON_DRIFT_SIGMAS, _COMMON_DRIFT_COSINE = 2.0, 0.7
 """Beacons drift together if each mean exceeds the first value (standard deviations) and each pair of means has at least
 the second value as the cosine of the angle between them."""
 _DRIFT_INDICATION_RATIO = 0.3
@@ -75,7 +75,7 @@ class UnresolvedFault:
 
     spread_n: FloatArray
     lasting: bool = False
-    agrees_since_ns: int | None = None
+    consistent_since_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def isolate_step_fault(source: str, explaining: Set[str], told: Streams, off_rad
     return TELESCOPE if right else source
 
 
-def isolate_drift_fault(source: str | None, explaining: Set[str], alike: bool, ship_crept: bool | None) -> str | None:
+def isolate_drift_fault(source: str | None, explaining: Set[str], is_common: bool, ship_crept: bool | None) -> str | None:
     """Return the faulty source of a drift of accepted beacons; None if it is not isolated.
 
     If all beacons drift together, the encoders or the ship's attitude drift, because two drones do not drift together.
@@ -138,7 +138,7 @@ def isolate_drift_fault(source: str | None, explaining: Set[str], alike: bool, s
         chain = chain & {SHIP if ship_crept else ENCODER}
     if not chain:
         return source
-    if len(chain) == 1 and (alike or ship_crept or source in CHAIN):
+    if len(chain) == 1 and (is_common or ship_crept or source in CHAIN):
         return next(iter(chain))
     return source if source in CHAIN else None
 
@@ -240,8 +240,8 @@ class FaultDetector:
         off = running[..., :2] / np.sqrt(running[..., 4:])
         size = np.linalg.norm(off, axis=-1)
         cosines = np.einsum("wlk,wmk->wlm", off, off) / (size[:, :, None] * size[:, None, :])
-        alike = (size.min(axis=1) > _ALIKE_SIGMAS) & (cosines.min(axis=(1, 2)) > _ALIKE_COSINE)  # NaN is not
-        return bool(np.any(alike))
+        is_common = (size.min(axis=1) > _COMMON_DRIFT_SIGMAS) & (cosines.min(axis=(1, 2)) > _COMMON_DRIFT_COSINE)  # NaN is not
+        return bool(np.any(is_common))
 
     def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
         """True if beacons drift within their limit and are consistent without the ship's attitude."""
@@ -249,7 +249,7 @@ class FaultDetector:
         if fault_state.excluded or fault_state.conflict is not None or not np.any(fault_state.innovation_means.excess[0, heard] > _DRIFT_INDICATION_RATIO):
             return False
         row = 1 + self._subfilters.sources.index(SHIP)
-        return bool(np.all(fault_state.innovation_means.excess[row, heard] <= WELL) and np.all(fault_state.innovation_means.refused[row, heard] == 0))
+        return bool(np.all(fault_state.innovation_means.excess[row, heard] <= CONSISTENT_RATIO) and np.all(fault_state.innovation_means.refused[row, heard] == 0))
 
     def without(self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None) -> FaultState:
         """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
@@ -298,10 +298,10 @@ class FaultDetector:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
         return self._watched(replace(fault_state, means=means), source, exclusion, returns)
 
-    def monitor_prediction(self, fault_state: FaultState, source: str, agrees: bool, time_ns: int) -> FaultState:
+    def monitor_prediction(self, fault_state: FaultState, source: str, is_consistent: bool, time_ns: int) -> FaultState:
         """Record whether excluded encoders, or an excluded ship's attitude, predict a sighting; reinstate when due."""
         exclusion = fault_state.exclusions[source].exclusion
-        since_ns = (exclusion.agrees_since_ns or time_ns) if agrees else None
+        since_ns = (exclusion.consistent_since_ns or time_ns) if is_consistent else None
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
         return self._watched(fault_state, source, replace(exclusion, agrees_since_ns=since_ns), returns)
 
@@ -333,9 +333,9 @@ class FaultDetector:
             return fault_state
         if not conflict.lasting:
             return replace(fault_state, conflict=None)
-        if conflict.agrees_since_ns is None:
+        if conflict.consistent_since_ns is None:
             # Innovations from the time when all beacons were rejected must not isolate a source from now on.
             means = forgotten(fault_state.innovation_means, slice(None), slice(None))
             return replace(fault_state, means=means, conflict=replace(conflict, agrees_since_ns=time_ns))
-        over = time_ns - conflict.agrees_since_ns >= self._config.return_after_s * SECOND_NS
+        over = time_ns - conflict.consistent_since_ns >= self._config.return_after_s * SECOND_NS
         return replace(fault_state, conflict=None if over else conflict)

@@ -109,12 +109,12 @@ def check_lights(
         return as_named.check(Verdict.CONSISTENT)
     exchanges = [order for order in permutations(range(count)) if order != named] if count <= _MOST_LIGHTS else []
     trials = [_trial(image, camera, lines, order, prior) for order in exchanges]
-    fitting = [trial for trial in trials if _fits(trial, probability)]
+    consistent_trials = [trial for trial in trials if _fits(trial, probability)]
     # The improvement must be significant: without a prior two beacons fit equally well both ways.
-    if len(fitting) == 1 and as_named.chi2 > fitting[0].chi2 + chi_square_gate(probability, 3):
-        return fitting[0].check(Verdict.SWAPPED)
+    if len(consistent_trials) == 1 and as_named.chi2 > consistent_trials[0].chi2 + chi_square_gate(probability, 3):
+        return consistent_trials[0].check(Verdict.SWAPPED)
     angles_fit = any(_angles_fit(trial.attitude, probability) for trial in [as_named, *trials])
-    return as_named.check(Verdict.PRIOR_CONFLICT if angles_fit and not fitting else Verdict.CONFLICT)
+    return as_named.check(Verdict.PRIOR_CONFLICT if angles_fit and not consistent_trials else Verdict.CONFLICT)
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ class EncoderWatch:
         self._unconfirmed: Unconfirmed | None = None
         self._steps = EncoderSteps()
         self._stepped: tuple[int, float] | None = None
-        self._witnesses: dict[str, Witness] = {}
+        self._motion_references: dict[str, Witness] = {}
         self.reconfigure(sigma_rad, max_acceleration)
 
     def reconfigure(self, sigma_rad: float, max_acceleration: float) -> None:
@@ -146,7 +146,7 @@ class EncoderWatch:
         if step is not None:
             judged = self._judge_step(step)
         self._watch_motion(sample)
-        if self._stuck.observe(sample.time_ns, sample.vector, self._sigma_rad, self._witnesses):
+        if self._stuck.observe(sample.time_ns, sample.vector, self._sigma_rad, self._motion_references):
             # Stuck readings cannot be extrapolated.
             self._taken = self._all = ()
             self._steps.restart()
@@ -159,7 +159,7 @@ class EncoderWatch:
         """Record the telescope's attitude in the deck by beacons, shape (3, 3), and the error about its worst axis."""
         # Rotations before the readings stood still do not count.
         if self._still_since_ns is not None and time_ns >= self._still_since_ns:
-            self._witnesses[_LIGHTS] = Witness(time_ns, telescope_dt, sigma_rad)
+            self._motion_references[_LIGHTS] = Witness(time_ns, telescope_dt, sigma_rad)
 
     def confirm(self, time_ns: int) -> None:
         """Record that beacons were consistent with the readings at a time."""
@@ -248,7 +248,7 @@ class EncoderWatch:
         step = short_way(sample.vector - last.vector)
         interval_s = (sample.time_ns - last.time_ns) * 1e-9
         if step.any():
-            self._witnesses, self._still_since_ns, self._halted_since_ns = {}, sample.time_ns, None
+            self._motion_references, self._still_since_ns, self._halted_since_ns = {}, sample.time_ns, None
         elif np.abs(rate).max() * interval_s > _SIGMAS * self._sigma_rad and self._halted_since_ns is None:
             self._halted_since_ns = sample.time_ns
         self._last = sample, step / interval_s

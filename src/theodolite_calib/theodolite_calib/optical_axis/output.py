@@ -173,13 +173,13 @@ class PointingOutput:
         """Compute pending pointings; return slices of them, each with its series or its failure."""
         found: list[tuple[slice, PointingRun | Refusal]] = []
         for _, group in groupby(due, key=lambda one: (id(one.state), one.ship.slow_covariance_n is None)):
-            alike, start = list(group), found[-1][0].stop if found else 0
-            run = self._run_or_failure(alike)
+            group_pointings, start = list(group), found[-1][0].stop if found else 0
+            run = self._run_or_failure(group_pointings)
             if isinstance(run, PointingRun):
-                found.append((slice(start, start + len(alike)), run))
+                found.append((slice(start, start + len(group_pointings)), run))
             else:
                 # One by one, so that those that can be computed are published.
-                alone = enumerate(map(self._run_or_failure, ([one] for one in alike)), start)
+                alone = enumerate(map(self._run_or_failure, ([one] for one in group_pointings)), start)
                 found += [(slice(number, number + 1), one) for number, one in alone]
         return found
 
