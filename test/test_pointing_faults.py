@@ -20,7 +20,7 @@ from ship_testing.pointing_faults import (
     lights_stamped_late,
     ship_crept,
     ship_turned,
-    telescope_knocked,
+    shift_telescope,
 )
 
 SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
@@ -150,7 +150,7 @@ def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
 @pytest.mark.parametrize("knock_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
 def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
     """Before: the encoders were excluded, or the ship's attitude; all three have similar effects on the lights."""
-    found = claims(telescope_knocked(clean_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
+    found = claims(shift_telescope(clean_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
     assert found.named == {"telescope"}
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
     # Its new place on the axis is learnt meanwhile.

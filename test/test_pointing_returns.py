@@ -15,7 +15,7 @@ from ship_testing.pointing_faults import (
     encoders_stamped_late,
     encoders_stand,
     lights_stamped_late,
-    telescope_knocked,
+    shift_telescope,
 )
 
 LASTS_S, SESSION_S = 30.0, 200.0
@@ -31,7 +31,7 @@ FAULTS = {
     "two readings of one stamp": lambda run: encoders_read_twice(run, 20.0, END_S),
     "encoders stamped early": lambda run: encoders_stamped_late(run, -0.1, END_S),
     "lights stamped early": lambda run: lights_stamped_late(run, -0.1, END_S),
-    "telescope knocked by a degree": lambda run: telescope_knocked(run, DEGREE_ARCSEC, 0.0, END_S),
+    "telescope knocked by a degree": lambda run: shift_telescope(run, DEGREE_ARCSEC, 0.0, END_S),
 }
 
 

@@ -152,7 +152,7 @@ def picture(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
     return replace(well, **changes)
 
 
-KNOCKED = out(
+SHIFTED_SENSOR = out(
     "star.starboard",
     "81 rejected in a row",
     disagreement="right +49″",
@@ -161,26 +161,26 @@ KNOCKED = out(
     out_since_ns=NOW_NS - 39 * NS,
     topics=("star/starboard/observations",),
 )
-KNOCKED_ALERT = replace(
+SHIFTED_SENSOR_ALERT = replace(
     alert("star.starboard", "star.starboard out", NOW_NS - 38 * NS), id="star.starboard.out", instance=2
 )
-KNOCKED_INPUT = InputShown(KNOCKED.topics[0], 2.0, 0.1, 0.6, 1, 81, {"gate": 9, "attitude_conflict": 72})
+SHIFTED_SENSOR_INPUT = InputShown(SHIFTED_SENSOR.topics[0], 2.0, 0.1, 0.6, 1, 81, {"gate": 9, "attitude_conflict": 72})
 
 
-def knocked(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
+def state_with_mounting_shift(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
     """Return a displaced star sensor: the first fault of the design of the page and of the terminal."""
     told = "WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ"
     well = {
-        "alerts": (KNOCKED_ALERT,),
-        "inputs": (KNOCKED_INPUT,),
+        "alerts": (SHIFTED_SENSOR_ALERT,),
+        "inputs": (SHIFTED_SENSOR_INPUT,),
         "events": (
             Event(NOW_NS - 36 * NS, "state", "roll", "roll SAFE → CAUTION, over the limit"),
-            Event(NOW_NS - 38 * NS, "alert", KNOCKED_ALERT.id, told),
+            Event(NOW_NS - 38 * NS, "alert", SHIFTED_SENSOR_ALERT.id, told),
         ),
     }
     heading = angle("heading", accuracy_95=4.2 * ARCSEC, safety=Safety.CAUTION, reason="one star source")
     roll = angle("roll", accuracy_95=3.7 * ARCSEC, safety=Safety.CAUTION, reason="over the limit")
-    return picture(heading, roll, KNOCKED, *changed, **well | changes)
+    return picture(heading, roll, SHIFTED_SENSOR, *changed, **well | changes)
 
 
 def faulty() -> Picture:
@@ -188,7 +188,7 @@ def faulty() -> Picture:
     angles = silent("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
     encoder = out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
     lost_pointing = alert("pointing", "pointing lost, encoder no data", NOW_NS - 10 * NS)
-    return knocked(*angles, encoder, alerts=(lost_pointing, KNOCKED_ALERT), pointing_by="no pointing")
+    return state_with_mounting_shift(*angles, encoder, alerts=(lost_pointing, SHIFTED_SENSOR_ALERT), pointing_by="no pointing")
 
 
 def history(*, is_faulty: bool = False) -> History:

@@ -110,7 +110,7 @@ def ship_crept(run: SimulatedRun, arcsec_n_per_s: tuple[float, ...], until_s: fl
     return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
 
 
-def telescope_knocked(
+def shift_telescope(
     run: SimulatedRun, right_arcsec: float, up_arcsec: float, until_s: float = np.inf
 ) -> SimulatedRun:
     """Displace the lights on the detector from FAULT_S on."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC
-from ship_testing.pictures import KNOCKED, knocked, late_input, source
+from ship_testing.pictures import SHIFTED_SENSOR, state_with_mounting_shift, late_input, source
 from ship_watch.history import (
     BudgetPoint,
     ErrorPoint,
@@ -25,8 +25,8 @@ from ship_watch.picture import Event, Picture
 NOW_NS = 1_404_907_207_000_000_000
 """2014-07-09 12:00:07 UTC, as in the figures of the design."""
 
-KNOCKED_S = 40.0
-KNOCK_RIGHT_ARCSEC = 49.0
+SHIFT_AGE_S = 40.0
+SHIFT_RIGHT_ARCSEC = 49.0
 NO_STARS_S = (-374.0, -347.0)
 _SECOND = 1_000_000_000
 
@@ -48,7 +48,7 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
         history.lights[name] = deque(_lights(rng, x, z))
     history.stars = {
         "star.fore": _stars(rng, 0.45, 0.92),
-        "star.starboard": _stars(rng, 2.17, 0.85, KNOCK_RIGHT_ARCSEC),
+        "star.starboard": _stars(rng, 2.17, 0.85, SHIFT_RIGHT_ARCSEC),
     }
     aligned = (("ins.north", 3.5), ("ins.up", 62.9), ("ins.east", 19.3), ("star.fore.azimuth", -2.5))
     history.alignment = (
@@ -68,7 +68,7 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
 def watched_picture(now_ns: int = NOW_NS) -> Picture:
     """Return the suite state at the end of it."""
     good = source("star.fore", topics=("star/fore/observations",))
-    bad = replace(KNOCKED, out_since_ns=now_ns - int(KNOCKED_S * 1e9))
+    bad = replace(SHIFTED_SENSOR, out_since_ns=now_ns - int(SHIFT_AGE_S * 1e9))
     topics = ("gnss/fix", "ins/imu", "met/pressure", *good.topics, *bad.topics)
     inputs = [late_input(topic, 0.1) for topic in topics]
     inputs[-1] = replace(inputs[-1], refused_60s=81, reasons={"gate": 9, "attitude_conflict": 72, "too_few_stars": 56})
@@ -77,7 +77,7 @@ def watched_picture(now_ns: int = NOW_NS) -> Picture:
         Event(now_ns - 38 * _SECOND, "alert", "source", "WARNING star.starboard out: 5 rejected in a row <8.1 σ>"),
         Event(now_ns - 190 * _SECOND, "mode", "pointing", "ONE_LIGHT → TWO_LIGHTS"),
     )
-    return knocked(
+    return state_with_mounting_shift(
         utc_ns=now_ns, sources=(bad, good, source("lights")), alerts=None, inputs=tuple(inputs), events=events
     )
 
@@ -88,8 +88,8 @@ def _innovations(rng: np.random.Generator, name: str, length_s: float) -> list[I
     for at_s in np.arange(-length_s, 0.0, 0.5):
         if name != "lights" and NO_STARS_S[0] < at_s < NO_STARS_S[1]:
             continue
-        is_knocked = name == "star.starboard" and at_s > -KNOCKED_S
-        mean = rng.normal(0.0, 3.0, 2) + (np.array([-1.8, KNOCK_RIGHT_ARCSEC]) if is_knocked else 0.0)
+        is_knocked = name == "star.starboard" and at_s > -SHIFT_AGE_S
+        mean = rng.normal(0.0, 3.0, 2) + (np.array([-1.8, SHIFT_RIGHT_ARCSEC]) if is_knocked else 0.0)
         points.append(
             InnovationPoint(
                 NOW_NS + int(at_s * 1e9),
@@ -124,8 +124,8 @@ def _budget(at_second: float) -> BudgetPoint:
     no_stars = NO_STARS_S[0] < at_second < NO_STARS_S[1]
     part = {
         "ins_noise": 1.19,
-        "ins_drift": 5.2 if no_stars else 0.9 if at_second < -KNOCKED_S else 1.42,
-        "star_noise": 0.6 if at_second < -KNOCKED_S else 1.06,
+        "ins_drift": 5.2 if no_stars else 0.9 if at_second < -SHIFT_AGE_S else 1.42,
+        "star_noise": 0.6 if at_second < -SHIFT_AGE_S else 1.06,
         "installation": 0.37 + 0.9 * np.exp(-(at_second + 600.0) / 150.0),
         "ship_position": 0.11,
         "refraction": 0.08,

@@ -17,31 +17,31 @@ UNAVAILABLE = 2
 KNOCKED_NS = START_NS + 5 * SECOND_NS
 
 
-def knock(message: Any) -> None:
+def shift_mounting(message: Any) -> None:
     message.elevation += 60.0 * ARCSEC
     # The covariance about the axes of the horizon stays that of the message.
 
 
 @functools.cache
-def knocked_run() -> Run:
+def run_with_mounting_shift() -> Run:
     """Two star sensors, one of them with a mounting shift of 60″ after five seconds."""
 
     def chosen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and arrival.stamp_ns >= KNOCKED_NS
 
-    return drive(new_adapter(), changed_where(voyage(10.0), chosen, knock))
+    return drive(new_adapter(), changed_where(voyage(10.0), chosen, shift_mounting))
 
 
 def test_a_mounting_shift_is_excluded_within_three_measurements() -> None:
-    told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
+    told = [m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded]
     assert told[0].excluded == ["star.fore"]
     assert stamp_of(told[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s of latency
 
 
 def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
-    told = next(m for m in knocked_run().messages("ship/integrity") if m.excluded)
+    told = next(m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded)
     report_ns = START_NS + 9 * SECOND_NS
-    ((level, text),) = knocked_run().diagnostics("integrity", report_ns, report_ns + SECOND_NS)
+    ((level, text),) = run_with_mounting_shift().diagnostics("integrity", report_ns, report_ns + SECOND_NS)
     assert level == Level.WARN
     seconds = re.fullmatch(r"excluded: star\.fore for (\d+) s", text)
     assert seconds is not None
@@ -51,15 +51,15 @@ def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
 
 def test_no_level_is_published_for_an_attitude_before_the_exclusion() -> None:
     """Of two sensors one is left, which is not checked: there is no level from then on."""
-    told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
+    told = [m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded]
     assert {m.state for m in told} == {UNAVAILABLE}
     assert np.isnan([m.protection_level for m in told]).all()
-    attitudes = {stamp_of(m): m for m in knocked_run().messages("ship/attitude")}
+    attitudes = {stamp_of(m): m for m in run_with_mounting_shift().messages("ship/attitude")}
     assert "star.fore" not in attitudes[stamp_of(told[0])].sources
 
 
 def test_levels_are_published_before_the_attitude_and_once_a_second() -> None:
-    told = knocked_run().messages("ship/integrity")
+    told = run_with_mounting_shift().messages("ship/integrity")
     before = [m for m in told if not m.excluded and stamp_of(m) > START_NS + SECOND_NS]
     assert 3 <= len(before) <= 6
     assert all(np.all(np.asarray(m.protection_level) < 200.0 * ARCSEC) for m in before)
@@ -67,7 +67,7 @@ def test_levels_are_published_before_the_attitude_and_once_a_second() -> None:
 
 def test_published_levels_cover_each_output() -> None:
     """Sensors start, one has a mounting shift and is excluded, all time out and return: no level is too small."""
-    knocked = changed_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= KNOCKED_NS, knock)
+    knocked = changed_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= KNOCKED_NS, shift_mounting)
     silent = cut(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
     without_ins = cut(voyage(20.0), 5.0, 6.5, INS)
     for arrivals in (knocked, silent, without_ins):

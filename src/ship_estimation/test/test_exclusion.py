@@ -80,7 +80,7 @@ class Base:
 
 
 @functools.cache
-def _before_knocks(seed, sensors, pairs):
+def _before_shifts(seed, sensors, pairs):
     """Return the base at AT, without a detected fault; it is the same for all shifts."""
     base = Base(seed, sensors, pairs)
     assert not any(found.fault for _, found in base.until(AT, {}))
@@ -97,7 +97,7 @@ def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
         epochs: measurements of each sensor.
         pairs: whether rows leave out two.
     """
-    base, told = copy.deepcopy(_before_knocks(seed, sensors, pairs)), None
+    base, told = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
     for epoch, found in base.until(epochs, knocks or {}):
         told = epoch - AT if found.fault and told is None else told
         if found.subfilter is not None:

@@ -32,7 +32,7 @@ def hostile(name):
         well,
         sources=tuple(sources),
         angles=tuple(replace(each, reason=name) for each in well.angles),
-        alerts=(replace(pictures.KNOCKED_ALERT, id=name, source=name, text=name, unit=name),),
+        alerts=(replace(pictures.SHIFTED_SENSOR_ALERT, id=name, source=name, text=name, unit=name),),
         events=(Event(pictures.NOW_NS, "alert", name, name), Event(pictures.NOW_NS, "state", name, "x")),
         inputs=(InputShown(name, 2.0, 0.1, 0.6, 1, 81, {name: 9}),),
         pointing_by=name,

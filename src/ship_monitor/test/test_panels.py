@@ -16,7 +16,7 @@ from ship_monitor.page.sky import boresight
 from ship_monitor.page.sky_panel import places_in_field, used_star_mask
 from ship_monitor.page.tables import event_row, input_row, reasons_text
 from ship_monitor.page.themes import THEMES
-from ship_testing.watched_minutes import KNOCKED_S, NOW_NS, watched_history, watched_picture
+from ship_testing.watched_minutes import SHIFT_AGE_S, NOW_NS, watched_history, watched_picture
 from ship_watch.history import History, ParameterShown
 from ship_watch.picture import Event, InputShown, Presence
 
@@ -87,7 +87,7 @@ def test_shifted_sensor_is_shown_rejected_and_shaded(panels) -> None:
     row = panels._innovations.plots.rows["star.starboard"]
     right = row._trails[1].source.data
     times, refused, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
-    knocked_ms = (NOW_NS - KNOCKED_S * 1e9) * 1e-6
+    knocked_ms = (NOW_NS - SHIFT_AGE_S * 1e9) * 1e-6
     assert np.nanmin(times[np.isfinite(refused)]) >= knocked_ms
     assert np.nanmax(times[np.isfinite(used)]) <= knocked_ms
     assert np.nanmean(refused) == pytest.approx(49.0, abs=2.0)

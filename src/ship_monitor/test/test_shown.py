@@ -145,7 +145,7 @@ def needing(*names, cause="encoder", reason="needs encoder"):
 
 def test_consequence_is_below_its_cause_without_a_banner():
     encoder = pictures.out("encoder", "no data", out_since_ns=pictures.NOW_NS - pictures.NS)
-    listed = (pictures.KNOCKED, encoder, *needing("lights"), pictures.source("ins"))
+    listed = (pictures.SHIFTED_SENSOR, encoder, *needing("lights"), pictures.source("ins"))
     sources = shown(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
     assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
     rows = [(row["name"], row["is_because"]) for row in sources["rows"][:3]]

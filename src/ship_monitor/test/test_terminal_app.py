@@ -9,7 +9,7 @@ from ship_monitor.commands.monitor_terminal import shows_utf8
 from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp, _Lines, styles_of
 from ship_monitor.terminal.pen import Look, plain_text
-from ship_testing.pictures import KNOCKED_ALERT, knocked
+from ship_testing.pictures import SHIFTED_SENSOR_ALERT, state_with_mounting_shift
 
 
 class Suite:
@@ -18,7 +18,7 @@ class Suite:
     label, name, place = "LIVE", "demo", "namespace /demo, domain 7"
 
     def __init__(self):
-        self.picture = knocked()
+        self.picture = state_with_mounting_shift()
         self.acknowledged = []
         self.ticks = 0
 
@@ -57,7 +57,7 @@ def test_key_a_acknowledges_the_displayed_instance():
         await app.workers.wait_for_complete()
         assert suite.acknowledged == [("star.starboard.out", 2)]
         assert rows(app)[-1] == " acknowledged star.starboard.out"
-        suite.picture = knocked(alerts=(dataclasses.replace(KNOCKED_ALERT, state=3),))
+        suite.picture = state_with_mounting_shift(alerts=(dataclasses.replace(SHIFTED_SENSOR_ALERT, state=3),))
         await pilot.press("a")
         assert suite.acknowledged == [("star.starboard.out", 2)]
         assert rows(app)[-1] == " no alert to acknowledge"
@@ -86,7 +86,7 @@ def test_key_p_pauses_the_display():
     async def use(app, pilot, suite):
         await pilot.press("p")
         held = rows(app)[4]
-        suite.picture = knocked(angles=(), alerts=())
+        suite.picture = state_with_mounting_shift(angles=(), alerts=())
         app.draw()
         assert "PAUSED" in rows(app)[0]
         assert rows(app)[4] == held

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import Look, Pen, plain_text
 from ship_monitor.terminal.screen import View, selectable_names, screen, shown_alert
-from ship_testing.pictures import KNOCKED, KNOCKED_ALERT, KNOCKED_INPUT, NOW_NS, angle, knocked, out, silent, source
+from ship_testing.pictures import SHIFTED_SENSOR, SHIFTED_SENSOR_ALERT, SHIFTED_SENSOR_INPUT, NOW_NS, angle, state_with_mounting_shift, out, silent, source
 from ship_watch.picture import ANGLES, Event, Priority, Safety
 
 VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7")
@@ -36,7 +36,7 @@ def cells(text):
 
 
 def test_screen_matches_the_design():
-    assert texts(knocked()) == [
+    assert texts(state_with_mounting_shift()) == [
         " demo  LIVE   ! CAUTION  over the limit (roll)                     12:00:07 UTC",
         " (!) WARNING star.starboard out        11:59:29  UNACK       1 unack, 1 active",
         "─" * 80,
@@ -66,24 +66,24 @@ def test_screen_matches_the_design():
 
 @pytest.mark.parametrize(("word", "look"), [("SAFE", Look.SAFE), ("CAUTION", Look.CAUTION), ("UNSAFE", Look.UNSAFE)])
 def test_each_safety_is_a_word_with_its_style(word, look):
-    shown = knocked(angles=(angle("heading", safety=Safety[word]),))
+    shown = state_with_mounting_shift(angles=(angle("heading", safety=Safety[word]),))
     spans = [span for line in drawn(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]
     assert [span.look for span in spans if "→" not in span.text] == [look, look]  # of the suite, of the angle
 
 
 def test_old_value_is_struck_through_with_its_age():
     old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="no data on ship/attitude")
-    lines = drawn(knocked(angles=(old,)))
+    lines = drawn(state_with_mounting_shift(angles=(old,)))
     heading = lines[4]
     assert [span.text.strip() for span in heading if span.look is Look.OLD] == ["034.39° true"]
     assert "OLD 12 s" in plain_text(heading)
     very_old = dataclasses.replace(old, age_s=754.0)
-    assert texts(knocked(angles=(very_old,)))[4].split()[:4] == ["HEADING", "—", "OLD", "13"]
+    assert texts(state_with_mounting_shift(angles=(very_old,)))[4].split()[:4] == ["HEADING", "—", "OLD", "13"]
 
 
 def test_details_and_help_show_the_safety_of_all_angles():
     """On any page the first row has the safety of the suite, the second that of the angles."""
-    shown = knocked()
+    shown = state_with_mounting_shift()
     for chosen in ("heading", "star.starboard", ""):
         lines = details(shown, shown.alerts, dataclasses.replace(VIEW, chosen=chosen))
         top, second = (plain_text(line) for line in lines[:2])
@@ -96,7 +96,7 @@ def test_details_and_help_show_the_safety_of_all_angles():
 def test_nothing_looks_good_without_outputs():
     """After the end of the suite: no ticks, no counts, ages struck through; sources that were OUT stay OUT."""
     angles = tuple(silent(*ANGLES, age_s=19.0))
-    shown = knocked(angles=angles)
+    shown = state_with_mounting_shift(angles=angles)
     lines = drawn(shown)
     all_text = [plain_text(line) for line in lines]
     sources = all_text[12:20]
@@ -112,25 +112,25 @@ def test_consequence_is_indented_below_its_cause():
     """Lights need the ship's attitude, which is late: the consequence is below its cause, which is named once."""
     late = out("ship_attitude", "81 rejected in a row: late")
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
-    rows = texts(knocked(sources=(late, lights, source("ins"))))[12:15]
+    rows = texts(state_with_mounting_shift(sources=(late, lights, source("ins"))))[12:15]
     assert [row[:20] for row in rows] == [" x ship_attitude    ", " x   lights         ", " + ins              "]
     assert rows[1].endswith("   needs ship_attitude")
 
 
 def test_local_time_is_shown_with_utc():
-    line = texts(knocked(), dataclasses.replace(VIEW, zone=ZoneInfo("Europe/Oslo")))[0]
+    line = texts(state_with_mounting_shift(), dataclasses.replace(VIEW, zone=ZoneInfo("Europe/Oslo")))[0]
     assert line.endswith(" 14:00:07 CEST  12:00:07 UTC")
 
 
 def test_each_alert_has_its_advice():
     """The list of alerts has the advice below each alert."""
-    shown = knocked()
-    lines = [plain_text(line).strip() for line in details(shown, (KNOCKED_ALERT,), VIEW)]
-    assert f"to do: {KNOCKED_ALERT.advice}" in " ".join(lines)
+    shown = state_with_mounting_shift()
+    lines = [plain_text(line).strip() for line in details(shown, (SHIFTED_SENSOR_ALERT,), VIEW)]
+    assert f"to do: {SHIFTED_SENSOR_ALERT.advice}" in " ".join(lines)
 
 
 def test_waiting_screen_names_the_suite():
-    nothing = knocked(
+    nothing = state_with_mounting_shift(
         utc_ns=0,
         angles=tuple(
             angle(name, value=math.nan, reason="no data", age_s=math.inf, is_old=True, safety=Safety.UNSAFE)
@@ -150,60 +150,60 @@ def test_waiting_screen_names_the_suite():
 
 
 def test_sources_beyond_the_room_are_counted():
-    many = knocked(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
+    many = state_with_mounting_shift(sources=(SHIFTED_SENSOR, *(source(f"reference.number_{place}") for place in range(20))))
     lines = texts(many)
     assert lines[12].startswith(" x star.starboard")
     assert " 14 more in" in "\n".join(lines)
     assert len([line for line in lines if " reference." in line]) + 14 == 20
-    all_out = knocked(sources=tuple(dataclasses.replace(KNOCKED, name=f"star.s{place}") for place in range(20)))
+    all_out = state_with_mounting_shift(sources=tuple(dataclasses.replace(SHIFTED_SENSOR, name=f"star.s{place}") for place in range(20)))
     assert any("13 more OUT" in line for line in texts(all_out))
 
 
 @pytest.mark.parametrize("chosen", [f"reference.number_{place}" for place in range(20)])
 def test_selected_source_is_visible(chosen):
-    many = knocked(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
+    many = state_with_mounting_shift(sources=(SHIFTED_SENSOR, *(source(f"reference.number_{place}") for place in range(20))))
     assert any(line.startswith(f">+ {chosen[:15]}") for line in texts(many, dataclasses.replace(VIEW, chosen=chosen)))
 
 
 def test_larger_terminal_shows_more():
-    wide = texts(knocked(), dataclasses.replace(VIEW, width=120, height=50))
+    wide = texts(state_with_mounting_shift(), dataclasses.replace(VIEW, width=120, height=50))
     assert len(wide) == 50
     assert "attitude_conflict 72, gate 9" in "\n".join(wide)
 
 
 @pytest.mark.parametrize(("width", "height"), [(63, 24), (80, 14), (20, 3), (1, 1)])
 def test_small_terminal_has_one_line_with_the_worst_state(width, height):
-    lines = texts(knocked(), dataclasses.replace(VIEW, width=width, height=height))
+    lines = texts(state_with_mounting_shift(), dataclasses.replace(VIEW, width=width, height=height))
     assert not any(lines[1:])
     assert lines[0].startswith("CAUTION heading, roll"[: width - 1])
 
 
 def test_terminal_with_one_row_less():
-    lines = texts(knocked(), dataclasses.replace(VIEW, height=23))
+    lines = texts(state_with_mounting_shift(), dataclasses.replace(VIEW, height=23))
     assert len(lines) == 23
     assert any("star.starboard" in line and "OUT" in line for line in lines)
     assert lines[-1].startswith(" a acknowledge")
 
 
 def test_pause_is_shown_and_alerts_continue():
-    alarm = dataclasses.replace(KNOCKED_ALERT, priority=Priority.ALARM, text="heading lost")
-    lines = texts(knocked(), dataclasses.replace(VIEW, paused_s=12.0), alerts=(alarm,))
+    alarm = dataclasses.replace(SHIFTED_SENSOR_ALERT, priority=Priority.ALARM, text="heading lost")
+    lines = texts(state_with_mounting_shift(), dataclasses.replace(VIEW, paused_s=12.0), alerts=(alarm,))
     assert "PAUSED 12 s ago" in lines[0]
     assert lines[1].startswith(" /!\\ ALARM heading lost")
 
 
 def test_unacknowledged_alert_is_shown_first():
-    acknowledged = dataclasses.replace(KNOCKED_ALERT, id="first", priority=Priority.ALARM, state=3)
-    assert shown_alert((acknowledged, KNOCKED_ALERT)) == KNOCKED_ALERT
+    acknowledged = dataclasses.replace(SHIFTED_SENSOR_ALERT, id="first", priority=Priority.ALARM, state=3)
+    assert shown_alert((acknowledged, SHIFTED_SENSOR_ALERT)) == SHIFTED_SENSOR_ALERT
     assert shown_alert((acknowledged,)) == acknowledged
     assert shown_alert(None) is None
-    assert "1 unack, 2 active" in texts(knocked(alerts=(acknowledged, KNOCKED_ALERT)))[1]
+    assert "1 unack, 2 active" in texts(state_with_mounting_shift(alerts=(acknowledged, SHIFTED_SENSOR_ALERT)))[1]
 
 
 def test_details_have_all_digits():
     def page(chosen):
         view = dataclasses.replace(VIEW, chosen=chosen)
-        return "\n".join(plain_text(line).rstrip() for line in details(knocked(), (KNOCKED_ALERT,), view))
+        return "\n".join(plain_text(line).rstrip() for line in details(state_with_mounting_shift(), (SHIFTED_SENSOR_ALERT,), view))
 
     assert "34.392000°" in page("heading")
     assert "2.14″" in page("heading")  # 4.2″ / 1.96
@@ -214,16 +214,16 @@ def test_details_have_all_digits():
 
 def test_ascii_terminal_keeps_every_meaning():
     view = dataclasses.replace(VIEW, is_ascii=True)
-    lines = texts(knocked(), view)
+    lines = texts(state_with_mounting_shift(), view)
     assert all(line.isascii() for line in lines)
     assert row_of(lines, "HEADING").split()[:5] == ["HEADING", "034.39deg", "true", '+-4.2"', '5"']
     assert row_of(lines, "PITCH").split()[:4] == ["PITCH", "0.1deg", "bow", "down"]
-    assert all(plain_text(line).isascii() for line in help_page(knocked(), view))
+    assert all(plain_text(line).isascii() for line in help_page(state_with_mounting_shift(), view))
 
 
 def test_names_from_the_network_cannot_control_the_terminal():
-    evil = dataclasses.replace(KNOCKED_ALERT, text="\x1b[2J\x1b]0;title\x07 fire\r\n\u202eright to left\u0301")
-    for line in drawn(knocked(alerts=(evil,), sources=(dataclasses.replace(KNOCKED, name="\x1b[31m" * 9),))):
+    evil = dataclasses.replace(SHIFTED_SENSOR_ALERT, text="\x1b[2J\x1b]0;title\x07 fire\r\n\u202eright to left\u0301")
+    for line in drawn(state_with_mounting_shift(alerts=(evil,), sources=(dataclasses.replace(SHIFTED_SENSOR, name="\x1b[31m" * 9),))):
         assert all(char.isprintable() for char in plain_text(line))
 
 
@@ -255,11 +255,11 @@ def test_every_line_has_the_width_of_the_terminal(
         "reason": told,
         "is_old": is_old,
     }
-    heard = dataclasses.replace(KNOCKED_INPUT, topic=name, latency_s=number, age_s=other, reasons={told: 10**9})
-    shown = knocked(
+    heard = dataclasses.replace(SHIFTED_SENSOR_INPUT, topic=name, latency_s=number, age_s=other, reasons={told: 10**9})
+    shown = state_with_mounting_shift(
         angles=tuple(angle(each, **changed) for each in ANGLES),
         sources=tuple(source(f"{name}{place}", reason=told, rate_hz=number, age_s=other) for place in range(count)),
-        alerts=(dataclasses.replace(KNOCKED_ALERT, text=told),),
+        alerts=(dataclasses.replace(SHIFTED_SENSOR_ALERT, text=told),),
         inputs=(heard,) * count,
         events=(Event(NOW_NS, "state", name, told),) * count,
         waiting_for=told,
@@ -278,4 +278,4 @@ def test_fitted_text_has_the_given_width(text, width, to_right, is_ascii):
 
 
 def test_selection_goes_downward():
-    assert selectable_names(knocked())[:6] == (*ANGLES, "star.starboard")
+    assert selectable_names(state_with_mounting_shift())[:6] == (*ANGLES, "star.starboard")

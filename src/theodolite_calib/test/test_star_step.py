@@ -224,7 +224,7 @@ def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> No
     assert estimate.text == "no light or star used yet and no calibration loaded: axis errors as configured"
 
 
-def knocked(night: MountNight) -> MountNight:
+def state_after_shift(night: MountNight) -> MountNight:
     """Return the state after a shift of camera or encoders by 100″, which stars cannot distinguish."""
     errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
     return MountNight(night.settings, errors, night.watch, night.rng)
@@ -237,7 +237,7 @@ def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None
     state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 6))
     for number in range(1, 4):
         time_ns = TIME_NS + number * SECOND_NS // 10
-        state, decision = mount.step(state, knocked(night).sighting(encoder, 6, time_ns))
+        state, decision = mount.step(state, state_after_shift(night).sighting(encoder, 6, time_ns))
         assert not decision.accepted
         assert decision.reason in (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED)
         assert state.refusals == number

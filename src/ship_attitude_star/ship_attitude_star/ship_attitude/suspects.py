@@ -48,10 +48,10 @@ from ship_estimation.running_means import NO_MEANS, averaged, forgotten, no_mean
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-_KNOCKED_SIGMA = 2.0
+_SHIFT_SIGMA_RATIO = 2.0
 """Standard deviation of the mounting after a mounting shift, as a ratio to the observed shift."""
 
-_LEAST_KNOCK_RAD, _LARGEST_KNOCK_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
+_MIN_SHIFT_RAD, _MAX_SHIFT_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
 """Minimum and maximum standard deviation of the mounting after a mounting shift, rad."""
 
 _DRIFT_OBSERVED_NS = 3 * SECOND_NS
@@ -317,12 +317,12 @@ class Suspects:
 
     def _reset_faults(self, state: FilterState) -> FilterState:
         """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
-        knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
+        remaining = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
         seen = forgotten(state.innovation_means, slice(None), slice(None))
         unresolved_fault = state.unresolved_fault if distrusted(state) else None
         return changed(
             state,
-            excluded=MappingProxyType(knocked),
+            excluded=MappingProxyType(remaining),
             seen=seen,
             lately=MappingProxyType({}),
             absorbed=state.absorbed.without_corrections(),
@@ -359,7 +359,7 @@ class Suspects:
         excluded, record, used_ns = dict(state.excluded), dict(state.record), dict(state.used_ns)
         for name in wrong:
             # An offset larger than any mounting shift has another cause; the mounting is not estimated again.
-            relearns = name != INS and self._knock(state, name) is not None
+            relearns = name != INS and self._mounting_shift(state, name) is not None
             if relearns:
                 self._open_mounting(stack, state, name)
             record[name] = state.record.get(name, 0) + 1
@@ -562,21 +562,21 @@ class Suspects:
         against = [name for name in heard if name in wrong or long_refused[self._sources.index(name)]]
         return tuple(heard) if heard and len(against) == len(heard) else ()
 
-    def _knock(self, state: FilterState, source: str) -> FloatArray | None:
+    def _mounting_shift(self, state: FilterState, source: str) -> FloatArray | None:
         """Return the standard deviation of a mounting shift that explains a source's last innovation.
 
         Returns:
             Rotation vector in the device frame, rad, shape (3,); None if it is larger than any mounting shift.
         """
-        knock_v = _KNOCKED_SIGMA * state.last_innovations[source].rotation_v
-        return knock_v if np.linalg.norm(knock_v) <= _LARGEST_KNOCK_RAD else None
+        shift_v = _SHIFT_SIGMA_RATIO * state.last_innovations[source].rotation_v
+        return shift_v if np.linalg.norm(shift_v) <= _MAX_SHIFT_RAD else None
 
     def _open_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
         """Inflate the covariance of a source's mounting, in place, for a mounting shift."""
-        knock_v = self._knock(state, source)
-        if knock_v is not None:
+        shift_v = self._mounting_shift(state, source)
+        if shift_v is not None:
             block = self._model.blocks[f"{source}.installation"]
-            covariance = np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
+            covariance = np.outer(shift_v, shift_v) + _MIN_SHIFT_RAD**2 * np.eye(3)
             part = self._model.sources.index(block.source)
             add_error(stack, len(state.means), part, self._model.slices[block.name], covariance)
 

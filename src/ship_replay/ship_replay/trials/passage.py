@@ -18,7 +18,7 @@ from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
 MEASUREMENTS = 3
 """Maximum number of measurements of its source until a step is detected, if longer than a second."""
 
-_KNOCK_SEEN_ARCSEC = 13.0
+_DETECTABLE_SHIFT_ARCSEC = 13.0
 """Mounting shift of the telescope detected by the next lights, arcsec: three times the scatter of one sighting."""
 
 _SLIP_SEEN_SIGMAS = 13.0
@@ -119,12 +119,12 @@ class Passage:
         size_arcsec = max(abs(fault.north_arcsec), abs(fault.up_arcsec), abs(fault.east_arcsec))
         return fault.kind == "bias" and fault.topic == _INS and size_arcsec < _SMALL_STEP_SIGMAS * self.ins_sigma_arcsec
 
-    def _knocks_within_scatter(self, fault: Fault, first_ns: int) -> bool:
+    def _is_small_telescope_shift(self, fault: Fault, first_ns: int) -> bool:
         """True for a telescope shift within the scatter of its lights."""
         size_arcsec = max(abs(fault.forward_arcsec), abs(fault.up_arcsec), abs(fault.right_arcsec))
-        return fault.kind == "knock" and fault.topic == IMAGE_TOPIC and size_arcsec < _KNOCK_SEEN_ARCSEC
+        return fault.kind == "knock" and fault.topic == IMAGE_TOPIC and size_arcsec < _DETECTABLE_SHIFT_ARCSEC
 
-    def _knocked_unseen(self, fault: Fault, first_ns: int) -> bool:
+    def _is_star_shift_without_stars(self, fault: Fault, first_ns: int) -> bool:
         """True for a shift of a star sensor while no star was visible: the INS's drift meanwhile is as uncertain."""
         if fault.kind != "knock" or not fault.topic.startswith(_STARS):
             return False
@@ -144,8 +144,8 @@ _UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
     "ins drift, detected late": Passage._ins_creeps,
     "ins step, small": Passage._ins_steps_a_little,
     "star drift, detected late": Passage._stars_creep,
-    "telescope knock, small": Passage._knocks_within_scatter,
-    "star knock, no stars": Passage._knocked_unseen,
+    "telescope knock, small": Passage._is_small_telescope_shift,
+    "star knock, no stars": Passage._is_star_shift_without_stars,
 }
 
 UNDETECTABLE_CASES = tuple(_UNSEEN)

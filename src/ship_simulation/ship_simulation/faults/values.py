@@ -165,7 +165,7 @@ def _bias(spoiler: Spoiler, message: Any, since_s: float) -> None:
     turn_in_horizon(message, spoiler.type_name, turn_n)
 
 
-def _knock(spoiler: Spoiler, message: Any, since_s: float) -> None:
+def _turn_in_device(spoiler: Spoiler, message: Any, since_s: float) -> None:
     fault = spoiler.fault
     _turn(spoiler, message, ARCSEC * np.array([fault.forward_arcsec, fault.up_arcsec, fault.right_arcsec]))
 
@@ -283,7 +283,7 @@ _SPOILERS: dict[str, Callable[[Spoiler, Any, float], None]] = {
     "axes": _axes,
     "bias": _bias,
     "position_off": _position_off,
-    "knock": _knock,
+    "knock": _turn_in_device,
     "drift": _drift,
     "slip": _slip,
     "wrong_fix": _wrong_fix,
