@@ -15,10 +15,10 @@ from ship_testing.pointing_faults import (
     baseline_moved,
     claims,
     clean_session,
-    encoders_crept,
+    drift_encoders,
     encoders_slipped,
     lights_stamped_late,
-    ship_crept,
+    drift_ship_attitude,
     ship_turned,
     shift_telescope,
 )
@@ -170,7 +170,7 @@ def test_late_stamps_of_lights_do_not_exclude_the_ship(seed):
 @pytest.mark.parametrize("arcsec_per_s", [3.3, -2.5])
 def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
     """Before, in theodolite_1 at 3.3"/s: both drones were excluded one after the other; VALID at 1.42 of the level."""
-    found = claims(encoders_crept(clean_session(seed), arcsec_per_s))
+    found = claims(drift_encoders(clean_session(seed), arcsec_per_s))
     assert found.named == {"encoder"}
     assert found.worst_of_level() < 0.8
     assert found.worst(Status.DEGRADED) < 5.0
@@ -187,7 +187,7 @@ def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
     ],
 )
 def test_a_creeping_ship_attitude_is_named_by_its_rates(seed, arcsec_n_per_s):
-    found = claims(ship_crept(clean_session(seed), arcsec_n_per_s))
+    found = claims(drift_ship_attitude(clean_session(seed), arcsec_n_per_s))
     assert found.named == {"ship_attitude"}
     assert found.worst(Status.VALID) < 4.5
     assert found.worst_of_level() < 0.8

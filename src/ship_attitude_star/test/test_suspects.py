@@ -454,7 +454,7 @@ def test_a_drifting_ins_is_excluded_if_others_check_each_other(
     core = sailed_with(sensors=sensors, seconds=20.0).core
     state = core.state
     assert state.time_ns is not None
-    jump = InsJump(state.time_ns + SECOND_NS, 7.0 * UP * ARCSEC, 0.3 * ARCSEC, creeps=True)
+    jump = InsJump(state.time_ns + SECOND_NS, 7.0 * UP * ARCSEC, 0.3 * ARCSEC, is_drift=True)
     after = core.filter.opened(state, jump)
     assert dict(after.record) == excluded
     # With one sensor only its own measurements can confirm the attitude.

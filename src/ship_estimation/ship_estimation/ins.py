@@ -120,7 +120,7 @@ class InsJump:
     jump_n: FloatArray
     sigma_rad: float
     clock_s: float = math.nan
-    creeps: bool = False
+    is_drift: bool = False
 
     @property
     def covariance_n(self) -> FloatArray:

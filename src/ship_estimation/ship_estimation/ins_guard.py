@@ -272,7 +272,7 @@ class InsGuard:
         previous, self._taken = self._last_two(samples, integrated, taken, count)
         seen = self._taken
         self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
-        jumps = self._crept_since(last)
+        jumps = self._drift_jumps(last)
         if jumps:
             self._taken = seen._replace(before=None)
         self._previous = self._taken
@@ -397,7 +397,7 @@ class InsGuard:
         """Add a sample to the line by which the next ones are checked; return the jump that it shows."""
         found = self._steps.keep()
         if found is None:
-            return self._crept_since(seen.sample)
+            return self._drift_jumps(seen.sample)
         self._excess.start_collecting(seen.sample.time_ns, self._leads.by_rates.typical_rad)
         self._rates.restart()
         moments_ns = sorted({found.first_ns, found.last_ns})
@@ -413,7 +413,7 @@ class InsGuard:
         self._leads.by_rates.reset()
         return judged._replace(noise=noise)
 
-    def _crept_since(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
+    def _drift_jumps(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
         """Update drift and noise from the samples on the line; return the jump of a drift beyond the usual."""
         sums, self._steps.noise = self._steps.noise, None
         if sums is not None:
@@ -424,8 +424,8 @@ class InsGuard:
         self._learnt += 1
         self._integrator.take_out(self._leads.drift.learnt(learnt.drift_n, sample.rotation_nd))
         self._leads.by_rates.know(learnt.typical_rad)
-        crept = self._slopes.crept(learnt.drift_n, learnt.seconds, learnt.turning)
-        return () if crept is None else (InsJump(sample.time_ns - 1, crept.turn_n, crept.sigma_rad, creeps=True),)
+        crept = self._slopes.detect(learnt.drift_n, learnt.seconds, learnt.turning)
+        return () if crept is None else (InsJump(sample.time_ns - 1, crept.turn_n, crept.sigma_rad, is_drift=True),)
 
     def _late_refusal(self, sample: AttitudeSample, before: AttitudeSample | None) -> Refusal | None:
         """Return the rejection of a sample that arrives after later ones, by the accepted one before it in time."""
@@ -499,5 +499,5 @@ def _stepped(jumps: tuple[InsJump, ...]) -> Refusal | None:
     """
     if not jumps:
         return None
-    off_arcsec, how = size(jumps[-1].jump_n) / ARCSEC, "drifted" if jumps[-1].creeps else "stepped"
+    off_arcsec, how = size(jumps[-1].jump_n) / ARCSEC, "drifted" if jumps[-1].is_drift else "stepped"
     return Refusal(Reason.GATE, f"orientation has {how} by {off_arcsec:.3g} arcsec against its own rates")

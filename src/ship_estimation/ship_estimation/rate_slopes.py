@@ -62,7 +62,7 @@ class SlopeWatch:
         self._slopes_n.clear()
         self._turning.clear()
 
-    def crept(self, slope_n: FloatArray, seconds: float, turning: float) -> Crept | None:
+    def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> Crept | None:
         """Return the drift of the attitude in this piece and those before; None if it is no larger than usual.
 
         Args:

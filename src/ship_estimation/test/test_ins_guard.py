@@ -216,7 +216,7 @@ def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_
         judged_one = guard.judge(replace(one, rotation_nd=_turned_east(east) @ one.rotation_nd), NOTHING_LATE, {})
         if judged_one.jumps:
             told.append(creeping_s)
-            assert judged_one.jumps[0].creeps
+            assert judged_one.jumps[0].is_drift
             assert judged_one.refusal is not None
             assert "crept" in judged_one.refusal.text
     assert bool(told) == (per_min_arcsec > 0.0)

@@ -9,7 +9,7 @@ from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.filter.alternatives import ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.trust import isolate_step_fault, isolate_drift_fault
-from theodolite_calib.measured.contradiction import ship_crept, streams_since
+from theodolite_calib.measured.contradiction import has_ship_drifted, streams_since
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
 PERIOD_NS = 50_000_000
@@ -105,15 +105,15 @@ def test_uninformative_streams_keep_the_isolated_source():
     assert isolate_step_fault(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER
 
 
-def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
+def ships(seed, drift_arcsec_per_s, rates=True, drift_s=20.0):
     """Return a minute of attitudes at 20 Hz that drift about Up from 10 s on, then return."""
     rng = np.random.default_rng(seed)
     found = []
     for time_ns in range(0, 60 * 10**9, PERIOD_NS):
         rotation_nd, rate_d = ship_at(time_ns * 1e-9, rng)
         since_s = time_ns * 1e-9 - 10.0
-        crept_s = since_s if 0.0 < since_s < creep_s else 0.0
-        turned = exp_rotation(crept_s * creep_arcsec_per_s * ARCSEC * np.array([0.0, 1.0, 0.0])) @ rotation_nd
+        crept_s = since_s if 0.0 < since_s < drift_s else 0.0
+        turned = exp_rotation(crept_s * drift_arcsec_per_s * ARCSEC * np.array([0.0, 1.0, 0.0])) @ rotation_nd
         found.append(ShipSample(time_ns, turned, rate_d if rates else None))
     return found
 
@@ -121,23 +121,23 @@ def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
 def test_drifting_ship_attitude_departs_from_its_rates():
     """Drifts of 20" and 60" with a noise of 1" per sample and 1"/s of a rate."""
     for seed in range(10):
-        assert ship_crept(ships(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
-        assert ship_crept(ships(seed, -3.0), 2 * PERIOD_NS, ARCSEC) is True
-        assert ship_crept(ships(seed, 0.0), 2 * PERIOD_NS, ARCSEC) is not True
-    assert ship_crept(ships(0, 0.0), 2 * PERIOD_NS, ARCSEC) is False
+        assert has_ship_drifted(ships(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
+        assert has_ship_drifted(ships(seed, -3.0), 2 * PERIOD_NS, ARCSEC) is True
+        assert has_ship_drifted(ships(seed, 0.0), 2 * PERIOD_NS, ARCSEC) is not True
+    assert has_ship_drifted(ships(0, 0.0), 2 * PERIOD_NS, ARCSEC) is False
 
 
 @pytest.mark.parametrize("every", [4, 10])
 def test_attitudes_that_come_rarely_leave_their_rates_by_the_coarseness_of_the_sum(every):
     """At 5 Hz and 2 Hz the trapezoidal error alone exceeds eight arcseconds: that is no drift."""
     for seed in range(10):
-        assert ship_crept(ships(seed, 0.0)[::every], 2 * every * PERIOD_NS, ARCSEC) is not True
+        assert has_ship_drifted(ships(seed, 0.0)[::every], 2 * every * PERIOD_NS, ARCSEC) is not True
 
 
 def test_ship_drift_is_unknown_without_rates_or_with_a_gap():
-    assert ship_crept(ships(0, 3.0, rates=False), 2 * PERIOD_NS, ARCSEC) is None
-    assert ship_crept(ships(0, 3.0)[:100] + ships(0, 3.0)[110:], 2 * PERIOD_NS, ARCSEC) is None
-    assert ship_crept([], 2 * PERIOD_NS, ARCSEC) is None
+    assert has_ship_drifted(ships(0, 3.0, rates=False), 2 * PERIOD_NS, ARCSEC) is None
+    assert has_ship_drifted(ships(0, 3.0)[:100] + ships(0, 3.0)[110:], 2 * PERIOD_NS, ARCSEC) is None
+    assert has_ship_drifted([], 2 * PERIOD_NS, ARCSEC) is None
 
 
 def test_corrected_ship_attitude_is_no_drift():
@@ -145,7 +145,7 @@ def test_corrected_ship_attitude_is_no_drift():
         replace(sample, slow_covariance_n=np.eye(3) * ((30.0 if sample.time_ns < 30 * 10**9 else 1.0) * ARCSEC) ** 2)
         for sample in ships(0, 3.0)
     ]
-    assert ship_crept(sharper, 2 * PERIOD_NS, ARCSEC) is None
+    assert has_ship_drifted(sharper, 2 * PERIOD_NS, ARCSEC) is None
 
 
 @pytest.mark.parametrize(

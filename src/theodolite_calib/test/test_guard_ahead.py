@@ -68,7 +68,7 @@ class Run:
 
 def said(judged: JudgedIns) -> tuple[Any, ...]:
     """Return all fields of a result, comparable to the bit."""
-    jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.creeps) for jump in judged.jumps)
+    jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.is_drift) for jump in judged.jumps)
     return judged.sample.content(), judged.refusal, jumps, judged.rates_wrong_after_ns
 
 

@@ -128,7 +128,7 @@ class ShipFilter:
             return self._with_uncertain_clock(state, jump)
         opens_ns = self.opens_ns(jump)
         state = self.predicted(state, opens_ns)
-        if jump.creeps:
+        if jump.is_drift:
             state = self.fault_detector.without_ins(state, opens_ns)
             if INS in state.excluded:
                 return state

@@ -57,7 +57,7 @@ _MIN_SHIFT_RAD, _MAX_SHIFT_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
 _DRIFT_OBSERVED_NS = 3 * SECOND_NS
 """Minimum uninterrupted reception of all sources in use before a drift of the INS is detected, ns."""
 
-_CREEPS_FOR_NS = 10 * SECOND_NS
+_DRIFT_DURATION_NS = 10 * SECOND_NS
 """Time for which the offset of the INS from all stars must grow to count as a drift: half a slow roll period, ns."""
 
 
@@ -420,7 +420,7 @@ class Suspects:
             The state, in which the source may be reinstated, and a text about the source.
         """
         state = self._with_offset_growth(state, source, time_ns)
-        if self._ins_creeps_on(state, source, time_ns):
+        if self._is_ins_drifting_on(state, source, time_ns):
             return self.without_ins(state, time_ns), "ins is excluded: it drifts away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
@@ -464,7 +464,7 @@ class Suspects:
         exclusion = replace(exclusion, farther_since_ns=since_ns)
         return changed(state, excluded=with_entry(state.excluded, source, exclusion))
 
-    def _ins_creeps_on(self, state: FilterState, source: str, time_ns: int) -> bool:
+    def _is_ins_drifting_on(self, state: FilterState, source: str, time_ns: int) -> bool:
         """True if the offset of the INS from all stars excluded together has grown for ``_DRIFT_DURATION_NS``.
 
         A constant error of all stars changes the offset only by the random walk of the INS, which the covariance
@@ -475,7 +475,7 @@ class Suspects:
         if state.unresolved_fault is None or len(together) < len(self.subfilters.stars) or not self.ins.may_be_excluded([*together]):
             return False
         return all(
-            one.farther_since_ns is not None and time_ns - one.farther_since_ns >= _CREEPS_FOR_NS
+            one.farther_since_ns is not None and time_ns - one.farther_since_ns >= _DRIFT_DURATION_NS
             for one in together.values()
         )
 

@@ -25,7 +25,7 @@ _SLIP_SEEN_SIGMAS = 13.0
 """Encoder slip, in sigmas of a reading, detected from the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
-_INS_CREEPS_ARCSEC_PER_MIN, _STARS_CREEP_ARCSEC_PER_MIN, _AZIMUTH_CREEPS_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
+_INS_DRIFT_ARCSEC_PER_MIN, _STAR_DRIFT_ARCSEC_PER_MIN, _AZIMUTH_DRIFT_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
 """Drift rates below which the drift is detected before an output exceeds five sigmas, arcsec/min."""
 
 _SMALL_STEP_SIGMAS = 11.0
@@ -87,26 +87,26 @@ class Passage:
         in_view = (self.lights_ns >= first_ns) & (self.lights_ns < end_ns)
         return not in_view.any() and size_arcsec < _SLIP_SEEN_SIGMAS * self.encoder_sigma_arcsec
 
-    def _encoders_creep(self, fault: Fault, first_ns: int) -> bool:
+    def _is_encoder_drift(self, fault: Fault, first_ns: int) -> bool:
         """True for an azimuth drift of the encoders: lights and axis errors absorb it until the subfilters separate."""
         is_drift = fault.kind == "drift" and fault.topic == ENCODER_TOPIC
-        return is_drift and abs(fault.azimuth_arcsec_per_min) > _AZIMUTH_CREEPS_ARCSEC_PER_MIN
+        return is_drift and abs(fault.azimuth_arcsec_per_min) > _AZIMUTH_DRIFT_ARCSEC_PER_MIN
 
-    def _ins_creeps(self, fault: Fault, first_ns: int) -> bool:
+    def _is_ins_drift(self, fault: Fault, first_ns: int) -> bool:
         """True for an INS drift with two star sensors.
 
         The correlated error of the INS absorbs it until its rates or the subfilters show it.
         """
-        return fault.topic == _INS and self._creeps_beside_two(fault, _INS_CREEPS_ARCSEC_PER_MIN)
+        return fault.topic == _INS and self._is_drift_with_two_sensors(fault, _INS_DRIFT_ARCSEC_PER_MIN)
 
-    def _stars_creep(self, fault: Fault, first_ns: int) -> bool:
+    def _is_star_drift(self, fault: Fault, first_ns: int) -> bool:
         """True for a drift of one of two star sensors.
 
         The INS nearly explains it, and about one axis the sensor is the best source.
         """
-        return fault.topic.startswith(_STARS) and self._creeps_beside_two(fault, _STARS_CREEP_ARCSEC_PER_MIN)
+        return fault.topic.startswith(_STARS) and self._is_drift_with_two_sensors(fault, _STAR_DRIFT_ARCSEC_PER_MIN)
 
-    def _creeps_beside_two(self, fault: Fault, arcsec_per_min: float) -> bool:
+    def _is_drift_with_two_sensors(self, fault: Fault, arcsec_per_min: float) -> bool:
         """True if a fault is a faster drift than this about an axis, with fewer than three star sensors."""
         if fault.kind != "drift":
             return False
@@ -140,10 +140,10 @@ class Passage:
 
 _UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
     "encoder slip, no lights": Passage._slips_without_lights,
-    "encoder drift, detected late": Passage._encoders_creep,
-    "ins drift, detected late": Passage._ins_creeps,
+    "encoder drift, detected late": Passage._is_encoder_drift,
+    "ins drift, detected late": Passage._is_ins_drift,
     "ins step, small": Passage._ins_steps_a_little,
-    "star drift, detected late": Passage._stars_creep,
+    "star drift, detected late": Passage._is_star_drift,
     "telescope knock, small": Passage._is_small_telescope_shift,
     "star knock, no stars": Passage._is_star_shift_without_stars,
 }

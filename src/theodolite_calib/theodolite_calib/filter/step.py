@@ -49,10 +49,10 @@ class SightingStep:
         config: OpticalAxisConfig,
         filter_: CalibrationFilter,
         streams_since: Callable[[int, int], Streams | None] = lambda since_ns, until_ns: None,
-        ship_crept: Callable[[int], bool | None] = lambda time_ns: None,
+        has_ship_drifted: Callable[[int], bool | None] = lambda time_ns: None,
         stream_faults: Callable[[int], Set[str]] = lambda time_ns: frozenset(),
     ) -> None:
-        self._streams_since, self._ship_crept, self._own_faults = streams_since, ship_crept, stream_faults
+        self._streams_since, self._has_ship_drifted, self._own_faults = streams_since, has_ship_drifted, stream_faults
         self._filter, self._gate, self._config = filter_, config.gate, config.integrity
         self._judge = SightingJudge(filter_, config.gate)
         self._factors = hypothesis_factors(config.integrity, filter_.subfilters.sources)
@@ -168,9 +168,9 @@ class SightingStep:
         is_detected, source, explaining = self._fault_detector.isolate_fault(after.fault_state, after.separation, time_ns)
         if is_detected and not trust.excluded:
             is_common = self._fault_detector.creep_alike(trust, time_ns)
-            source = isolate_drift_fault(source, explaining, is_common, self._ship_crept(time_ns))
+            source = isolate_drift_fault(source, explaining, is_common, self._has_ship_drifted(time_ns))
             source = self._faulty(source, explaining, time_ns)
-        elif not is_detected and self._fault_detector.indicates_ship_drift(trust, time_ns) and self._ship_crept(time_ns):
+        elif not is_detected and self._fault_detector.indicates_ship_drift(trust, time_ns) and self._has_ship_drifted(time_ns):
             source = SHIP
         if source is not None:
             return self._attributed(after, source, decision)

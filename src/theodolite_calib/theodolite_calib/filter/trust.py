@@ -120,7 +120,7 @@ def isolate_step_fault(source: str, explaining: Set[str], told: Streams, off_rad
     return TELESCOPE if right else source
 
 
-def isolate_drift_fault(source: str | None, explaining: Set[str], is_common: bool, ship_crept: bool | None) -> str | None:
+def isolate_drift_fault(source: str | None, explaining: Set[str], is_common: bool, has_ship_drifted: bool | None) -> str | None:
     """Return the faulty source of a drift of accepted beacons; None if it is not isolated.
 
     If all beacons drift together, the encoders or the ship's attitude drift, because two drones do not drift together.
@@ -134,11 +134,11 @@ def isolate_drift_fault(source: str | None, explaining: Set[str], is_common: boo
         ship_crept: True if the ship's attitude has departed from its own rates; None if unknown.
     """
     chain = explaining & {ENCODER, SHIP}
-    if ship_crept is not None:
-        chain = chain & {SHIP if ship_crept else ENCODER}
+    if has_ship_drifted is not None:
+        chain = chain & {SHIP if has_ship_drifted else ENCODER}
     if not chain:
         return source
-    if len(chain) == 1 and (is_common or ship_crept or source in CHAIN):
+    if len(chain) == 1 and (is_common or has_ship_drifted or source in CHAIN):
         return next(iter(chain))
     return source if source in CHAIN else None
 

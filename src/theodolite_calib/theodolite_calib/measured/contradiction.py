@@ -38,9 +38,9 @@ _MISSED_SIGMAS = 3.0
 
 _MEAN_OVER_S = 0.5
 """Length of the means in which a drift of the ship's attitude is evaluated, s."""
-_LEAST_CREEP_S = 3.0
+_MIN_DRIFT_S = 3.0
 """Minimum time span for evaluating a drift, s."""
-_CREPT_SIGMAS = 8.0
+_DRIFT_SIGMAS = 8.0
 """Difference between two means above which the attitude has drifted, in standard deviations of an attitude."""
 _BY_TRAPEZOIDS = 2.0 / 3.0
 """Error of the trapezoidal rule, twice, per difference to steps of double length: these have four times the error, so
@@ -118,7 +118,7 @@ def streams_since(
     return Streams(by_encoder, by_ship, is_ship_unreliable)
 
 
-def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) -> bool | None:
+def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) -> bool | None:
     """True if a ship's attitude has departed from the integral of its own rates; None if unknown.
 
     Args:
@@ -130,7 +130,7 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
     if len(told) < 2 or _gap(told, longest_gap_ns) or any(sample.rate_d is None for sample in told):
         return None
     seconds = _seconds(told, told[0].time_ns)
-    if seconds[-1] < _LEAST_CREEP_S:
+    if seconds[-1] < _MIN_DRIFT_S:
         return None
     places = (seconds / _MEAN_OVER_S).astype(int)
     count = np.bincount(places)
@@ -142,7 +142,7 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
     may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
     coarse_n = _rate_residuals(rotation_nd[::2], rate_d[::2], seconds[::2])
     may_rad += _BY_TRAPEZOIDS * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
-    if spread_rad > _CREPT_SIGMAS * sigma_rad + may_rad:
+    if spread_rad > _DRIFT_SIGMAS * sigma_rad + may_rad:
         return True
     return False if spread_rad < _STEADY_SIGMAS * sigma_rad else None  # NaN is neither
 

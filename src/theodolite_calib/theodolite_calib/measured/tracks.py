@@ -21,7 +21,7 @@ from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
-from theodolite_calib.measured.contradiction import Streams, ship_crept, streams_since
+from theodolite_calib.measured.contradiction import Streams, has_ship_drifted, streams_since
 from theodolite_calib.measured.samples import AnyExposure, EncoderSample, Exposure, ShipSample
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
@@ -31,7 +31,7 @@ _LOOKED_BACK_NS = 3 * SECOND_NS
 _BEFORE_NS = SECOND_NS
 """Time before that range from which samples are used as well, ns."""
 
-_CREPT_WITHIN_NS = 60 * SECOND_NS
+_DRIFT_WINDOW_NS = 60 * SECOND_NS
 """Time range in which the ship's attitude is compared with its own rates, ns."""
 
 _DROP_EVERY_NS = SECOND_NS // 10
@@ -153,7 +153,7 @@ class MeasuredTracks:
         self.drones = {
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
-        self.encoder.keeps_ns, self.ship.keeps_ns = _LOOKED_BACK_NS + _BEFORE_NS, _CREPT_WITHIN_NS
+        self.encoder.keeps_ns, self.ship.keeps_ns = _LOOKED_BACK_NS + _BEFORE_NS, _DRIFT_WINDOW_NS
         self._dropped_until_ns = -_DROP_EVERY_NS
         self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
         widest_gap_ns = max(track.max_gap_ns for track in self._all)
@@ -252,13 +252,13 @@ class MeasuredTracks:
             float(np.sqrt(self._ship_noise)),
         )
 
-    def ship_crept(self, time_ns: int) -> bool | None:
+    def has_ship_drifted(self, time_ns: int) -> bool | None:
         """True if the ship's attitude departed from its rates in the last minute, after its last jump, or None."""
         until_ns = time_ns - self.ship_shift_ns
-        first_ns, jumped_ns = until_ns - _CREPT_WITHIN_NS, self.ship.last_cut_ns(until_ns)
+        first_ns, jumped_ns = until_ns - _DRIFT_WINDOW_NS, self.ship.last_cut_ns(until_ns)
         ship = self.ship.between(first_ns if jumped_ns is None else max(first_ns, jumped_ns + 1), until_ns)
         samples = [sample for sample in ship if isinstance(sample, ShipSample)]
-        return ship_crept(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
+        return has_ship_drifted(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
 
     def light_at(self, beacon_id: str, time_ns: int) -> LightAt | Refusal:
         """Return the pose of a beacon at a time, or the rejection."""

@@ -436,7 +436,7 @@ class OpticalAxisCore:
     def _take_models(self, config: OpticalAxisConfig) -> None:
         self.config = config
         self.filter = self.filter_class(config)
-        self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept, self._stream_faults)
+        self._step_to = SightingStep(config, self.filter, self._streams_since, self._has_ship_drifted, self._stream_faults)
         watch = self._sky
         self._step_to_stars = None if watch is None else StarStep(config, self.filter, watch)
         self._pointing = PointingOutput(config, self.filter)
@@ -519,9 +519,9 @@ class OpticalAxisCore:
         """Return the consistency of the encoder and ship streams in a time range."""
         return self._tracks.streams_since(since_ns, until_ns)
 
-    def _ship_crept(self, time_ns: int) -> bool | None:
+    def _has_ship_drifted(self, time_ns: int) -> bool | None:
         """True if the ship's attitude departed from its own rates before a time; None if unknown."""
-        return self._tracks.ship_crept(time_ns)
+        return self._tracks.has_ship_drifted(time_ns)
 
     def _note_own_fault(self, source: str, time_ns: int, refusal: Refusal | None, jumped: bool = False) -> None:
         """Record that the encoder or ship stream was stuck, jumped or repeated a stamp."""
