@@ -97,7 +97,7 @@ def test_with_a_prediction_the_attitude_is_in_units_of_its_sigmas() -> None:
         # Any root is valid: the information about the attitude is the same.
         equal(counted @ counted.swapaxes(1, 2), of_attitude @ covariance_n @ of_attitude.swapaxes(1, 2))
         equal(found.displacement, fit.displacement - (0.0 if expected_n is None else of_attitude @ expected_n))
-        assert found.open == 0
+        assert found.free_count == 0
 
 
 def test_covariances_by_term_are_as_by_numpy() -> None:

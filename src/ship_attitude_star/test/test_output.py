@@ -97,12 +97,12 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
     stays = MappingProxyType({"star.fore": PixelStay(np.eye(3)[:1], 3, 0.5)})
     together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, stays=stays)
-    after = FILTER.opened(FILTER.predicted(together, 31_000_000_000), jump)
+    after = FILTER.apply_ins_change(FILTER.predicted(together, 31_000_000_000), jump)
     assert not after.stays  # the effect of earlier stars is gone
     for row in range(rows):
         parts = np.zeros_like(initial.parts)
         parts[0] = filter_covariances(stack, rows)[row]
         one = replace(together, means=means[row : row + 1], stack=parts)
-        alone = FILTER.opened(FILTER.predicted(one, 31_000_000_000), jump)
+        alone = FILTER.apply_ins_change(FILTER.predicted(one, 31_000_000_000), jump)
         assert after.means[row].tobytes() == alone.mean.tobytes()
         np.testing.assert_allclose(filter_covariances(after.stack, rows)[row], alone.covariance, rtol=1e-12, atol=1e-20)

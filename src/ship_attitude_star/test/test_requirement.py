@@ -119,7 +119,7 @@ def test_the_search_finds_the_best_of_all_directions(asked: dict[str, float], ma
     layout, sights = Layout.from_config(config), Obstructions.from_config(config)
     azimuths, elevations = np.deg2rad(np.arange(0.0, 360.0, 10.0)), np.deg2rad(np.arange(5.0, 86.0, 10.0))
     places = np.array([[azimuth, elevation, 0.0] for azimuth in azimuths for elevation in elevations])
-    first, second = places[sights.is_open(0, places)], places[sights.is_open(1, places)]
+    first, second = places[sights.is_unobstructed(0, places)], places[sights.is_unobstructed(1, places)]
     angles = np.stack([np.repeat(first, len(second), axis=0), np.tile(second, (len(first), 1))], axis=1)
     limits = config.requirement.limits_arcsec()
     best = np.min(np.max(layout.sigmas_arcsec(angles) / limits, axis=-1))
@@ -141,7 +141,7 @@ def test_the_admissible_map_equals_single_evaluations() -> None:
         angles = computed.layout.angles.copy()
         angles[1, :2] = np.deg2rad([moved.azimuths_deg[column], moved.elevations_deg[row]])
         met = np.all(replace(computed.layout, angles=angles).sigmas_arcsec() <= limits)
-        free = computed.obstructions.is_open(1, angles[1][None])[0]
+        free = computed.obstructions.is_unobstructed(1, angles[1][None])[0]
         assert allowed.admissible()[row, column] == (met and free)
 
 

@@ -455,11 +455,11 @@ def test_a_drifting_ins_is_excluded_if_others_check_each_other(
     state = core.state
     assert state.time_ns is not None
     jump = InsJump(state.time_ns + SECOND_NS, 7.0 * UP * ARCSEC, 0.3 * ARCSEC, is_drift=True)
-    after = core.filter.opened(state, jump)
+    after = core.filter.apply_ins_change(state, jump)
     assert dict(after.record) == excluded
     # With one sensor only its own measurements can confirm the attitude.
     assert (after.unconfirmed is not None) == (not excluded)
-    assert dict(core.filter.opened(after, jump).record) == excluded
+    assert dict(core.filter.apply_ins_change(after, jump).record) == excluded
 
 
 def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:

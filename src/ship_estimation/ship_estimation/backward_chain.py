@@ -189,7 +189,7 @@ class Chain(Generic[Given]):
             self._lead_to(state, came.predicted, came.estimate, came.is_update, came.jumped_ns)
         if not _same(now, self._last.known):
             # Neither measurement nor jump: the covariance was inflated, or the filters restarted from a subfilter.
-            self._lead_to(state, now, now, _is_opened(self._last.known, now))
+            self._lead_to(state, now, now, _is_inflated(self._last.known, now))
 
     def take_until(self, time_ns: int) -> list[tuple[list[int], Known]]:
         """Return the requested times up to one with their smoothed estimates, and remove the requests.
@@ -277,7 +277,7 @@ def _same(one: Known, other: Known) -> bool:
     return np.array_equal(one.mean, other.mean) and np.array_equal(one.covariance, other.covariance)
 
 
-def _is_opened(before: Known, after: Known) -> bool:
+def _is_inflated(before: Known, after: Known) -> bool:
     """True if ``after`` is ``before`` with an inflated covariance."""
     if not np.array_equal(before.mean, after.mean):
         return False

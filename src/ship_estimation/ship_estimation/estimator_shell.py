@@ -306,7 +306,7 @@ class Model(Generic[State, Measured, Judged, Jump]):
     """
 
     step: Callable[[State, Measured, bool], tuple[State, Judged] | None]
-    opened: Callable[[State, Jump], State]
+    inflate: Callable[[State, Jump], State]
     failed: Callable[[Measured, Refusal], Judged]
     until_ns: Callable[[Judged], int]
     forget_before: Callable[[int], None]
@@ -512,7 +512,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self, state: State, item: Measured | _Opening[Jump]
     ) -> tuple[State, Judged | _Opening[Jump]] | None:
         if isinstance(item, _Opening):
-            return self._model.opened(state, item.jump), item
+            return self._model.inflate(state, item.jump), item
         return self._model.step(state, item, item.time_ns >= self.window.oldest_ns)
 
     def _failed(self, item: Measured | _Opening[Jump], error: Exception) -> Judged | _Opening[Jump]:
@@ -571,7 +571,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         if not (self._jumped and self._log.waiting):
             return self.state
         openings = [item for item in self._log.not_applied() if isinstance(item, _Opening)]
-        return functools.reduce(lambda state, opening: self._model.opened(state, opening.jump), openings, self.state)
+        return functools.reduce(lambda state, opening: self._model.inflate(state, opening.jump), openings, self.state)
 
     def say_invalid(
         self, outcome: Outcome[Judged, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 
-_OPEN = 0.5
+_UNOBSERVED_RATIO = 0.5
 """Ratio of sigma to prior sigma above which a combination counts as unobservable."""
 
 _TAKES_PART = 0.1
@@ -37,7 +37,7 @@ def open_combinations(
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
     # Rows: unobservable combinations, in prior sigmas.
-    runs = _sparse(vectors[:, values > _OPEN**2].T)
+    runs = _sparse(vectors[:, values > _UNOBSERVED_RATIO**2].T)
     told = leading if told is None else told
     return tuple(_words(run, sigma, leading, told) for run in runs)
 

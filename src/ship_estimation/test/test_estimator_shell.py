@@ -58,7 +58,7 @@ class Estimator:
         self.claimed: list[int] = []
         model: Model[float, Toy, Decision[Toy], float] = Model(
             step=self.step,
-            opened=self.opened,
+            inflate=self.inflate,
             failed=lambda toy, refusal: Decision(toy, refusal.reason, text=refusal.text),
             until_ns=lambda decision: decision.measurement.time_ns,
             forget_before=self.track.drop_before,
@@ -66,7 +66,7 @@ class Estimator:
         )
         self.shell: Shell = EstimatorShell(model, START, LAG_S, SECOND_NS)
 
-    def opened(self, state: float, jump: float) -> float:
+    def inflate(self, state: float, jump: float) -> float:
         if math.isnan(jump):
             raise ArithmeticError("no size")
         return math.cos(state) + jump
@@ -153,7 +153,7 @@ def test_changed_decision_is_reported_as_revised() -> None:
     shell: Shell = EstimatorShell(
         Model(
             step=step,
-            opened=lambda state, jump: state,
+            inflate=lambda state, jump: state,
             failed=lambda toy, refusal: Decision(toy, refusal.reason),
             until_ns=lambda decision: decision.measurement.time_ns,
             forget_before=lambda time_ns: None,

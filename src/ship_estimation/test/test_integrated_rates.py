@@ -48,7 +48,7 @@ def number_at(rate_hz: float, seconds: float = LEARNT_S) -> int:
     return round(seconds * rate_hz)
 
 
-def assert_opened(found: Told, samples: list[AttitudeSample], first: int, arcsec_n: tuple[float, float, float]) -> None:
+def assert_inflated(found: Told, samples: list[AttitudeSample], first: int, arcsec_n: tuple[float, float, float]) -> None:
     """Check that one step was found, at the right time, and that the covariance covers it."""
     (jumps,) = found.jumps.values()
     taken = next(n for n in range(first, len(samples)) if n not in found.refused)
@@ -84,7 +84,7 @@ def test_steps_from_fourteen_sigma_on_are_detected_at_the_sample(rate_hz: float,
         found = told(changed)
         assert found.refused == list(range(first, first + 5))
         assert list(found.jumps) == [first + 5]
-        assert_opened(found, changed, first, step)
+        assert_inflated(found, changed, first, step)
 
 
 @pytest.mark.statistics
@@ -103,7 +103,7 @@ def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, l
         # A step found by means is among accepted samples: the sample at its detection is rejected and reports it.
         (known,) = found.jumps
         assert known in found.refused or known - 1 in found.refused, seed
-        assert_opened(found, changed, first, arcsec_n)
+        assert_inflated(found, changed, first, arcsec_n)
 
 
 @pytest.mark.slow
@@ -126,7 +126,7 @@ def test_steps_of_an_ins_with_a_resolution_of_a_hundredth_of_a_degree_are_detect
     changed = stepped(stream(LEARNT_S + 1.0, rate_hz, printed_deg=0.01), first, (0.0, arcsec, 0.0))
     found = told(changed)
     assert found.refused == list(range(first, first + 5))
-    assert_opened(found, changed, first, (0.0, arcsec, 0.0))
+    assert_inflated(found, changed, first, (0.0, arcsec, 0.0))
 
 
 @pytest.mark.parametrize("turned_too", [False, True])
@@ -153,7 +153,7 @@ def test_occasionally_missing_rates_do_not_end_the_line(missing: str) -> None:
     changed = stepped(samples, first, (0.0, 14.0, 0.0))
     found = told(changed)
     assert first <= min(found.refused) <= first + 1
-    assert_opened(found, changed, first, (0.0, 14.0, 0.0))
+    assert_inflated(found, changed, first, (0.0, 14.0, 0.0))
 
 
 def test_freeze_in_a_slow_rotation_is_detected_with_known_rate_drift() -> None:

@@ -139,7 +139,7 @@ class NmeaNode:
         self.every(REPORT_PERIOD_S, "report", self._report)
         self._events.start(self.node)
 
-    def begin_without(self, refusals: Sequence[InputError], count: int) -> None:
+    def require_one_open(self, refusals: Sequence[InputError], count: int) -> None:
         """Log the places that cannot be opened, and raise if none is open.
 
         Args:

@@ -220,9 +220,9 @@ def test_hypotheses_are_carried_as_each_alone(source: str) -> None:
     time_ns = alone[0].time_ns + 60_000_000_000
     stated_n = None if source == "ins/imu" else (ARCSEC * np.diag([3.0, 20.0, 3.0])) ** 2
     jump = EncoderJump(time_ns, ARCSEC * np.array([100.0, -50.0]), ARCSEC)
-    later = filter_.opened(filter_.predicted(both, time_ns, stated_n), jump)
+    later = filter_.inflate_covariance(filter_.predicted(both, time_ns, stated_n), jump)
     assert later.covariance.shape == (2, filter_.model.size, filter_.model.size)
     for row, state in enumerate(alone):
-        one = filter_.opened(filter_.predicted(state, time_ns, stated_n), jump)
+        one = filter_.inflate_covariance(filter_.predicted(state, time_ns, stated_n), jump)
         assert later.mean[row].tobytes() == one.mean.tobytes()
         assert later.parts[row].tobytes() == one.parts.tobytes()

@@ -176,7 +176,7 @@ def test_ten_seconds_of_beacons_match_their_covariance(changes: dict[str, float]
 THREE = {"g - deformation_up", "beta_y - deformation_bow", "beta_x + deformation_starboard"}
 
 
-def open_after(low_deg: float, high_deg: float, **changes: float) -> set[str]:
+def unobservable_after(low_deg: float, high_deg: float, **changes: float) -> set[str]:
     settings = config(air__sigma=0.06, **each_light(rtk__sigma_m=0.027), **changes)
     filter_ = CalibrationFilter(settings)
     given = session(settings, 1, SWEEP_S, sweep(SWEEP_S, low_deg, high_deg))
@@ -184,11 +184,11 @@ def open_after(low_deg: float, high_deg: float, **changes: float) -> set[str]:
 
 
 def test_exactly_three_combinations_are_open_after_a_full_sweep() -> None:
-    assert open_after(10.0, 70.0) == THREE
+    assert unobservable_after(10.0, 70.0) == THREE
 
 
 def test_a_narrow_range_of_elevation_leaves_the_valley_of_c_I_and_g() -> None:
-    (valley,) = open_after(20.0, 30.0) - THREE
+    (valley,) = unobservable_after(20.0, 30.0) - THREE
     # What turns the azimuth by -g - c / cos E - I tan E and nothing else: at 25° g : c : I = 1 : -1.1 : 0.47, to first
     # order in the range, less what the curvature leaves.
     assert valley == "g - c + 0.46 I"
@@ -196,7 +196,7 @@ def test_a_narrow_range_of_elevation_leaves_the_valley_of_c_I_and_g() -> None:
 
 def test_fixed_errors_are_not_reported() -> None:
     held = {"axes__c_sigma_arcsec": 0.0}
-    assert open_after(20.0, 30.0, **held) == THREE
+    assert unobservable_after(20.0, 30.0, **held) == THREE
 
 
 def test_all_is_unobservable_before_the_first_beacon() -> None:

@@ -42,7 +42,7 @@ def test_its_states_are_those_of_the_filter() -> None:
     for sighting in sightings(4):
         one, other = stepped(plain, one, sighting), stepped(traced, other, sighting)
         jump = EncoderJump(sighting.time_ns + 1, np.array([1e-3, 0.0]), 1e-4)
-        one, other = plain.opened(one, jump), traced.opened(other, jump)
+        one, other = plain.inflate_covariance(one, jump), traced.inflate_covariance(other, jump)
         for name in ("mean", "parts", "separation", "ship_steady_n"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert {field.name for field in fields(other)} - {field.name for field in fields(one)} == {"came", "leads_back"}
@@ -60,7 +60,7 @@ def test_a_sighting_leads_back_to_what_was_predicted() -> None:
     np.testing.assert_array_equal(after.came.estimate.mean, after.mean)
     assert after.came.is_update
     jump = EncoderJump(second.time_ns + 7, np.array([1e-3, 0.0]), 1e-4)
-    opened = filter_.opened(after, jump)
+    opened = filter_.inflate_covariance(after, jump)
     assert isinstance(opened, TracedState)
     assert opened.came is not None
     assert opened.came.is_update

@@ -100,5 +100,5 @@ def test_after_a_slip_of_the_encoders_the_stars_are_new() -> None:
     state = estimate.state
     assert state.stays[f"star.{CAMERA_ID}"].exposures > 0
     jump = EncoderJump(state.time_ns, np.array([1e-3, 0.0]), 1e-5)
-    assert not filter_.opened(state, jump).stays
+    assert not filter_.inflate_covariance(state, jump).stays
     assert not filter_.without(state, "encoder").stays

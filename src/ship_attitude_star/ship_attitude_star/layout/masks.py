@@ -71,7 +71,7 @@ class Obstructions:
         lowest: FloatArray = np.arcsin(np.min(field_d @ self.up_d.T, axis=(-2, -1)).clip(-1.0, 1.0))
         return lowest - self.clearance
 
-    def is_open(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
+    def is_unobstructed(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """True if a field is clear of masks and horizon, for installation angles (n, 3), rad; shape (n,)."""
         return self.clear(number, angles) & (self.horizon_margin(number, angles) >= 0.0)
 

@@ -204,8 +204,8 @@ class _Judge:
         evaluated and from sensors distributed around the ship, one sensor at a time moves to the best direction of a
         fine grid.
         """
-        coarse = [self._open_places(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))]
-        fine = [self._open_places(layout, number, SEARCH_STEP_DEG) for number in range(len(layout.names))]
+        coarse = [self._unobstructed_placements(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))]
+        fine = [self._unobstructed_placements(layout, number, SEARCH_STEP_DEG) for number in range(len(layout.names))]
         pairs = list(combinations(range(len(layout.names)), 2))
         starts = [self._descended(layout, coarse, pairs), *(one.layout for one in candidates), *_spread(layout)]
         found = [self._descended(start, fine) for start in starts]
@@ -214,11 +214,11 @@ class _Judge:
             key=lambda one: (bool(one.obstacles), _or_infinite(one.use)),
         )
 
-    def _open_places(self, layout: Layout, number: int, step_deg: float) -> FloatArray:
+    def _unobstructed_placements(self, layout: Layout, number: int, step_deg: float) -> FloatArray:
         """Return the installation angles of a sensor with an unobstructed field, on a grid, shape (n, 3), rad."""
         azimuths_deg = np.arange(0.0, 360.0, step_deg)
         own = _grid_angles(layout, number, azimuths_deg, _elevations_deg(step_deg))
-        return own[self.obstructions.is_open(number, own)]
+        return own[self.obstructions.is_unobstructed(number, own)]
 
     def _descended(
         self, layout: Layout, places: list[FloatArray], groups: Sequence[tuple[int, ...]] | None = None

@@ -104,7 +104,7 @@ class ShipAttitudeCore:
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
         model: Model[FilterState, Measurement, AttitudeDecision, InsChange] = Model(
             step=self._step,
-            opened=self._opened,
+            inflate=self._apply_ins_change,
             failed=_failed,
             until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
@@ -272,11 +272,11 @@ class ShipAttitudeCore:
         if judged.noise is not None:
             # Measurements since then are evaluated again with the measured noise of the samples.
             since_ns = self._track.add_noise(judged.noise)
-            self._shell.add_jump(self.filter.opens_ns(judged.noise), INS, judged.noise, since_ns)
+            self._shell.add_jump(self.filter.change_effective_ns(judged.noise), INS, judged.noise, since_ns)
             self._shell.apply(outcome)
         self._ins_jumps.extend(judged.jumps)
         for jump in judged.jumps:
-            self._shell.add_jump(self.filter.opens_ns(jump), INS, jump, self._track.cut(jump.time_ns))
+            self._shell.add_jump(self.filter.change_effective_ns(jump), INS, jump, self._track.cut(jump.time_ns))
         if judged.refusal is not None:
             outcome.refusal = judged.refusal
             self._shell.add_refused(INS, self._track, judged.sample)
@@ -503,8 +503,8 @@ class ShipAttitudeCore:
             return self.filter.step(compared[0], measurement, self._track, self._watch, may_wait)
         return compared
 
-    def _opened(self, state: FilterState, change: InsChange) -> FilterState:
-        return self.filter.opened(state, change)
+    def _apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
+        return self.filter.apply_ins_change(state, change)
 
     def _note_used(self, decision: AttitudeDecision) -> None:
         """Store the last accepted measurement of each source and its period."""

@@ -117,7 +117,7 @@ class ShipFilter:
         everywhere[rows[:, None], rows] = covariance
         add_error(stack, count, part, slice(None), everywhere)
 
-    def opened(self, state: FilterState, jump: InsChange) -> FilterState:
+    def apply_ins_change(self, state: FilterState, jump: InsChange) -> FilterState:
         """Inflate the covariance for a jump of the INS or a change of its noise.
 
         The stamps of the INS and of a device may differ for the same time. The inflation takes effect early enough that
@@ -126,13 +126,13 @@ class ShipFilter:
         """
         if isinstance(jump, ExtraNoise):
             return self._with_uncertain_clock(state, jump)
-        opens_ns = self.opens_ns(jump)
-        state = self.predicted(state, opens_ns)
+        effective_ns = self.change_effective_ns(jump)
+        state = self.predicted(state, effective_ns)
         if jump.is_drift:
-            state = self.fault_detector.without_ins(state, opens_ns)
+            state = self.fault_detector.without_ins(state, effective_ns)
             if INS in state.excluded:
                 return state
-        state = self.fault_detector.reset_for_ins_jump(state, opens_ns)
+        state = self.fault_detector.reset_for_ins_jump(state, effective_ns)
         stack, means, count = state.stack.copy(), state.means, len(state.means)
         slow, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
         # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
@@ -146,18 +146,18 @@ class ShipFilter:
         else:
             add_error(stack, count, self._ins_index, slow, jump.covariance_n)
             if jump.is_of_clock:
-                state = self.fault_detector.ins.clock_has_stepped(state, opens_ns)
+                state = self.fault_detector.ins.clock_has_stepped(state, effective_ns)
         return changed(
             state,
             means=means,
             stack=stack,
             stays=NO_STAYS,
-            unconfirmed=_unconfirmed_ins_jump(opens_ns),
+            unconfirmed=_unconfirmed_ins_jump(effective_ns),
             jumped_ns=jump.time_ns,
             ins_suspected_ns=jump.time_ns,
         )
 
-    def opens_ns(self, change: InsChange) -> int:
+    def change_effective_ns(self, change: InsChange) -> int:
         """Return the time of measurements from which the covariance is inflated for a change of the INS, ns."""
         return change.time_ns - round(self.linearisation.longest_shift_s * SECOND_NS)
 
@@ -166,7 +166,7 @@ class ShipFilter:
         clock = self.model.blocks["ins.time_offset"]
         if not (noise.clock_sigma_s > 0.0 and clock.sigma[0] > 0.0):
             return state
-        state = self.predicted(state, self.opens_ns(noise))
+        state = self.predicted(state, self.change_effective_ns(noise))
         stack, rows = state.stack.copy(), self.model.slices[clock.name]
         add_error(stack, len(state.means), self._ins_index, rows, np.array([[noise.clock_sigma_s**2]]))
         return changed(state, stack=stack)
@@ -341,14 +341,14 @@ class ShipFilter:
         """
         linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
         innovations = compare_rows(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
-        opened, wrong = self.fault_detector.ins.opened_against(predicted, source, innovations, compared.predicted_nv, gate)
+        inflated, wrong = self.fault_detector.ins.inflate_against(predicted, source, innovations, compared.predicted_nv, gate)
         if not wrong:
             return predicted, innovations
-        wider = compare_rows(predicted.means, opened, linear, at_mean, rotation_jacobian)
+        wider = compare_rows(predicted.means, inflated, linear, at_mean, rotation_jacobian)
         # Fault detection uses the innovations from before the inflation.
         whitened, root = wider.whitened_innovation.copy(), wider.whitening_root.copy()
         whitened[wrong], root[wrong] = innovations.whitened_innovation[wrong], innovations.whitening_root[wrong]
-        return changed(predicted, stack=opened), wider._replace(turn=whitened, turn_root=root)
+        return changed(predicted, stack=inflated), wider._replace(turn=whitened, turn_root=root)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """Return the decision with the text of fault detection, rejected if the measurement excluded its source."""
@@ -364,16 +364,16 @@ class ShipFilter:
         """Reject a measurement that cannot be evaluated; count it if it contradicts the state."""
         refusal, text = why.refusal, why.refusal.text
         if why.contradicts:
-            state, opened = self._reopened(self._counted(state, measurement.source), measurement.source)
+            state, inflation_text = self._inflate_after_rejections(self._counted(state, measurement.source), measurement.source)
             state = self.fault_detector.ins.not_compared(state, measurement.time_ns)
-            text += opened
+            text += inflation_text
         return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=why.ins_time_ns)
 
     def _counted(self, state: FilterState, source: str) -> FilterState:
         """Return the state with the consecutive rejections of a source increased by one."""
         return changed(state, refusals=with_entry(state.refusals, source, state.refusals.get(source, 0) + 1))
 
-    def _reopened(self, state: FilterState, source: str) -> tuple[FilterState, str]:
+    def _inflate_after_rejections(self, state: FilterState, source: str) -> tuple[FilterState, str]:
         """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
 
         Returns:
@@ -434,8 +434,8 @@ class ShipFilter:
             reason = Reason.ATTITUDE_CONFLICT
             who = diagnosis_hint(source, state.refusals, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
             text = f"{run} rejections in a row: {source} and the INS disagree{who}"
-        state, opened = self._reopened(state, source)
-        return state, replace(decision, reason=reason, accepted=False, text=text + opened)
+        state, inflation_text = self._inflate_after_rejections(state, source)
+        return state, replace(decision, reason=reason, accepted=False, text=text + inflation_text)
 
 
 def _unconfirmed_first_star(source: str, time_ns: int) -> Unconfirmed:

@@ -79,20 +79,20 @@ class InsAtFault:
         count = self._subfilters.count
         stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (count - 1, 1, 1))])
         for subfilter in self._subfilters.ins_subfilters:
-            self._open(stack, count, _UNKNOWN_RAD**2 * np.eye(3), subfilter)
+            self._inflate(stack, count, _UNKNOWN_RAD**2 * np.eye(3), subfilter)
         return np.tile(mean, (count, 1)), stack
 
-    def open_slow_error(self, parts: FloatArray, covariance_n: FloatArray) -> None:
+    def inflate_ins_attitude(self, parts: FloatArray, covariance_n: FloatArray) -> None:
         """Inflate the covariance of the correlated INS error, in place, in a main filter without subfilters."""
-        self._open(parts, 1, covariance_n, None)
+        self._inflate(parts, 1, covariance_n, None)
 
     def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Add the random walk of an excluded INS to the covariances, in place."""
         walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _ABOUT_EACH_AXIS
         for subfilter in (None,) if INS in state.excluded else self._subfilters.ins_subfilters:
-            self._open(stack, len(state.means), walked, subfilter)
+            self._inflate(stack, len(state.means), walked, subfilter)
 
-    def opened_against(
+    def inflate_against(
         self, state: FilterState, source: str, innovations: FilterInnovations, predicted_nv: FloatArray, gate: float
     ) -> tuple[FloatArray, list[int]]:
         """Inflate the covariance of the INS error by an inconsistent innovation.
@@ -120,7 +120,7 @@ class InsAtFault:
         for row in wrong:
             rotation_n = predicted_nv @ innovations.whitening_root[row] @ innovations.whitened_innovation[row]
             covariance_n = np.outer(rotation_n, rotation_n) + 0.01 * (rotation_n @ rotation_n) * np.eye(3)
-            self._open(stack, len(state.means), covariance_n, None if everywhere else row)
+            self._inflate(stack, len(state.means), covariance_n, None if everywhere else row)
         return stack, list(range(len(state.means))) if everywhere else wrong
 
     def learns(self, state: FilterState, learns: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -162,7 +162,7 @@ class InsAtFault:
         if not distrusted(state):
             return state
         stack = state.stack.copy()
-        self._open(stack, len(state.means), _UNKNOWN_RAD**2 * np.eye(3), None)
+        self._inflate(stack, len(state.means), _UNKNOWN_RAD**2 * np.eye(3), None)
         return self.contradicted_now(changed(state, stack=stack), time_ns)
 
     def monitor(self, state: FilterState, innovations: FilterInnovations, agrees: bool, time_ns: int) -> FilterState:
@@ -222,7 +222,7 @@ class InsAtFault:
             return False
         return bool(state.innovation_means.refused[subfilter, index] >= self._degraded_after - 1)
 
-    def _open(self, stack: FloatArray, count: int, covariance_n: FloatArray, subfilter: int | None) -> None:
+    def _inflate(self, stack: FloatArray, count: int, covariance_n: FloatArray, subfilter: int | None) -> None:
         add_error(stack, count, self._part, self._slow, covariance_n, subfilter)
 
 

@@ -46,7 +46,7 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterStat
 def propagate_memory(filter_: ShipFilter, memory: FilterState, jumps: Sequence[InsJump], time_ns: int) -> FilterState:
     """Return the stored state propagated to a time, with a covariance inflated by the jumps of the INS."""
     for jump in jumps:
-        memory = filter_.opened(memory, jump)
+        memory = filter_.apply_ins_change(memory, jump)
     return filter_.predicted(memory, time_ns)
 
 

@@ -361,7 +361,7 @@ class Suspects:
             # An offset larger than any mounting shift has another cause; the mounting is not estimated again.
             relearns = name != INS and self._mounting_shift(state, name) is not None
             if relearns:
-                self._open_mounting(stack, state, name)
+                self._inflate_mounting(stack, state, name)
             record[name] = state.record.get(name, 0) + 1
             rotation_v = None if relearns or name == INS else state.last_innovations[name].rotation_v
             excluded[name] = ExcludedSource(time_ns, record[name], offset=rotation_v)
@@ -398,7 +398,7 @@ class Suspects:
             turn_n = turn_n + absorbed.turn_n
             mean, parts = mean.copy(), parts.copy()
             mean[self._slow] -= absorbed.turn_n
-            self.ins.open_slow_error(parts, np.diag(absorbed.variance))
+            self.ins.inflate_ins_attitude(parts, np.diag(absorbed.variance))
         excluded = {
             name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
         }
@@ -433,7 +433,7 @@ class Suspects:
             if exclusion.offset is None and self._contradicts(state, index):
                 # Another mounting shift: the mounting estimated since the last one is void.
                 stack = state.stack.copy()
-                self._open_mounting(stack, state, source)
+                self._inflate_mounting(stack, state, source)
                 state = changed(state, stack=stack, seen=forgotten(state.innovation_means, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             agrees = "not consistent with the others"
@@ -571,7 +571,7 @@ class Suspects:
         shift_v = _SHIFT_SIGMA_RATIO * state.last_innovations[source].rotation_v
         return shift_v if np.linalg.norm(shift_v) <= _MAX_SHIFT_RAD else None
 
-    def _open_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
+    def _inflate_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
         """Inflate the covariance of a source's mounting, in place, for a mounting shift."""
         shift_v = self._mounting_shift(state, source)
         if shift_v is not None:

@@ -43,9 +43,9 @@ class TracedFilter(ShipFilter):
         super().__init__(config, vertical)
         self.fault_detector = _TracedFaultDetector(config, self.model, self.devices)
 
-    def opened(self, state: FilterState, jump: InsChange) -> FilterState:
+    def apply_ins_change(self, state: FilterState, jump: InsChange) -> FilterState:
         """See :meth:`ShipFilter.apply_ins_change`; the inflation is recorded as an update."""
-        after = super().opened(state, jump)
+        after = super().apply_ins_change(state, jump)
         assert isinstance(after, TracedState)
         both = Known(after.mean, after.covariance)
         leads_back = after.excluded.keys() <= state.excluded.keys()

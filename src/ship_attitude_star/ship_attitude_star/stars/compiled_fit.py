@@ -166,7 +166,7 @@ def judged(
     jacobian: cython.const[cython.double][:, :, :],
     displacement: cython.const[cython.double][:, :],
     members: cython.const[cython.uchar][:],
-    open_: cython.Py_ssize_t,
+    free_count: cython.Py_ssize_t,
 ):
     """Return the most likely unknowns of the members.
 
@@ -200,7 +200,7 @@ def judged(
     c: cython.Py_ssize_t
     for i in range(members.shape[0]):
         count += 1 if members[i] else 0
-    for i in range(open_, q):
+    for i in range(free_count, q):
         constrained[i, i] += 1.0
     # Cholesky factor, with forward substitution row by row.
     for i in range(q):

@@ -112,7 +112,7 @@ class StarFit:
     jacobian: FloatArray
     displacement: FloatArray
     residual_n: FloatArray
-    open: int = 3
+    free_count: int = 3
 
     def with_prior(self, covariance_n: FloatArray, expected_n: FloatArray | None = None) -> "StarFit":
         """Return the fit with an attitude predicted without these stars.
@@ -126,7 +126,7 @@ class StarFit:
         jacobian, displacement = compiled_fit.predicted(
             self.jacobian, self.displacement, square_root(covariance_n), turn_n
         )
-        return StarFit(jacobian, displacement, self.residual_n, open=0)
+        return StarFit(jacobian, displacement, self.residual_n, free_count=0)
 
     def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the normal equations of the members (None: all stars), without priors.
@@ -146,9 +146,9 @@ class StarFit:
             numpy.linalg.LinAlgError: the members do not determine the attitude.
         """
         information, constrained, solution, chi_square, count = compiled_fit.judged(
-            self.jacobian, self.displacement, self._chosen(members), self.open
+            self.jacobian, self.displacement, self._chosen(members), self.free_count
         )
-        return StarJudgement(information, constrained, solution, chi_square, 2 * count - self.open)
+        return StarJudgement(information, constrained, solution, chi_square, 2 * count - self.free_count)
 
     def _chosen(self, members: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
         """Return the members as the compiled loops take them (None: all stars)."""

@@ -140,7 +140,7 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
     together = members if count else np.ones_like(members)
     found = choice.attitude_fit or fit_attitude(stars, together)
     if found is None:
-        return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(together)))))
+        return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(together)))))
     if not count:
         text = f"{len(stars)} stars, no set of them is more consistent than another"
         reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
@@ -202,7 +202,7 @@ def likely_attitude(stars: SightedStars, prior: StarPrior) -> FloatArray:
     return rotation_nb
 
 
-def _open_turn(count: int) -> str:
+def _undetermined_text(count: int) -> str:
     if count < 2:
         return "no star" if count == 0 else "one star: the rotation about it is undetermined"
     return f"{count} stars, all in one direction: the rotation about it is undetermined"

@@ -60,7 +60,7 @@ class NmeaIn:
             place: LinkReader(link_of(sources[0].config), shell.clock.now_ns, self._lines_came.set)
             for place, sources in self._sources.items()
         }
-        shell.begin_without(list(self._refusals()), len(self._readers))
+        shell.require_one_open(list(self._refusals()), len(self._readers))
         for reader in self._readers.values():
             reader.start()
         self._publishing = threading.Thread(target=self._publish, daemon=True)

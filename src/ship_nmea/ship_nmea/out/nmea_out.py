@@ -79,7 +79,7 @@ class NmeaOut:
             Sink(name, config, partial(self._alerts.hear, name)) for name, config in self._config.sinks.items()
         ]
         try:
-            shell.begin_without([sink.refusal for sink in self._sinks if sink.refusal], len(self._sinks))
+            shell.require_one_open([sink.refusal for sink in self._sinks if sink.refusal], len(self._sinks))
         except ValueError:
             self.close()
             raise

@@ -50,7 +50,7 @@ class BoxFiles:
         self._head, self._part_bytes = head, part_bytes
         self._types = {topic.topic: topic.type_name for topic in head.topics}
         self._id, self._part = secrets.token_hex(8), 1
-        self._writer = _open(path, head.node)
+        self._writer = _open_first(path, head.node)
         self.path = self.last_path = self._writer.path
         self._begin(self._writer)
 
@@ -123,7 +123,7 @@ def free_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_{newest + 1}{path.suffix}") if newest else path
 
 
-def _open(text: str, node_name: str) -> BagWriter:
+def _open_first(text: str, node_name: str) -> BagWriter:
     """Open a new file at a path, or one with the node's name in a folder."""
     path = Path(text)
     if text.endswith("/") or path.is_dir():

@@ -155,7 +155,7 @@ class InstalledAngle:
     installed: float
     sigma_before: float
     sigma: float
-    open_in: tuple[str, ...]
+    unresolved_in: tuple[str, ...]
 
     @property
     def correction_arcsec(self) -> float:
@@ -168,7 +168,7 @@ class InstalledAngle:
         if not np.isfinite(self.sigma):
             return ""
         observed = verdict(self.sigma / self.sigma_before)
-        return "partly" if observed == "yes" and self.open_in else observed
+        return "partly" if observed == "yes" and self.unresolved_in else observed
 
 
 @dataclass(frozen=True)
@@ -266,7 +266,7 @@ def _installed_angles(
             installed=float(installed[row]),
             sigma_before=float(sigma_before[row]),
             sigma=float(sigma[row]),
-            open_in=tuple(open_in[row]),
+            unresolved_in=tuple(open_in[row]),
         )
         for row, (sensor, angle) in enumerate(names)
     ]

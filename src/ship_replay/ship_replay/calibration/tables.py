@@ -58,7 +58,7 @@ def json_text(calibration: InstallationCalibration) -> str:
                 "sigma_before_arcsec": _number(angle.sigma_before / ARCSEC),
                 "sigma_arcsec": _number(angle.sigma / ARCSEC),
                 "observed": angle.observed or None,
-                "open_in": list(angle.open_in),
+                "open_in": list(angle.unresolved_in),
             }
             for angle in calibration.angles
         },
@@ -100,7 +100,7 @@ def _angle_table(calibration: InstallationCalibration) -> Table:
             _text(angle.sigma_before / ARCSEC),
             _text(angle.sigma / ARCSEC),
             angle.observed or "-",
-            " ".join(angle.open_in),
+            " ".join(angle.unresolved_in),
             end_section=number % 3 == 2,
         )
     return table

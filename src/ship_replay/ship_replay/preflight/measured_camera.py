@@ -26,7 +26,7 @@ _FEWEST_MAGNITUDES = 5
 _MOST_OF_THE_STARS = 0.5
 """Minimum share of stars consistent with one attitude per exposure for the axes of an image to be accepted."""
 
-_WHICH_IS_OPEN = "u or v is reversed, or both are exchanged"
+_AMBIGUOUS_AXES = "u or v is reversed, or both are exchanged"
 """Text for mirrored axes that the stars alone cannot distinguish: rotations by a quarter or half turn relate them."""
 
 
@@ -123,7 +123,7 @@ def _mirrored(record: CameraRecord, expected: _Reading, watch: SkyWatch) -> _Rea
     found = [reading for axes in MIRRORED if _explains(reading := _read(record, axes, watch), expected)]
     nearest = min(found, key=lambda reading: reading.median_rotation(record), default=expected)
     if found and np.isnan(nearest.median_rotation(record)):
-        return replace(nearest, axes=nearest.axes._replace(text=_WHICH_IS_OPEN))
+        return replace(nearest, axes=nearest.axes._replace(text=_AMBIGUOUS_AXES))
     return nearest
 
 

@@ -145,7 +145,7 @@ class SourceRows:
         later_ns = time_ns if subfilters.time_ns is None else max(time_ns, subfilters.time_ns)
         return Alternatives(later_ns, mean, parts, ship_now_n)
 
-    def opened(self, subfilters: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
+    def inflate_covariance(self, subfilters: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
         """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
         parts = subfilters.parts.copy()
         parts[..., states[:, None], states] += covariance

@@ -171,7 +171,7 @@ class CalibrationFilter:
             ship_steady_n=ship_now_n,
         )
 
-    def opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
+    def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         """Inflate the covariance after a jump: of the INS's correlated error, or of the encoders' zero points."""
         if isinstance(jump, InsJump):
             state = self.predicted(state, jump.time_ns, None)
@@ -182,7 +182,7 @@ class CalibrationFilter:
             covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
         parts = state.parts.copy()
         parts[..., self.model.sources.index(source), states[:, None], states] += covariance
-        subfilters = self.subfilters.opened(state.subfilters, states, covariance)
+        subfilters = self.subfilters.inflate_covariance(state.subfilters, states, covariance)
         return replace(state, parts=parts, alternatives=subfilters, stays=_NO_STAYS)
 
     def without(self, state: CalibrationState, source: str) -> CalibrationState:

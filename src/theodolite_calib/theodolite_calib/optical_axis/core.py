@@ -116,7 +116,7 @@ class OpticalAxisCore:
         self._take_models(config)
         model: Model[CalibrationState, AnyExposure, ExposureDecision, Jump] = Model(
             step=self._step,
-            opened=self._opened,
+            inflate=self._inflate_covariance,
             failed=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
@@ -512,8 +512,8 @@ class OpticalAxisCore:
             return state, ExposureDecision(exposure, sighting.reason, text=sighting.text)
         return self._step_to_stars(state, sighting)
 
-    def _opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
-        return self.filter.opened(state, jump)
+    def _inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
+        return self.filter.inflate_covariance(state, jump)
 
     def _streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
         """Return the consistency of the encoder and ship streams in a time range."""

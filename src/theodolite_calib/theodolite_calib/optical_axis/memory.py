@@ -70,7 +70,7 @@ def propagate_memory(
 ) -> CalibrationState:
     """Return the remembered state propagated to a time, with a covariance inflated by jumps."""
     for own in jumps:
-        memory = filter_.opened(memory, own.jump)
+        memory = filter_.inflate_covariance(memory, own.jump)
     return filter_.predicted(memory, time_ns, memory.ship_covariance_n)
 
 

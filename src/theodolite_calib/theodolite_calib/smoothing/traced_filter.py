@@ -49,9 +49,9 @@ class TracedFilter(CalibrationFilter):
         """See :meth:`CalibrationFilter.exclude_source`."""
         return replace(super().without(state, source), **_of_trace(leads_back=False))
 
-    def opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
+    def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         """See :meth:`CalibrationFilter.inflate_covariance`: the jump adds an error to the state."""
-        after = super().opened(state, jump)
+        after = super().inflate_covariance(state, jump)
         both = Known(after.mean, after.covariance)
         jumped_ns = jump.time_ns if isinstance(jump, EncoderJump) else None
         return replace(after, **_of_trace(came=Came(both, both, True, jumped_ns)))
