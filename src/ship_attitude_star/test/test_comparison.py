@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import devices
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.parameters import build
-from ship_geometry.attitude_track import InterpolatedAttitude, MovedBlock
+from ship_geometry.attitude_track import InterpolatedAttitude, PropagatedBlock
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 
 CONFIG = build(
@@ -119,7 +119,7 @@ def corrected_at_once(state: FilterState, ins: InterpolatedAttitude) -> tuple[Fl
     """Return the attitude at the time of the state, and its covariance by source."""
     of_one = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
     by = [CorrectedIns(FILTER, state)], np.zeros(1, dtype=np.intp)
-    (rotation,), (parts,) = corrected_attitudes(*by, np.zeros(1), MovedBlock(*of_one))
+    (rotation,), (parts,) = corrected_attitudes(*by, np.zeros(1), PropagatedBlock(*of_one))
     return rotation, parts
 
 

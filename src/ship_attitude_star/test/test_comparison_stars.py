@@ -309,8 +309,8 @@ def test_the_optics_may_drift_with_temperature() -> None:
     """After an hour the variance has grown by the square of a tenth of each sigma, whatever was estimated before."""
     ship_filter = ShipFilter(configuration())
     rows = ship_filter.model.slices["star.fore.optics"]
-    state = ship_filter.predicted(ship_filter.initial_state(), TIME_NS)
+    state = ship_filter.propagate(ship_filter.initial_state(), TIME_NS)
     known = state.stack.copy()
     known[:, rows] = known[:, :, rows] = 0.0
-    later = ship_filter.predicted(replace(state, stack=known), TIME_NS + 3600 * 1_000_000_000)
+    later = ship_filter.propagate(replace(state, stack=known), TIME_NS + 3600 * 1_000_000_000)
     np.testing.assert_allclose(later.covariance[rows, rows], 0.01 * np.eye(4), rtol=1e-6, atol=1e-12)

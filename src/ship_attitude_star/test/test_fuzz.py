@@ -35,7 +35,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
         start_ns = now_ns
         for arrival in clean:
             now_ns = start_ns + arrival.receive_ns - START_NS
-            good = later(arrival, start_ns - START_NS)
+            good = delayed_copy(arrival, start_ns - START_NS)
             take(run, good, now_ns)
             pickled = pickle.dumps(good.message)  # copies three times as fast as deepcopy()
             for _ in range(mixed_in):
@@ -54,7 +54,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
 
     adapter.service("reset", now_ns)
     for arrival in voyage():
-        take(run, later(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
+        take(run, delayed_copy(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
     last = run.messages("ship/attitude")[-1]
     assert last.status == Status.VALID
     clean_last = clean_run().messages("ship/attitude")[-1]
@@ -62,7 +62,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
         assert abs(getattr(last, angle) - getattr(clean_last, angle)) < 1e-9
 
 
-def later(arrival: Arrival, ns: int) -> Arrival:
+def delayed_copy(arrival: Arrival, ns: int) -> Arrival:
     message = copy.deepcopy(arrival.message)
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(arrival.stamp_ns + ns, SECOND_NS)
     return Arrival(arrival.topic, message, arrival.receive_ns + ns)

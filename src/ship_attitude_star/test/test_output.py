@@ -17,7 +17,7 @@ from ship_estimation.hypotheses import filter_covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
-from ship_geometry.attitude_track import MovedBlock
+from ship_geometry.attitude_track import PropagatedBlock
 from ship_geometry.rotations import ARCSEC
 
 FILTER = ShipFilter(
@@ -39,7 +39,7 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
     by = rng.integers(len(corrected), size=SAMPLES)
     since_s = np.concatenate([[0.0], rng.uniform(0.0, 1e4, SAMPLES - 1)])
     lower = rng.normal(scale=1e-5, size=(SAMPLES, 3, 3))
-    moved = MovedBlock(
+    moved = PropagatedBlock(
         Rotation.random(SAMPLES, random_state=7).as_matrix(),
         rng.normal(scale=0.1, size=(SAMPLES, 3)),
         rng.uniform(0.3, 1.0, SAMPLES),
@@ -71,7 +71,7 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     corrected, config = [CorrectedIns(FILTER, state) for state in states], ShipAttitudeConfig()
     times_ns = time_ns + 2_000_000_000 * np.arange(count * len(states))
     rotations, zeros = np.tile(np.eye(3), (len(times_ns), 1, 1)), np.zeros((len(times_ns), 3, 3))
-    moved = MovedBlock(rotations, np.zeros((len(times_ns), 3)), np.ones(len(times_ns)), zeros)
+    moved = PropagatedBlock(rotations, np.zeros((len(times_ns), 3)), np.ones(len(times_ns)), zeros)
     runs = estimates_by(corrected, [count] * len(states), times_ns, moved, config)
     statuses = set()
     for number, (run, one) in enumerate(zip(runs, corrected, strict=True)):
@@ -97,12 +97,12 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
     stays = MappingProxyType({"star.fore": PixelStay(np.eye(3)[:1], 3, 0.5)})
     together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, stays=stays)
-    after = FILTER.apply_ins_change(FILTER.predicted(together, 31_000_000_000), jump)
+    after = FILTER.apply_ins_change(FILTER.propagate(together, 31_000_000_000), jump)
     assert not after.stays  # the effect of earlier stars is gone
     for row in range(rows):
         parts = np.zeros_like(initial.parts)
         parts[0] = filter_covariances(stack, rows)[row]
         one = replace(together, means=means[row : row + 1], stack=parts)
-        alone = FILTER.apply_ins_change(FILTER.predicted(one, 31_000_000_000), jump)
+        alone = FILTER.apply_ins_change(FILTER.propagate(one, 31_000_000_000), jump)
         assert after.means[row].tobytes() == alone.mean.tobytes()
         np.testing.assert_allclose(filter_covariances(after.stack, rows)[row], alone.covariance, rtol=1e-12, atol=1e-20)

@@ -59,7 +59,7 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
     vertical = at_anchor(60, deflection="constant", xi_arcsec=20.0, sigma_arcsec=2.0)
     ins = process(replace(CONFIG, damping_time_s=damping_time_s))
     here, dt_s = vertical.at(ns(1.0)), 7200.7
-    carried = ins.carried(ns(1.0), here, [ns(1.0 + dt_s)], vertical)
+    carried = ins.propagation(ns(1.0), here, [ns(1.0 + dt_s)], vertical)
     rates = ins.rates(here)
     np.testing.assert_allclose(carried.transition[0], expm(rates * dt_s), rtol=1e-8, atol=1e-10)
     config = CONFIG
@@ -79,7 +79,7 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
     fresh = transition @ step[:13, 13:]
     for _ in range(120):
         noise = transition @ noise @ transition.T + fresh
-    exact = ins.carried(ns(1.0), here, [ns(7201.0)], vertical).ins_noise[0]
+    exact = ins.propagation(ns(1.0), here, [ns(7201.0)], vertical).ins_noise[0]
     np.testing.assert_allclose(scale @ exact @ scale, scale @ noise @ scale, rtol=1e-6, atol=1e-6)
 
 
@@ -164,11 +164,11 @@ def test_the_order_of_requests_does_not_matter() -> None:
     gravity = {"deflection": "constant", "xi_arcsec": 20.0, "sigma_arcsec": 2.0}
     vertical = at_anchor(400, **gravity)
     before, end_s = vertical.at(ns(1.3)), 301.7
-    at_once = process().carried(ns(1.3), before, [ns(end_s)], vertical)
+    at_once = process().propagation(ns(1.3), before, [ns(end_s)], vertical)
     asked, more = process(), 0.0
     for more in (1.4, 50.0, 299.9, 120.0, 301.0, end_s):
-        last = asked.carried(ns(1.3), before, [ns(more)], vertical)
-        asked.carried(ns(more), vertical.at(ns(more)), [ns(more + 3.0)], vertical)
+        last = asked.propagation(ns(1.3), before, [ns(more)], vertical)
+        asked.propagation(ns(more), vertical.at(ns(more)), [ns(more + 3.0)], vertical)
     for one, other in zip(at_once, last, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -181,8 +181,8 @@ def test_a_changing_deflection_drives_the_oscillation() -> None:
     state = np.zeros(13)
     state[3] = 60.0 * ARCSEC
     half_period_s = 0.5 * 84.4 * 60.0
-    carried = ins.carried(ns(1.0), here, [ns(1.0 + half_period_s)], vertical)
-    (after,) = ins.means(state[None], here, carried)[0]
+    carried = ins.propagation(ns(1.0), here, [ns(1.0 + half_period_s)], vertical)
+    (after,) = ins.propagated_means(state[None], here, carried)[0]
     assert after[2] / ARCSEC == pytest.approx(-120.0, abs=2.0)
     assert after[3] == state[3]
 

@@ -147,7 +147,7 @@ def test_no_error_budget_is_published_twice() -> None:
 # -- late data, and corrected clocks --------------------------------------------------------------------------
 
 
-def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
+def with_latency(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
     return in_order(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
 
 
@@ -156,7 +156,7 @@ def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tup
 )
 def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
     """The INS within the lag behind the stars, or all that late."""
-    run = drive(new_adapter(), later(voyage(), latency_s))
+    run = drive(new_adapter(), with_latency(voyage(), latency_s))
     by_ins, expected = ([stamp_of(m) for m in claimed(r) if "ins" in m.sources] for r in (run, clean_run()))
     # Stars that arrived before the first INS sample gave attitudes first.
     assert by_ins == [ns for ns in expected if latency_s(FORE) or ns > at(0.877)]
@@ -228,7 +228,7 @@ def test_with_a_frozen_clock_invalid_is_published_at_its_time() -> None:
 
 def test_attitudes_come_from_stars_while_the_ins_is_too_late() -> None:
     """It arrives at its full rate, each sample 3 s old: more than the lag behind the stars."""
-    run = drive(new_adapter(), later(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
+    run = drive(new_adapter(), with_latency(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
     assert run.reasons(INS)["late"] > 100
     carried = [m for m in claimed(run) if "ins" not in m.sources]
     assert {m.status for m in carried} == {Status.DEGRADED}

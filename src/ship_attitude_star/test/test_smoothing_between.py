@@ -44,7 +44,7 @@ CASES = {
 @pytest.mark.parametrize("values", CASES.values(), ids=CASES)
 def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     filter_, rng = filter_of(**values), np.random.default_rng(4)
-    start = filter_.predicted(filter_.initial_state(), START_NS)
+    start = filter_.propagate(filter_.initial_state(), START_NS)
     # Correlated as after measurements, and away from zero.
     mix = np.eye(filter_.model.size) + 0.2 * rng.standard_normal((filter_.model.size,) * 2)
     sigma = np.sqrt(start.covariance.diagonal())
@@ -60,7 +60,7 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     assert cross is not None
     rows = np.r_[filter_.model.state_indices("ins.attitude"), filter_.model.state_indices("ins.time_offset")]
     for place, time_ns in enumerate(times_ns):
-        there = filter_.predicted(state, time_ns)
+        there = filter_.propagate(state, time_ns)
         told = np.eye(filter_.model.size)[rows]
         if values.get("horizon") == "gravity":
             assert filter_.vertical is not None
@@ -74,7 +74,7 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
             scales = scale[:, None] * sigma_of(there)
             np.testing.assert_allclose(cross[place] / scales, told @ there.covariance / scales, atol=1e-9)
         if place == 0:
-            scales = scale[:, None] * sigma_of(filter_.predicted(state, times_ns[-1]))
+            scales = scale[:, None] * sigma_of(filter_.propagate(state, times_ns[-1]))
             expected = told @ between.cross_to(anchor, later)
             np.testing.assert_allclose(cross[place] / scales, expected / scales, atol=1e-9)
 

@@ -182,7 +182,7 @@ def _solve(
             row[j] /= factor[i * size + i]
 
 
-def carried(
+def predicted_covariances(
     stacks: cython.const[cython.double][:, :, :, ::1],
     sources: cython.Py_ssize_t,
     decay: cython.const[cython.double][::1],
@@ -197,13 +197,13 @@ def carried(
     out: cython.double[:, :, :, ::1] = result
     stack: cython.Py_ssize_t
     for stack in range(stacks.shape[0]):
-        _carry(stacks[stack], sources, decay, noise, source_of, out[stack])
+        _predict_covariances(stacks[stack], sources, decay, noise, source_of, out[stack])
     return result
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _carry(
+def _predict_covariances(
     stack: cython.const[cython.double][:, :, ::1],
     sources: cython.Py_ssize_t,
     decay: cython.const[cython.double][::1],
@@ -236,13 +236,13 @@ def transition(
     of_decay, of_noise = np.empty(n), np.empty(n)
     decay: cython.double[::1] = of_decay
     noise: cython.double[::1] = of_noise
-    _pass(dt_s, time_s, steady_variance, walk_variance, decay, noise)
+    _transition(dt_s, time_s, steady_variance, walk_variance, decay, noise)
     return of_decay, of_noise
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _pass(
+def _transition(
     dt_s: cython.double,
     time_s: cython.const[cython.double][::1],
     steady_variance: cython.const[cython.double][::1],
@@ -295,8 +295,8 @@ def later(
     noise: cython.double[::1] = np.empty(n)
     row: cython.Py_ssize_t
     i: cython.Py_ssize_t
-    _pass(dt_s, time_s, steady_variance, walk_variance, decay, noise)
-    _carry(stack, stack.shape[0] - rows + 1, decay, noise, source_of, out)
+    _transition(dt_s, time_s, steady_variance, walk_variance, decay, noise)
+    _predict_covariances(stack, stack.shape[0] - rows + 1, decay, noise, source_of, out)
     for row in range(rows):
         for i in range(n):
             moved[row, i] = decay[i] * means[row, i]

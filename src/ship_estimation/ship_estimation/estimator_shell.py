@@ -65,7 +65,7 @@ class LagWindow:
         late_s = (self.newest_ns - time_ns) / SECOND_NS
         return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._lag_s:g}")
 
-    def move_to(self, time_ns: int) -> None:
+    def advance_to(self, time_ns: int) -> None:
         """Advance the window to data of this stamp."""
         self.newest_ns = max(self.newest_ns, time_ns)
         self.oldest_ns = self.newest_ns - self._lag_ns
@@ -404,9 +404,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """True if no measurement is pending: a new sample, the newest of its track, is only stored then."""
         return not self._log.waiting
 
-    def move_to(self, time_ns: int) -> None:
+    def advance_to(self, time_ns: int) -> None:
         """Advance the window after samples up to a stamp were appended to their track, while :attr:`is_idle`."""
-        self.window.move_to(time_ns)
+        self.window.advance_to(time_ns)
         self._close()
 
     def add_refused(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
@@ -486,7 +486,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
 
     def _advance(self, time_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
         """Advance the window, apply pending measurements as far as possible, and commit."""
-        self.window.move_to(time_ns)
+        self.window.advance_to(time_ns)
         self.apply(outcome)
         self._close()
 

@@ -108,8 +108,8 @@ def state_for_outputs(estimator: Estimator) -> float:
 
 def test_late_measurement_is_rejected_with_its_lag() -> None:
     window = LagWindow(LAG_S)
-    window.move_to(5 * SECOND_NS)
-    window.move_to(4 * SECOND_NS)
+    window.advance_to(5 * SECOND_NS)
+    window.advance_to(4 * SECOND_NS)
     assert window.late(3 * SECOND_NS) is None
     late = window.late(3 * SECOND_NS - MS)
     assert late == Refusal(Reason.LATE, "2.001 s behind the newest data: more than lag_s = 2")

@@ -156,4 +156,4 @@ def test_extra_noise_applies_from_its_stamp_on() -> None:
         more_d = found.error_covariance_d - before.error_covariance_d
         expected = before.noise_gain * expected_d if time_ns >= 200_000_000 else 0.0 * expected_d
         np.testing.assert_allclose(more_d, expected, atol=1e-18)
-    np.testing.assert_allclose(track.newest_moved(0.0).error_covariance_d, expected_d, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(track.propagate_newest(0.0).error_covariance_d, expected_d, rtol=1e-6, atol=1e-15)

@@ -126,7 +126,7 @@ class ExtraNoise(NamedTuple):
         return along + self.white_rad2 * np.eye(3)
 
 
-class MovedBlock(NamedTuple):
+class PropagatedBlock(NamedTuple):
     """Attitudes of a block, each propagated by a short time; the fields are those of :class:`InterpolatedAttitude`.
 
     Attributes:
@@ -141,15 +141,15 @@ class MovedBlock(NamedTuple):
     noise_gain: FloatArray
     error_covariance_d: FloatArray
 
-    def with_noise(self, extra: ExtraNoise | None) -> "MovedBlock":
+    def with_noise(self, extra: ExtraNoise | None) -> "PropagatedBlock":
         """Return the block with extra noise of the samples."""
         if extra is None:
             return self
         return self._replace(error_covariance_d=self.error_covariance_d + extra.covariances_d(self.rate_d))
 
-    def some(self, which: slice) -> "MovedBlock":
+    def some(self, which: slice) -> "PropagatedBlock":
         """Return a slice of the attitudes."""
-        return MovedBlock(*(values[which] for values in self))
+        return PropagatedBlock(*(values[which] for values in self))
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         index = len(self._samples) - 1
         return self._has_rate(index) or (index > 0 and self._joined(index - 1))
 
-    def newest_moved(self, ahead_s: float) -> InterpolatedAttitude:
+    def propagate_newest(self, ahead_s: float) -> InterpolatedAttitude:
         """Return the newest attitude propagated by a short time, with its rate and angular acceleration.
 
         The short time is the clock offset of the source. Each sample then gives one attitude for either sign of the
@@ -261,9 +261,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         """
         index = len(self._samples) - 1
         if self._samples[index].rate_d is None:
-            moved = self._moved_by_differences(index, ahead_s)
+            moved = self._propagate_by_differences(index, ahead_s)
         else:
-            moved = self._moved_by_rates(index, ahead_s)
+            moved = self._propagate_by_rates(index, ahead_s)
         return self._with_noise(moved, self._times[index]) if self._extra else moved
 
     def _with_noise(self, found: InterpolatedAttitude, time_ns: int) -> InterpolatedAttitude:
@@ -307,7 +307,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return np.zeros(3)
         return self._turn(before, after) * (SECOND_NS / (self._times[after] - self._times[before]))
 
-    def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
+    def _propagate_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """Propagate the newest sample by its measured rate and the change of the rate since the sample before.
 
         The difference of two rates is the acceleration half a step ago: its error acts over that time too.
@@ -317,7 +317,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
         times = self._times
         steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
-        (moved_nd,), (rate_d,), (error_d,) = moved_by_rates(
+        (moved_nd,), (rate_d,), (error_d,) = propagate_by_rates(
             rotation_nd[None], np.array([rates]), np.array([steps_s]), np.array([ahead_s])
         )
         return InterpolatedAttitude(moved_nd, rate_d, 1.0, error_d)
@@ -331,7 +331,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             recent.append(sample.rate_d)
         return recent
 
-    def _moved_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
+    def _propagate_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """Propagate the newest sample without measured rates, by a parabola through it and two samples before."""
         sample = self._samples[index]
         recent = self._recent(index)
@@ -428,7 +428,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return turn
 
 
-def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) -> MovedBlock:
+def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) -> PropagatedBlock:
     """Propagate the samples of a block, each as by :meth:`AttitudeTrack.propagate_newest` while it is the newest.
 
     Args:
@@ -451,13 +451,13 @@ def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) ->
     rates_d = np.concatenate([before.rates_d, block.rates_d[:count]])
     # Newest first for each sample.
     recent = np.arange(RATES - 1, RATES - 1 + count)[:, None] - np.arange(RATES)
-    moved_nd, rate_d, error_d = moved_by_rates(
+    moved_nd, rate_d, error_d = propagate_by_rates(
         block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s
     )
-    return MovedBlock(moved_nd, rate_d, np.ones(count), error_d)
+    return PropagatedBlock(moved_nd, rate_d, np.ones(count), error_d)
 
 
-def moved_by_rates(
+def propagate_by_rates(
     rotation_nd: FloatArray, rates_d: FloatArray, steps_s: FloatArray, ahead_s: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Propagate N samples by short times, with their rates and angular accelerations.

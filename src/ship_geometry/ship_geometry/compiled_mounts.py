@@ -321,7 +321,7 @@ def pointings(
     rotation_dm = cython.declare(cython.double[9])
     by_all = cython.declare(cython.double[42])
     by_encoder = cython.declare(cython.double[6])
-    carried = cython.declare(cython.double[42])
+    propagated = cython.declare(cython.double[42])
     fresh = cython.declare(cython.double[9])
     left = cython.declare(cython.double[3])
     since_s: cython.double
@@ -357,14 +357,14 @@ def pointings(
         )
         for i in range(3):
             for j in range(size):
-                by_error[n, i, j] = carried[size * i + j] = by_all[14 * i + j]
+                by_error[n, i, j] = propagated[size * i + j] = by_all[14 * i + j]
             for j in range(_DYING):
-                carried[size * i + j] *= decay[j]
+                propagated[size * i + j] *= decay[j]
             for j in range(3):
-                carried[size * i + j] *= left[j]
+                propagated[size * i + j] *= left[j]
         for s in range(sources):
             _turned(
-                carried,
+                propagated,
                 cython.cast(cython.p_double, cython.address(parts[s, 0, 0])),
                 size,
                 cython.address(out[n, s, 0, 0]),

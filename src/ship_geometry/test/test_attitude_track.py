@@ -205,7 +205,7 @@ def test_any_order_of_arrival_gives_the_same_track_to_the_bit(seed: int) -> None
     shuffled = track_of([samples[k] for k in np.random.default_rng(seed).permutation(len(samples))])
     assert all(identical(in_order.at(t), shuffled.at(t)) for t in moments(samples, seed))
     for ahead_s in (-0.02, 0.0, 0.02):
-        assert identical(in_order.newest_moved(ahead_s), shuffled.newest_moved(ahead_s))
+        assert identical(in_order.propagate_newest(ahead_s), shuffled.propagate_newest(ahead_s))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -285,7 +285,7 @@ def test_drop_before_keeps_all_that_is_needed_and_no_more(seed: int) -> None:
         full, trimmed = track_of(samples), track_of(samples)
         trimmed.drop_before(oldest_ns)
         assert all(identical(full.at(t), trimmed.at(t)) for t in times if t >= oldest_ns)
-        assert identical(full.newest_moved(0.01), trimmed.newest_moved(0.01))
+        assert identical(full.propagate_newest(0.01), trimmed.propagate_newest(0.01))
         recent = max(8, sum(s.time_ns >= newest_ns - SECOND_NS for s in samples))
         assert len(trimmed) <= max(3 + sum(s.time_ns > oldest_ns for s in samples), recent)
         # The track grows as before.
@@ -357,7 +357,7 @@ def test_newest_sample_propagated_by_measured_rates(ahead_s: float) -> None:
     for count in range(20, 60):
         track = track_of(regular(count, with_rate=True))
         time_s = (count - 1) * 0.1
-        moved = track.newest_moved(ahead_s)
+        moved = track.propagate_newest(ahead_s)
         error = error_arcsec(moved.rotation_nd, ship_rotation(time_s + ahead_s)) * ARCSEC
         # The acceleration is that of the last interval: half a step (0.05 s) old.
         assert error <= 0.1 * (ahead_s**2 * 0.05 / 2 + abs(ahead_s) ** 3 / 6) * 1.5 + 1e-15
@@ -367,14 +367,14 @@ def test_newest_sample_propagated_by_measured_rates(ahead_s: float) -> None:
 
 def test_newest_sample_propagated_forth_and_back_is_not_the_same_attitude() -> None:
     track = track_of(regular(20, with_rate=True))
-    turn = log_rotation(track.newest_moved(-0.005).rotation_nd.T @ track.newest_moved(0.005).rotation_nd)
+    turn = log_rotation(track.propagate_newest(-0.005).rotation_nd.T @ track.propagate_newest(0.005).rotation_nd)
     np.testing.assert_allclose(turn, 0.01 * ship_rate(1.9), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("ahead_s", [-0.04, -0.005, 0.0, 0.005, 0.04])
 def test_newest_sample_propagated_by_differences(ahead_s: float) -> None:
     samples = regular(20, with_rate=False)
-    moved = track_of(samples).newest_moved(ahead_s)
+    moved = track_of(samples).propagate_newest(ahead_s)
     # Second order, by three samples; the third derivative is below 0.15 rad/s³.
     error = error_arcsec(moved.rotation_nd, ship_rotation(1.9 + ahead_s)) * ARCSEC
     assert error <= 0.15 / 6.0 * abs(ahead_s) * (ahead_s + 0.1) * (ahead_s + 0.2) + 1e-15
@@ -383,15 +383,15 @@ def test_newest_sample_propagated_by_differences(ahead_s: float) -> None:
     for k in (-3, -2, -1):
         turned = list(still)
         turned[k] = replace(still[k], rotation_nd=Rotation.from_rotvec([1e-6, 0.0, 0.0]).as_matrix())
-        responses.append(log_rotation(track_of(turned).newest_moved(ahead_s).rotation_nd)[0] / 1e-6)
+        responses.append(log_rotation(track_of(turned).propagate_newest(ahead_s).rotation_nd)[0] / 1e-6)
     assert moved.noise_gain == pytest.approx(np.sum(np.square(responses)), rel=1e-6)
 
 
 def test_single_sample_is_propagated_by_its_rate_or_not_at_all() -> None:
-    with_rate = track_of([sample_at(0, True)]).newest_moved(0.01)
+    with_rate = track_of([sample_at(0, True)]).propagate_newest(0.01)
     np.testing.assert_allclose(
         log_rotation(ship_rotation(0.0).T @ with_rate.rotation_nd), 0.01 * ship_rate(0.0), atol=1e-15
     )
-    without = track_of([sample_at(0, False)]).newest_moved(0.01)
+    without = track_of([sample_at(0, False)]).propagate_newest(0.01)
     np.testing.assert_array_equal(without.rotation_nd, ship_rotation(0.0))
     assert without.noise_gain == 1.0

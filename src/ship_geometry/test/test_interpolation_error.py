@@ -172,7 +172,7 @@ def test_newest_sample_has_the_error_of_its_propagation(
             time_s = start + k / rate_hz
             rate_d = rate_of(roll_pitch_and_turn, time_s) if measured_rates else None
             track.insert(AttitudeSample(k * step_ns, roll_pitch_and_turn(time_s), rate_d))
-        moved = track.newest_moved(ahead_s)
+        moved = track.propagate_newest(ahead_s)
         error = log_rotation(moved.rotation_nd.T @ roll_pitch_and_turn(start + (count - 1) / rate_hz + ahead_s))
         distances.append(error @ np.linalg.solve(moved.error_covariance_d, error))
         made.append(error @ error)
@@ -190,4 +190,4 @@ def test_error_is_bounded_by_half_a_turn() -> None:
     found = track.at(2 * SECOND_NS + SECOND_NS // 3)
     assert found is not None
     assert np.trace(found.error_covariance_d) < 2.0 * np.pi**2
-    assert np.trace(track.newest_moved(0.1).error_covariance_d) < 2.0 * np.pi**2
+    assert np.trace(track.propagate_newest(0.1).error_covariance_d) < 2.0 * np.pi**2

@@ -144,7 +144,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     stamps = sorted({pair.time_ns for pair in session.pairs})
 
     def way(since_ns: int, until_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        carried = process.carried(since_ns, here, [until_ns], Still(here))
+        carried = process.propagation(since_ns, here, [until_ns], Still(here))
         return carried.transition[0], carried.ins_noise[0]
 
     at = {stamps[0]: np.diag(start**2)}

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Carried, Vertical, deflection_change
+from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation.kalman import StateBlock, lasting
 from ship_geometry.rotations import FloatArray
@@ -46,9 +46,9 @@ class InsOnGravity:
         moved_by = _moved_by_deflection(here)
         return moved_by @ given, moved_by @ here.covariance @ moved_by.T
 
-    def carried(
+    def propagation(
         self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
-    ) -> Carried:
+    ) -> Propagation:
         """See :class:`InsProcess`."""
         # Times within one interval of the vertical share its object.
         kinds, of = _kinds([vertical.at(time_ns) for time_ns in times_ns])
@@ -62,11 +62,11 @@ class InsOnGravity:
         transition[:, (3, 4), (3, 4)] = left[:, None]
         ins_noise = np.zeros((len(of), _SIZE, _SIZE))
         ins_noise[:, range(3), range(3)] = self._sigma**2 * (1.0 - decay * decay)
-        return Carried(transition, shift, ins_noise, fresh)
+        return Propagation(transition, shift, ins_noise, fresh)
 
-    def means(self, means: FloatArray, before: VerticalHere, carried: Carried) -> FloatArray:
+    def propagated_means(self, means: FloatArray, before: VerticalHere, propagation: Propagation) -> FloatArray:
         """See :class:`InsProcess`."""
-        after: FloatArray = means @ np.swapaxes(carried.transition, -1, -2) + carried.shift[:, None]
+        after: FloatArray = means @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None]
         own = means[:, WHOLE] - means[:, DEFLECTION] @ before.turn.T
         stays = lasting(own, self._sigma)
         after[..., WHOLE] = np.where(stays, means[:, WHOLE], after[..., WHOLE])
@@ -75,7 +75,7 @@ class InsOnGravity:
     def _along(self, before: VerticalHere, here: VerticalHere) -> tuple[FloatArray, float, FloatArray, FloatArray]:
         """Return the deflection Jacobian, remaining ratio, shift of the states, and covariance added to them."""
         change, moved_by = deflection_change(before, here, self._length_m), _moved_by_deflection(here)
-        return here.turn, change.left, moved_by @ change.moved, moved_by @ change.fresh @ moved_by.T
+        return here.turn, change.left, moved_by @ change.shift, moved_by @ change.noise @ moved_by.T
 
 
 def _moved_by_deflection(here: VerticalHere) -> FloatArray:

@@ -87,11 +87,11 @@ class OnGravity:
             of_process += [shift for shift, _ in initial]
             noise[:, self._deflection, rows, columns] = [covariance for _, covariance in initial]
         else:
-            carried = self._process.carried(since_ns, before, times_ns, self._vertical)
-            of_process = self._process.means(mean[None, self._of_process], before, carried)[:, 0]
-            transition[:, rows, columns] = carried.transition
-            noise[:, self._ins, rows, columns] += carried.ins_noise
-            noise[:, self._deflection, rows, columns] += carried.deflection_noise
+            propagation = self._process.propagation(since_ns, before, times_ns, self._vertical)
+            of_process = self._process.propagated_means(mean[None, self._of_process], before, propagation)[:, 0]
+            transition[:, rows, columns] = propagation.transition
+            noise[:, self._ins, rows, columns] += propagation.ins_noise
+            noise[:, self._deflection, rows, columns] += propagation.deflection_noise
         after = transition[:, None] @ parts @ np.swapaxes(transition, -1, -2)[:, None] + noise
         told, of_deflection = self._told(verticals), after[:, :, _DEFLECTION, _DEFLECTION].sum(axis=1)
         to_four = np.zeros((count, 4, size))

@@ -15,7 +15,7 @@ DEFLECTION = slice(3, 5)
 """Slice of the deflection of the vertical (xi, eta), in processes that contain it."""
 
 
-class Carried(NamedTuple):
+class Propagation(NamedTuple):
     """Propagation of the n states of a process to N times; all shapes with (N,) in front.
 
     Attributes:
@@ -54,9 +54,9 @@ class InsProcess(Protocol):
     def initial_state(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
         """Return the initial states, shape (n,), and their covariance by the deflection, shape (n, n)."""
 
-    def carried(
+    def propagation(
         self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
-    ) -> Carried:
+    ) -> Propagation:
         """Return the propagation of the states.
 
         Args:
@@ -66,7 +66,7 @@ class InsProcess(Protocol):
             vertical: source of the vertical along the track.
         """
 
-    def means(self, means: FloatArray, before: VerticalHere, carried: Carried) -> FloatArray:
+    def propagated_means(self, means: FloatArray, before: VerticalHere, propagation: Propagation) -> FloatArray:
         """Return the propagated states of h filters, shape (h, n), at N times, shape (N, h, n).
 
         An attitude error far beyond its standard deviation, as after a jump, does not decay
@@ -84,8 +84,8 @@ class DeflectionChange(NamedTuple):
     """
 
     left: float
-    moved: FloatArray
-    fresh: FloatArray
+    shift: FloatArray
+    noise: FloatArray
 
 
 def deflection_change(before: VerticalHere, here: VerticalHere, length_m: float) -> DeflectionChange:

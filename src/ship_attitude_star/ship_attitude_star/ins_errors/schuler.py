@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import SchulerConfig
-from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Carried, Vertical, deflection_change
+from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import STEP_NS, VerticalHere
 from ship_estimation.kalman import lasting
 from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
@@ -45,7 +45,7 @@ _REMEMBERED = 64
 """Number of stored steps before the newest one: a late position fix changes the last few."""
 
 
-class _Knot(NamedTuple):
+class _Checkpoint(NamedTuple):
     """Stored propagation up to a step of the vertical.
 
     Attributes:
@@ -56,7 +56,7 @@ class _Knot(NamedTuple):
 
     step: int
     here: VerticalHere
-    carried: Carried
+    propagation: Propagation
 
 
 class _Way(NamedTuple):
@@ -70,7 +70,7 @@ class _Way(NamedTuple):
 
     since_ns: int
     before: VerticalHere
-    knots: deque[_Knot]
+    knots: deque[_Checkpoint]
 
 
 class _Step(NamedTuple):
@@ -116,30 +116,30 @@ class SchulerIns:
             covariance[:5, :5] = moved_by @ here.covariance @ moved_by.T
         return mean, covariance
 
-    def carried(
+    def propagation(
         self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
-    ) -> Carried:
+    ) -> Propagation:
         """See :class:`InsProcess`."""
         found = []
         for time_ns in times_ns:
             knot = self._knot_before(since_ns, before, time_ns, vertical)
             since_knot_ns = time_ns - max(since_ns, knot.step * STEP_NS)
-            found.append(self._while_still(knot.carried, knot.here, since_knot_ns))
-        return Carried(*(np.array(column) for column in zip(*found, strict=True)))
+            found.append(self._while_still(knot.propagation, knot.here, since_knot_ns))
+        return Propagation(*(np.array(column) for column in zip(*found, strict=True)))
 
-    def means(self, means: FloatArray, before: VerticalHere, carried: Carried) -> FloatArray:
+    def propagated_means(self, means: FloatArray, before: VerticalHere, propagation: Propagation) -> FloatArray:
         """See :class:`InsProcess`."""
         own = means[:, WHOLE]
         if self._length_m is not None:
             own = own - means[:, DEFLECTION] @ before.turn.T
         stays = np.zeros_like(means)
         stays[:, WHOLE] = np.where(lasting(own, self._sigma), means[:, WHOLE], 0.0)
-        after: FloatArray = (means - stays) @ np.swapaxes(carried.transition, -1, -2) + carried.shift[:, None] + stays
+        after: FloatArray = (means - stays) @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None] + stays
         return after
 
     # -- stored propagations ------------------------------------------------------------------------------------
 
-    def _knot_before(self, since_ns: int, before: VerticalHere, time_ns: int, vertical: Vertical) -> _Knot:
+    def _knot_before(self, since_ns: int, before: VerticalHere, time_ns: int, vertical: Vertical) -> _Checkpoint:
         """Return the propagation up to the last step before a time, or up to the start time if that is later.
 
         Propagations are stored. A stored one is valid while the vertical at its step is the same object, because a
@@ -153,9 +153,9 @@ class SchulerIns:
             knots.pop()
         if not knots:
             nothing = np.zeros((self.size, self.size))
-            still = Carried(np.eye(self.size), np.zeros(self.size), nothing, nothing)
+            still = Propagation(np.eye(self.size), np.zeros(self.size), nothing, nothing)
             # Within the first step the vertical is that at the start time.
-            first = _Knot(since_ns // STEP_NS, before, still)
+            first = _Checkpoint(since_ns // STEP_NS, before, still)
             if first.step >= last:
                 return first
             knots.append(self._next(first, since_ns, vertical))
@@ -163,26 +163,26 @@ class SchulerIns:
             knots.append(self._next(knots[-1], since_ns, vertical))
         return knots[-1]
 
-    def _next(self, knot: _Knot, since_ns: int, vertical: Vertical) -> _Knot:
+    def _next(self, knot: _Checkpoint, since_ns: int, vertical: Vertical) -> _Checkpoint:
         """Return the propagation up to the next step, including the change of the deflection there."""
         step = knot.step + 1
         end_ns = step * STEP_NS
-        there = self._while_still(knot.carried, knot.here, end_ns - max(since_ns, knot.step * STEP_NS))
+        there = self._while_still(knot.propagation, knot.here, end_ns - max(since_ns, knot.step * STEP_NS))
         here = vertical.at(end_ns)
-        return _Knot(step, here, self._with_change(there, knot.here, here))
+        return _Checkpoint(step, here, self._with_change(there, knot.here, here))
 
-    def _while_still(self, way: Carried, here: VerticalHere, time_ns: int) -> Carried:
+    def _while_still(self, way: Propagation, here: VerticalHere, time_ns: int) -> Propagation:
         """Extend a propagation by a time of at most one step with a constant vertical."""
         motion, powers = self._motion(here), (time_ns / SECOND_NS) ** np.arange(_TERMS + 1.0)
         transition, noise = np.tensordot(powers, motion.transition, 1), np.tensordot(powers, motion.noise, 1)
-        return Carried(
+        return Propagation(
             transition @ way.transition,
             transition @ way.shift,
             transition @ way.ins_noise @ transition.T + noise,
             transition @ way.deflection_noise @ transition.T,
         )
 
-    def _with_change(self, way: Carried, before: VerticalHere, here: VerticalHere) -> Carried:
+    def _with_change(self, way: Propagation, before: VerticalHere, here: VerticalHere) -> Propagation:
         """Extend a propagation by a change of the deflection at its end, without direct effect on the INS states."""
         if self._length_m is None:
             return way
@@ -190,9 +190,9 @@ class SchulerIns:
         left = np.ones(self.size)
         left[DEFLECTION] = change.left
         shift, fresh = left * way.shift, left[:, None] * way.deflection_noise * left
-        shift[DEFLECTION] += change.moved
-        fresh[DEFLECTION, DEFLECTION] += change.fresh
-        return Carried(left[:, None] * way.transition, shift, left[:, None] * way.ins_noise * left, fresh)
+        shift[DEFLECTION] += change.shift
+        fresh[DEFLECTION, DEFLECTION] += change.noise
+        return Propagation(left[:, None] * way.transition, shift, left[:, None] * way.ins_noise * left, fresh)
 
     # -- differential equations -----------------------------------------------------------------------------------
 

@@ -21,10 +21,10 @@ from ship_estimation.refusals import Refusal, failure
 from ship_geometry.attitude_track import (
     AttitudeSample,
     ExtraNoise,
-    MovedBlock,
+    PropagatedBlock,
     RecentRates,
     SampleBlock,
-    moved_block,
+    propagate_block,
 )
 
 
@@ -80,7 +80,7 @@ class InsAhead:
     def attitudes(
         self,
         corrected_by: Callable[[FilterState], CorrectedIns],
-        moved_s: Callable[[CorrectedIns], float],
+        propagation_s: Callable[[CorrectedIns], float],
         config: ShipAttitudeConfig,
     ) -> list[tuple[slice, AttitudeRun | Refusal]]:
         """Return the attitudes of all committed samples in order, one series per filter state.
@@ -95,14 +95,14 @@ class InsAhead:
         """
         corrected = [corrected_by(stretch.state) for stretch in self._stretches]
         counts = [stretch.stop - stretch.start for stretch in self._stretches]
-        moved = moved_block(self.before, self.block, np.repeat([moved_s(one) for one in corrected], counts))
-        moved = moved.with_noise(self.extra)
+        propagated = propagate_block(self.before, self.block, np.repeat([propagation_s(one) for one in corrected], counts))
+        propagated = propagated.with_noise(self.extra)
         try:
-            found: list[AttitudeRun | Refusal] = [*estimates_by(corrected, counts, self._times_ns, moved, config)]
+            found: list[AttitudeRun | Refusal] = [*estimates_by(corrected, counts, self._times_ns, propagated, config)]
         except Exception:
             # Compute one by one to find the one that fails.
             pairs = zip(corrected, self._stretches, strict=True)
-            found = [self._attitudes_of(one, stretch, moved, config) for one, stretch in pairs]
+            found = [self._attitudes_of(one, stretch, propagated, config) for one, stretch in pairs]
         for stretch, run in zip(self._stretches, found, strict=True):
             for number, text in enumerate(stretch.contradiction_texts or ()):
                 if text and isinstance(run, AttitudeRun):
@@ -114,12 +114,12 @@ class InsAhead:
         return self.block.times_ns[: self.committed_count]
 
     def _attitudes_of(
-        self, corrected: CorrectedIns, stretch: _Stretch, moved: MovedBlock, config: ShipAttitudeConfig
+        self, corrected: CorrectedIns, stretch: _Stretch, propagated: PropagatedBlock, config: ShipAttitudeConfig
     ) -> AttitudeRun | Refusal:
         """Return the attitudes of one segment, or the failure to compute them."""
         some, count = slice(stretch.start, stretch.stop), stretch.stop - stretch.start
         try:
-            (run,) = estimates_by([corrected], [count], self._times_ns[some], moved.some(some), config)
+            (run,) = estimates_by([corrected], [count], self._times_ns[some], propagated.some(some), config)
         except Exception as error:
             return failure(error)
         return run

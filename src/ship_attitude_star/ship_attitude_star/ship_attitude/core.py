@@ -231,7 +231,7 @@ class ShipAttitudeCore:
             if self._shell.is_idle:
                 end = stop
                 self._track.extend(ahead.samples[ahead.committed_count : end])
-                self._shell.move_to(ahead.samples[end - 1].time_ns)
+                self._shell.advance_to(ahead.samples[end - 1].time_ns)
             else:
                 # A pending measurement may need this sample.
                 end, outcome = ahead.committed_count + 1, AttitudeOutcome()
@@ -256,7 +256,7 @@ class ShipAttitudeCore:
 
     def estimates_ahead(self, ahead: InsAhead) -> list[tuple[slice, AttitudeRun | Refusal]]:
         """Return the attitudes at the stamps of a batch; see :meth:`InsBatch.attitudes`."""
-        return ahead.attitudes(self._corrected_by, self._moved_s, self.config)
+        return ahead.attitudes(self._corrected_by, self._ins_propagation_s, self.config)
 
     def _use_ins(
         self, judged: JudgedIns, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
@@ -496,7 +496,7 @@ class ShipAttitudeCore:
         found = self.filter.step(state, measurement, self._track, self._watch, may_wait)
         if state.utc is None or found is None or not self.filter.devices[measurement.source].is_star:
             return found
-        predicted = self.filter.predicted(state, measurement.time_ns)
+        predicted = self.filter.propagate(state, measurement.time_ns)
         compared = with_utc_compared(state, predicted, self.filter.model, *found)
         if compared[0].utc is None:
             # UTC is verified, or cannot be verified any more: the measurement is used.
@@ -541,7 +541,7 @@ class ShipAttitudeCore:
     def _estimate_by_newest_ins(self, state: FilterState, time_ns: int) -> AttitudeEstimate:
         """Return the attitude at the stamp of the newest INS sample, corrected by a filter state."""
         corrected = self._corrected_by(state)
-        ins = self._track.newest_moved(self._moved_s(corrected))
+        ins = self._track.propagate_newest(self._ins_propagation_s(corrected))
         return self._degrade_if_contradicted(corrected.estimate(time_ns, ins, self.config))
 
     def _corrected_by(self, state: FilterState) -> CorrectedIns:
@@ -550,7 +550,7 @@ class ShipAttitudeCore:
             self._corrected = self._corrected.by(state)
         return self._corrected
 
-    def _moved_s(self, corrected: CorrectedIns) -> float:
+    def _ins_propagation_s(self, corrected: CorrectedIns) -> float:
         """Return the time by which an INS sample is propagated to be the attitude at its stamp, s."""
         return -(self.config.ins.time_offset_s + corrected.time_offset_s)
 

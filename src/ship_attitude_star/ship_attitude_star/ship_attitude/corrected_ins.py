@@ -20,7 +20,7 @@ from ship_estimation.kalman import lasting
 from ship_estimation.outcome import Status
 from ship_estimation.protection import above_limit
 from ship_geometry import compiled_rotations
-from ship_geometry.attitude_track import InterpolatedAttitude, MovedBlock
+from ship_geometry.attitude_track import InterpolatedAttitude, PropagatedBlock
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -107,8 +107,8 @@ class CorrectedIns:
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """Return the attitude at the stamp of an INS sample, with its status."""
-        moved = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
-        (run,) = estimates_by([self], [1], np.array([time_ns]), MovedBlock(*moved), config)
+        propagated = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
+        (run,) = estimates_by([self], [1], np.array([time_ns]), PropagatedBlock(*propagated), config)
         return run.one(0)
 
     def statuses(self, star_age_s: FloatArray, coasting_after_s: float) -> tuple[list[Status], list[str]]:
@@ -160,7 +160,7 @@ class CorrectedIns:
 
 
 def corrected_attitudes(
-    corrected: Sequence[CorrectedIns], by: NDArray[np.intp], since_s: FloatArray, moved: MovedBlock
+    corrected: Sequence[CorrectedIns], by: NDArray[np.intp], since_s: FloatArray, propagated: PropagatedBlock
 ) -> tuple[FloatArray, FloatArray]:
     """Return the corrected attitudes at N times and their covariance by error source, horizon frame, rad².
 
@@ -178,7 +178,7 @@ def corrected_attitudes(
     found: tuple[FloatArray, FloatArray] = compiled_rotations.corrected(
         by,
         since_s,
-        *moved,
+        *propagated,
         np.array([one.error_n for one in corrected]),
         np.array([one.lasting for one in corrected]),
         *corrected[0].of_filter[:3],
@@ -189,7 +189,7 @@ def corrected_attitudes(
 
 
 def _attitudes_on_gravity(
-    corrected: Sequence[CorrectedIns], stretches: Sequence[slice], time_ns: StampArray, moved: MovedBlock
+    corrected: Sequence[CorrectedIns], stretches: Sequence[slice], time_ns: StampArray, propagated: PropagatedBlock
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return the corrected attitudes as :func:`corrected_attitudes`, if the filter needs the vertical.
 
@@ -201,7 +201,7 @@ def _attitudes_on_gravity(
     rotation_nd, parts = compiled_rotations.corrected(
         np.arange(len(time_ns), dtype=np.intp),
         np.zeros(len(time_ns)),
-        *moved,
+        *propagated,
         np.concatenate([one.error_n for one in errors]),
         np.ones((len(time_ns), 3), dtype=np.uint8),
         *corrected[0].of_filter[:3],
@@ -215,7 +215,7 @@ def estimates_by(
     corrected: Sequence[CorrectedIns],
     counts: Sequence[int],
     time_ns: StampArray,
-    moved: MovedBlock,
+    propagated: PropagatedBlock,
     config: ShipAttitudeConfig,
 ) -> list[AttitudeRun]:
     """Return the attitudes at the stamps of N INS samples, one series per filter state.
@@ -232,10 +232,10 @@ def estimates_by(
     stops = np.cumsum(counts).tolist()
     stretches = [slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True)]
     if corrected[0].on_gravity is None:
-        rotation_nd, parts = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), moved)
+        rotation_nd, parts = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), propagated)
         vertical_known = None
     else:
-        rotation_nd, parts, vertical_known = _attitudes_on_gravity(corrected, stretches, time_ns, moved)
+        rotation_nd, parts, vertical_known = _attitudes_on_gravity(corrected, stretches, time_ns, propagated)
     for one, some in zip(corrected, stretches, strict=True):
         if one.state.unresolved_fault is not None:
             parts[some, one.drift_index] += one.state.unresolved_fault.covariance_n
@@ -258,7 +258,7 @@ def estimates_by(
             covariance_parts_n=parts[some],
             covariance_n=covariance_n[some],
             covariance_without_separation_n=covariance_without_separation_n[some],
-            rate_d=moved.rate_d[some],
+            rate_d=propagated.rate_d[some],
             status=status,
             horizon=horizon[some],
             sources=one.sources(time_ns[some], recent_ns),

@@ -66,7 +66,7 @@ class ShipFilter:
         """Return the state before any measurement, with the configured covariance."""
         return self.fault_detector.start(np.zeros(self.model.size), self.model.initial_parts())
 
-    def predicted(self, state: FilterState, time_ns: int) -> FilterState:
+    def propagate(self, state: FilterState, time_ns: int) -> FilterState:
         """Propagate a state to a later time."""
         if state.time_ns is None:
             return self._initialise(state, time_ns)
@@ -76,12 +76,12 @@ class ShipFilter:
         decay, means, stack = self.model.later(dt_s, state.means, state.stack, "ins.attitude")
         here = None if self.vertical is None else self.vertical.at(time_ns)
         if here is not None:
-            self._carry_ins(state, means, stack, time_ns)
+            self._propagate_ins(state, means, stack, time_ns)
         for source, steady in state.common_n.items():
             common = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay.item(common.start) ** 2
             add_error(stack, len(means), self._common_index, common, fresh * steady)
-        self.fault_detector.ins.carried(state, stack, dt_s)
+        self.fault_detector.ins.propagate(state, stack, dt_s)
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _initialise(self, state: FilterState, time_ns: int) -> FilterState:
@@ -96,20 +96,20 @@ class ShipFilter:
         self._add_to_process(stack, len(means), self._deflection_index, covariance)
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
-    def _carry_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
+    def _propagate_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
         """Propagate the states of the INS error process from the time of a state to a later one, in place."""
         process, rows, before = self.model.ins_process, self.model.process_rows, state.vertical
         assert process is not None
         assert before is not None
         assert state.time_ns is not None
         assert self.vertical is not None
-        carried = process.carried(state.time_ns, before, [time_ns], self.vertical)
-        means[:, rows] = process.means(means[:, rows], before, carried)[0]
-        (transition,) = carried.transition
+        propagation = process.propagation(state.time_ns, before, [time_ns], self.vertical)
+        means[:, rows] = process.propagated_means(means[:, rows], before, propagation)[0]
+        (transition,) = propagation.transition
         stack[:, rows] = transition @ stack[:, rows]
         stack[:, :, rows] = stack[:, :, rows] @ transition.T
-        self._add_to_process(stack, len(means), self._ins_index, carried.ins_noise[0])
-        self._add_to_process(stack, len(means), self._deflection_index, carried.deflection_noise[0])
+        self._add_to_process(stack, len(means), self._ins_index, propagation.ins_noise[0])
+        self._add_to_process(stack, len(means), self._deflection_index, propagation.deflection_noise[0])
 
     def _add_to_process(self, stack: FloatArray, count: int, part: int, covariance: FloatArray) -> None:
         """Add an error of the states of the INS error process to all filters, in place."""
@@ -127,7 +127,7 @@ class ShipFilter:
         if isinstance(jump, ExtraNoise):
             return self._with_uncertain_clock(state, jump)
         effective_ns = self.change_effective_ns(jump)
-        state = self.predicted(state, effective_ns)
+        state = self.propagate(state, effective_ns)
         if jump.is_drift:
             state = self.fault_detector.without_ins(state, effective_ns)
             if INS in state.excluded:
@@ -166,7 +166,7 @@ class ShipFilter:
         clock = self.model.blocks["ins.time_offset"]
         if not (noise.clock_sigma_s > 0.0 and clock.sigma[0] > 0.0):
             return state
-        state = self.predicted(state, self.change_effective_ns(noise))
+        state = self.propagate(state, self.change_effective_ns(noise))
         stack, rows = state.stack.copy(), self.model.slices[clock.name]
         add_error(stack, len(state.means), self._ins_index, rows, np.array([[noise.clock_sigma_s**2]]))
         return changed(state, stack=stack)
@@ -228,7 +228,7 @@ class ShipFilter:
             # Estimates made with a wrong latitude would be wrong and persist.
             lacking = Refusal(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
             return self._refused(state, measurement, NotCompared(lacking, measurement.time_ns))
-        predicted = self.predicted(state, measurement.time_ns)
+        predicted = self.propagate(state, measurement.time_ns)
         compared = measurement
         if isinstance(measurement, StarExposure):
             compared = measurement.after(state.stays.get(measurement.source))

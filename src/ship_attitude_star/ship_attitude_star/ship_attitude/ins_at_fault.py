@@ -86,7 +86,7 @@ class InsAtFault:
         """Inflate the covariance of the correlated INS error, in place, in a main filter without subfilters."""
         self._inflate(parts, 1, covariance_n, None)
 
-    def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
+    def propagate(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Add the random walk of an excluded INS to the covariances, in place."""
         walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _ABOUT_EACH_AXIS
         for subfilter in (None,) if INS in state.excluded else self._subfilters.ins_subfilters:

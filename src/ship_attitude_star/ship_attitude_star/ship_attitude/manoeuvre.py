@@ -214,9 +214,9 @@ def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[Float
     if model.ins_process is not None and state.vertical is not None:
         assert state.time_ns is not None
         end_ns = state.time_ns + round(step_s * SECOND_NS)
-        carried = model.ins_process.carried(state.time_ns, state.vertical, [end_ns], _Still(state.vertical))
+        propagation = model.ins_process.propagation(state.time_ns, state.vertical, [end_ns], _Still(state.vertical))
         rows = np.ix_(model.process_rows, model.process_rows)
-        transition[rows], noise[rows] = carried.transition[0], carried.ins_noise[0] + carried.deflection_noise[0]
+        transition[rows], noise[rows] = propagation.transition[0], propagation.ins_noise[0] + propagation.deflection_noise[0]
     return transition, noise
 
 

@@ -47,7 +47,7 @@ def propagate_memory(filter_: ShipFilter, memory: FilterState, jumps: Sequence[I
     """Return the stored state propagated to a time, with a covariance inflated by the jumps of the INS."""
     for jump in jumps:
         memory = filter_.apply_ins_change(memory, jump)
-    return filter_.predicted(memory, time_ns)
+    return filter_.propagate(memory, time_ns)
 
 
 def memory_residual(
@@ -57,7 +57,7 @@ def memory_residual(
 
     None if the measurement cannot be evaluated or does not observe the full rotation of its device.
     """
-    state = filter_.predicted(memory, measurement.time_ns)
+    state = filter_.propagate(memory, measurement.time_ns)
     found = filter_.linearisation.of(measurement, state.mean, state.covariance, {}, track, watch)
     if found is None or isinstance(found, NotCompared):
         return None
@@ -82,7 +82,7 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
     """
     if state.time_ns is None:
         return np.inf
-    memory = filter_.predicted(memory, state.time_ns)
+    memory = filter_.propagate(memory, state.time_ns)
     rows = np.concatenate([filter_.model.state_indices(name) for name in filter_.model.slices if name.endswith(_LASTING)])
     variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
     difference = np.abs(state.mean - memory.mean)[rows]
@@ -106,4 +106,4 @@ def _drift(filter_: ShipFilter, state: FilterState) -> np.ndarray:
     before_ns = state.time_ns - SECOND_NS
     here = None if filter_.vertical is None else filter_.vertical.at(before_ns)
     before = changed(state, time_ns=before_ns, vertical=here, stack=np.zeros_like(state.stack))
-    return filter_.predicted(before, state.time_ns).covariance
+    return filter_.propagate(before, state.time_ns).covariance

@@ -193,8 +193,8 @@ class ShipStateModel(StateModel):
         self.sky_rows = slice(0, 0)
         if looks_at_sky:
             self.sky_rows = sky_slice(self.slices, config.sky)
-        carried = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
-        self.process_rows = np.concatenate([self.state_indices(name) for name in carried])
+        process_blocks = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
+        self.process_rows = np.concatenate([self.state_indices(name) for name in process_blocks])
         self.chains = {name: self._chain(device) for name, device in devices(config).items()}
         self.shared_rows = {
             SHARED_BY_SKY: self.sky_rows,

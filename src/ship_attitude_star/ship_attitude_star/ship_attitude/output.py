@@ -72,7 +72,7 @@ def estimate_from_star(
 ) -> AttitudeEstimate:
     """Return the ship attitude from one star sensor alone, from its measurement and its estimated installation."""
     model, device = filter_.model, filter_.devices[measurement.source]
-    state = filter_.predicted(state, measurement.time_ns)
+    state = filter_.propagate(state, measurement.time_ns)
     installation = state.mean[model.slices[f"{device.name}.installation"]]
     to_horizon = measurement.rotation_nv
     rotation_nd = to_horizon @ (device.rotation_dv0 @ exp_rotation(installation)).T

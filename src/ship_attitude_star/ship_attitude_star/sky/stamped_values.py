@@ -32,7 +32,7 @@ _SIGMAS = 5.0
 _STANDS_S = 60.0
 """Largest frozen time that widens the limits, s: a ship at anchor may really be stationary for days."""
 
-_CARRIED_NS = 10 * SECOND_NS
+_TIME_STEP_HISTORY_NS = 10 * SECOND_NS
 """Maximum age before the last value of the values that are kept over a step of the clocks, ns."""
 
 _REMEMBERED = 100
@@ -201,7 +201,7 @@ class StampedValues(Generic[Value]):
         """
         shifted: StampedValues[Value] = StampedValues(self._limits)
         for time_ns, value in zip(self.times, self.values, strict=True):
-            if time_ns >= self.times[-1] - _CARRIED_NS:
+            if time_ns >= self.times[-1] - _TIME_STEP_HISTORY_NS:
                 shifted.insert(time_ns + step_ns, value)
         if not self._is_provisional(self._belief_before(len(self._stamps))):
             shifted._beliefs = [replace(belief, agreed=self._limits.settled_by) for belief in shifted._beliefs]

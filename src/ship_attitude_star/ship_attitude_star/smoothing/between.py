@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.process import Carried, own_from_whole
+from ship_attitude_star.ins_errors.process import Propagation, own_from_whole
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation.backward import Known
@@ -96,17 +96,17 @@ class Between:
         dt_s = 1e-9 * (np.array(times_ns) - anchor.time_ns).astype(float)
         decay, variance = model.transition(dt_s)
         transition, noise, means = _diagonal(decay), _diagonal(variance), decay * mean
-        carried = self._carried(anchor, times_ns)
-        if carried is None:
+        propagation = self._process_propagation(anchor, times_ns)
+        if propagation is None:
             slow = model.slices["ins.attitude"]
             means[:, slow] = slow_error_later(mean[slow], decay[:, slow], model.slow.sigma)
             return _Passage(transition, means, noise)
         assert model.ins_process is not None
         assert anchor.given is not None
         block = np.s_[:, model.process_rows[:, None], model.process_rows]
-        transition[block] = carried.transition
-        noise[block] += carried.ins_noise + carried.deflection_noise
-        of_process = model.ins_process.means(mean[None, model.process_rows], anchor.given, carried)
+        transition[block] = propagation.transition
+        noise[block] += propagation.ins_noise + propagation.deflection_noise
+        of_process = model.ins_process.propagated_means(mean[None, model.process_rows], anchor.given, propagation)
         means[:, model.process_rows] = of_process[:, 0]
         return _Passage(transition, means, noise)
 
@@ -115,15 +115,15 @@ class Between:
         model = self._model
         left_s = 1e-9 * (later_ns - np.array(times_ns)).astype(float)
         onward = _diagonal(model.transition(left_s)[0])
-        carried = self._carried(anchor, [*times_ns, later_ns])
-        if carried is not None:
+        propagation = self._process_propagation(anchor, [*times_ns, later_ns])
+        if propagation is not None:
             # The transition to the later time is the product of that to each time and the remaining one.
-            to_each, to_later = carried.transition[:-1], carried.transition[-1]
+            to_each, to_later = propagation.transition[:-1], propagation.transition[-1]
             left = np.linalg.solve(np.swapaxes(to_each, -1, -2), np.broadcast_to(to_later.T, to_each.shape))
             onward[:, model.process_rows[:, None], model.process_rows] = np.swapaxes(left, -1, -2)
         return onward
 
-    def _carried(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> Carried | None:
+    def _process_propagation(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> Propagation | None:
         """Return the propagation of the INS error process; None without one."""
         process = self._model.ins_process
         if process is None:
@@ -131,7 +131,7 @@ class Between:
         assert anchor.time_ns is not None
         assert anchor.given is not None
         assert self._vertical is not None
-        return process.carried(anchor.time_ns, anchor.given, times_ns, self._vertical)
+        return process.propagation(anchor.time_ns, anchor.given, times_ns, self._vertical)
 
     def _told(self, times_ns: Sequence[int]) -> FloatArray:
         """Return the matrices from the states to the output quantities, shape (N, 4, n)."""

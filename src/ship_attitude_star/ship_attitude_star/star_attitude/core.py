@@ -187,7 +187,7 @@ class StarCore:
         if late is not None:
             return StarOutcome(late)
         outcome = StarOutcome(self._ins.add(sample))
-        self._arrivals.move_to(sample.time_ns)
+        self._arrivals.advance_to(sample.time_ns)
         self._advance(outcome)
         return outcome
 
@@ -201,7 +201,7 @@ class StarCore:
             # A pending exposure may need this sample. Pending groups wait for exposures only.
             end, outcome = turns.committed_count + 1 if self._waiting else stop, StarOutcome()
             self._ins.commit_batch(turns, end)
-            self._arrivals.move_to(turns.samples[end - 1].time_ns)
+            self._arrivals.advance_to(turns.samples[end - 1].time_ns)
             self._advance(outcome)
             if outcome.solved or outcome.not_joined:
                 turns.told.append((end - 1, outcome))
@@ -212,7 +212,7 @@ class StarCore:
         if turns.followed.last is None:
             return None
         outcome = StarOutcome(refusal)
-        self._arrivals.move_to(turns.followed.last.sample.time_ns)
+        self._arrivals.advance_to(turns.followed.last.sample.time_ns)
         self._advance(outcome)
         return outcome
 
@@ -240,7 +240,7 @@ class StarCore:
         if not used:
             return StarOutcome(refusal)
         self._taken[exposure.source, exposure.time_ns] = exposure
-        self._arrivals.move_to(exposure.time_ns)
+        self._arrivals.advance_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
         self._wait(_Waiting(exposure, refused, arrival_ns, exposure.reach_ns))
         outcome = StarOutcome(refusal)

@@ -351,16 +351,16 @@ def expected(
     result = np.empty((count, 3))
     out: cython.double[:, ::1] = result
     length: cython.double
-    moved: cython.double
+    shift: cython.double
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
     c: cython.Py_ssize_t
     for k in range(count):
         for i in range(3):
-            moved = 0.0
+            shift = 0.0
             for c in range(shared_n.shape[2]):
-                moved += shared_n[k, i, c] * estimate[c]
-            out[k, i] = reference_n[k, i] + moved
+                shift += shared_n[k, i, c] * estimate[c]
+            out[k, i] = reference_n[k, i] + shift
         length = sqrt(out[k, 0] * out[k, 0] + out[k, 1] * out[k, 1] + out[k, 2] * out[k, 2])
         for i in range(3):
             out[k, i] /= length

@@ -203,7 +203,7 @@ def _player(suite_file: Path, path: Path, chain: AdapterChain, options: SuiteOpt
     targets = {name: on_ship.get(relative, relative) for relative, name in played.items()}
     targets |= {name: relative for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
     recorded = {bag.recorded_names.get(name, name): options.topic(target) for name, target in targets.items()}
-    moved = [f"{name}:={target}" for name, target in recorded.items()]
+    remaps = [f"{name}:={target}" for name, target in recorded.items()]
     command = [*executable("ship_bags", "play"), str(path), "--rate", str(options.rate)]
-    command += ["--loop", str(options.loop), "--topics", *recorded, "--remap", *moved]
+    command += ["--loop", str(options.loop), "--topics", *recorded, "--remap", *remaps]
     return Program("play", (*command, "--ros-args", *_names(options)), Role.PLAYER)

@@ -66,7 +66,7 @@ class EpochFilter:
         self._seen = 3 + record.moving.count
         self._information = np.array([matrix for matrix, _ in said])
         self._log_factors = np.array([log_factor for _, log_factor in said])
-        self._start, self._transition, self._noise = _with_moving(record, steps)
+        self._start, self._transition, self._noise = _with_time_varying(record, steps)
         self._run()
 
     def _run(self) -> None:
@@ -160,20 +160,20 @@ def log_likelihoods(record: StarRecord, steps: ProcessSteps) -> FloatArray:
     return EpochFilter(record, steps).log_likelihoods()
 
 
-def _with_moving(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _with_time_varying(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return start, transitions and noise of the process and the other time-varying states, in the filter's order."""
-    moving = record.moving
-    decay, fresh = moving.over(np.diff(record.times_s))
+    time_varying = record.moving
+    decay, fresh = time_varying.over(np.diff(record.times_s))
     size = steps.start.shape[-1]
-    others = np.arange(3, 3 + moving.count)
-    own = np.r_[0:3, 3 + moving.count : size + moving.count]
+    others = np.arange(3, 3 + time_varying.count)
+    own = np.r_[0:3, 3 + time_varying.count : size + time_varying.count]
     found = []
     for of_process in steps[:3]:
-        whole = np.zeros((*of_process.shape[:-2], size + moving.count, size + moving.count))
+        whole = np.zeros((*of_process.shape[:-2], size + time_varying.count, size + time_varying.count))
         whole[..., own[:, None], own] = of_process
         found.append(whole)
     start, transition, noise = found
-    start[:, others[:, None], others] = moving.covariance
+    start[:, others[:, None], others] = time_varying.covariance
     transition[:, :, others, others] = decay
     noise[:, :, others[:, None], others] = fresh
     return start, transition, noise

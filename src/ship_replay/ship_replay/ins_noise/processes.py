@@ -165,7 +165,7 @@ class SchulerModel:
         }
         self._config = schuler
         self._here = here
-        self._carried: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._cached: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
         """See :class:`InsErrorModel`."""
@@ -208,7 +208,7 @@ class SchulerModel:
         Returns:
             Transitions, shape (E - 1, 11, 11), and covariances, shape (4, E - 1, 11, 11).
         """
-        if self._carried is None or not np.array_equal(self._carried[0], times_s):
+        if self._cached is None or not np.array_equal(self._cached[0], times_s):
             steps = np.round(np.diff(times_s) / _STEP_S).astype(np.int64)
             kinds, of = np.unique(steps, return_inverse=True)
             process = SchulerIns(self._config, np.ones(3), None)
@@ -216,8 +216,8 @@ class SchulerModel:
             found = [_way(rates, kind * _STEP_S) for kind in kinds.tolist()]
             transition = np.array([way[0] for way in found]).reshape(-1, 11, 11)[of]
             fresh = np.array([way[1] for way in found]).reshape(-1, 4, 11, 11)[of]
-            self._carried = times_s, transition, np.moveaxis(fresh, 0, 1)
-        return self._carried[1:]
+            self._cached = times_s, transition, np.moveaxis(fresh, 0, 1)
+        return self._cached[1:]
 
 
 def _way(rates: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:

@@ -49,7 +49,7 @@ class GaussMarkov:
         # 1 - decay² without cancellation.
         self._innovation = np.sqrt(-np.expm1(-2.0 * period_s / np.asarray(time_s, dtype=float)))
         self._is_initialised = False
-        self._carried = np.zeros((len(sigma), 1))
+        self._filter_state = np.zeros((len(sigma), 1))
 
     def take(self, count: int) -> FloatArray:
         """Return the next samples, shape (count, n)."""
@@ -59,7 +59,7 @@ class GaussMarkov:
         if count:
             self._is_initialised = True
             for i, decay in enumerate(self._decay):
-                samples[:, i], self._carried[i] = lfilter([1.0], [1.0, -decay], noise[:, i], zi=self._carried[i])
+                samples[:, i], self._filter_state[i] = lfilter([1.0], [1.0, -decay], noise[:, i], zi=self._filter_state[i])
         return samples * self._sigma
 
 

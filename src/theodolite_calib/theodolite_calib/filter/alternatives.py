@@ -132,14 +132,14 @@ class SourceRows:
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
         return replace(subfilters, mean=np.tile(mean, (count, 1)), parts=parts)
 
-    def predicted(self, subfilters: Alternatives, time_ns: int, ship_now_n: FloatArray | None) -> Alternatives:
+    def propagate(self, subfilters: Alternatives, time_ns: int, ship_now_n: FloatArray | None) -> Alternatives:
         """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
         dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
         mean, ship, count = decay * subfilters.mean, self._ship_error.columns, len(subfilters.mean) + 1
         parts = predict(subfilters.parts[:, 0], decay, noise, self._model.source_of, count)[:, None]
-        mean[:, ship] = self._ship_error.later(subfilters.mean[:, ship], decay[ship])
-        mean, parts, _ = self._ship_error.carried(
+        mean[:, ship] = self._ship_error.propagate(subfilters.mean[:, ship], decay[ship])
+        mean, parts, _ = self._ship_error.apply_stated_covariance(
             mean, parts, ship, decay[ship], subfilters.ship_steady_n, ship_now_n, _ONLY_SOURCE
         )
         later_ns = time_ns if subfilters.time_ns is None else max(time_ns, subfilters.time_ns)

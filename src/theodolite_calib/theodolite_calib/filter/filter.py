@@ -20,7 +20,7 @@ from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import Alternatives, SourceRows
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
-from theodolite_calib.filter.observability import Observability, Unaided
+from theodolite_calib.filter.observability import Observability, ObservabilityState
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.star_comparison import StarComparison, StarModel
 from theodolite_calib.filter.trust import FaultState, initial_fault_state
@@ -64,7 +64,7 @@ class CalibrationState:
     time_ns: int | None
     mean: FloatArray
     parts: FloatArray
-    unaided: Unaided
+    unaided: ObservabilityState
     subfilters: Alternatives
     fault_state: FaultState
     separation: FloatArray
@@ -156,9 +156,9 @@ class CalibrationFilter:
         decay, noise = self.model.transition(dt_s)
         parts = predict(state.parts, decay, noise, self.model.source_of)
         mean, steady_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
-        mean[..., ship] = self.ship_error.later(state.mean[..., ship], decay[ship])
-        mean, parts, step = self.ship_error.carried(mean, parts, ship, decay[ship], steady_n, ship_now_n)
-        unaided = self.observability.predicted(state.unaided, dt_s, steady_n)
+        mean[..., ship] = self.ship_error.propagate(state.mean[..., ship], decay[ship])
+        mean, parts, step = self.ship_error.apply_stated_covariance(mean, parts, ship, decay[ship], steady_n, ship_now_n)
+        unaided = self.observability.propagate(state.unaided, dt_s, steady_n)
         if step is not None:
             unaided = self.observability.with_ship_step(unaided, step)
         return replace(
@@ -167,7 +167,7 @@ class CalibrationFilter:
             mean=mean,
             parts=parts,
             unaided=unaided,
-            alternatives=self.subfilters.predicted(state.subfilters, time_ns, ship_now_n),
+            alternatives=self.subfilters.propagate(state.subfilters, time_ns, ship_now_n),
             ship_steady_n=ship_now_n,
         )
 
@@ -312,10 +312,10 @@ def _reshaped(parts: FloatArray, covariance: FloatArray) -> FloatArray:
     # Scaled to unit variance, since states are in radians and metres; a state with zero variance keeps it.
     scale = np.outer(sigma, sigma)
     unit = 1.0 / np.where(scale > 0.0, scale, np.inf)
-    carry = _root(covariance * unit) @ np.linalg.pinv(_root(before * unit), rcond=1e-9, hermitian=True)
-    carried = carry @ (parts * unit) @ carry.T
-    missing = covariance * unit - carried.sum(axis=0)
-    reshaped: FloatArray = scale * (carried + missing / len(parts))
+    transformation = _root(covariance * unit) @ np.linalg.pinv(_root(before * unit), rcond=1e-9, hermitian=True)
+    transformed = transformation @ (parts * unit) @ transformation.T
+    missing = covariance * unit - transformed.sum(axis=0)
+    reshaped: FloatArray = scale * (transformed + missing / len(parts))
     return reshaped
 
 

@@ -197,7 +197,7 @@ class ShipErrorProcess:
         by_ins = config.ship.source == "ins/imu"
         self._sigma = model.blocks["ship.attitude"].sigma if by_ins else None
 
-    def later(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
+    def propagate(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
         """Propagate the error, a rotation vector in n, rad, shape (..., 3).
 
         Args:
@@ -210,7 +210,7 @@ class ShipErrorProcess:
         """True for each component of the error that exceeds the model and does not decay, shape (3,)."""
         return np.zeros(3, dtype=bool) if self._sigma is None else lasting(error_n, self._sigma)
 
-    def carried(
+    def apply_stated_covariance(
         self,
         mean: FloatArray,
         parts: FloatArray,

@@ -36,7 +36,7 @@ _UNKNOWN = 1000.0
 
 
 @dataclass(frozen=True)
-class Unaided:
+class ObservabilityState:
     """Root of the covariance of the states from the sightings alone, shape (n, n): covariance = root @ root.T."""
 
     root: FloatArray
@@ -76,30 +76,30 @@ class Observability:
         order = [names.index(name) for name in _LEADING if name in names and sigma[names.index(name)] > 0.0]
         self._names, self._sigma, self._rows = [names[i] for i in order], sigma[order], rows[order]
 
-    def initial_state(self) -> Unaided:
+    def initial_state(self) -> ObservabilityState:
         """Return the state before any sighting."""
-        return Unaided(np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()])))
+        return ObservabilityState(np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()])))
 
-    def predicted(self, unaided: Unaided, dt_s: float, ship_steady_n: FloatArray | None) -> Unaided:
+    def propagate(self, unaided: ObservabilityState, dt_s: float, ship_steady_n: FloatArray | None) -> ObservabilityState:
         """Propagate by ``dt_s``; the ship's error has a stated stationary covariance (rad², (3, 3)) if one is given."""
         decay, noise = self._model.transition(dt_s)
         roots = [decay[:, None] * unaided.root, np.diag(np.sqrt(noise))[:, noise > 0.0]]
         if ship_steady_n is not None:
             roots.append(self._of_ship((1.0 - decay[self._ship][0] ** 2) * ship_steady_n))
-        return Unaided(_triangle(np.hstack(roots)))
+        return ObservabilityState(_triangle(np.hstack(roots)))
 
-    def with_ship_step(self, unaided: Unaided, step: ShipErrorStep) -> Unaided:
+    def with_ship_step(self, unaided: ObservabilityState, step: ShipErrorStep) -> ObservabilityState:
         """Apply a step of the ship's error."""
         root = unaided.root.copy()
         root[self._ship] *= step.kept[:, None]
-        return Unaided(_triangle(np.hstack([root, self._of_ship(step.new_n)])))
+        return ObservabilityState(_triangle(np.hstack([root, self._of_ship(step.new_n)])))
 
-    def updated(self, unaided: Unaided, jacobian: FloatArray, noise: FloatArray) -> Unaided:
+    def updated(self, unaided: ObservabilityState, jacobian: FloatArray, noise: FloatArray) -> ObservabilityState:
         """Update with a sighting that has the filter's Jacobian (m, n) and noise (m, m)."""
         root, (size, states) = unaided.root, jacobian.shape
         both = np.block([[np.linalg.cholesky(noise), jacobian @ root], [np.zeros((states, size)), root]])
         # Upper rows: root of the innovation's covariance; lower right: root of the updated covariance.
-        return Unaided(_triangle(both)[size:, size:])
+        return ObservabilityState(_triangle(both)[size:, size:])
 
     def _of_ship(self, covariance_n: FloatArray) -> FloatArray:
         """Return a root of a covariance of the ship's error, rad², shape (3, 3), as rows of the state, shape (n, 3)."""
@@ -107,7 +107,7 @@ class Observability:
         root[self._ship] = square_root(covariance_n)
         return root
 
-    def open_combinations(self, unaided: Unaided) -> tuple[str, ...]:
+    def open_combinations(self, unaided: ObservabilityState) -> tuple[str, ...]:
         """Return the combinations of names that the sightings so far cannot separate, as ``g - deformation_up``."""
         root = unaided.root[self._rows]
         return open_combinations(root @ root.T, self._sigma, self._names, self._told)

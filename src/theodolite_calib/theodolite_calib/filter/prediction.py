@@ -165,9 +165,9 @@ class SightingModel:
         )
         refraction = survey.refraction_coefficient + self._of(mean, "refraction", 1) + own["refraction"][:, 0]
         now = Survey(
-            theodolite_lever=_moved(survey.theodolite_lever, self._of(mean, "lever")),
-            principal_point=_moved(survey.principal_point, self._of(mean, "lens")),
-            light_lever=_moved(survey.light_lever, own["lever"]),
+            theodolite_lever=_corrected_lever(survey.theodolite_lever, self._of(mean, "lever")),
+            principal_point=_corrected_lever(survey.principal_point, self._of(mean, "lens")),
+            light_lever=_corrected_lever(survey.light_lever, own["lever"]),
             rtk_base_sigma_m=survey.rtk_base_sigma_m,
             rtk_bias_sigma_m=survey.rtk_bias_sigma_m,
             refraction_coefficient=refraction,
@@ -261,7 +261,7 @@ def _places(model: StateModel, state: str, width: int) -> list[int]:
     return [model.size] * width if columns is None else list(range(columns.start, columns.stop))
 
 
-def _moved(lever: LeverArm, error_m: FloatArray) -> LeverArm:
+def _corrected_lever(lever: LeverArm, error_m: FloatArray) -> LeverArm:
     """Return a lever arm corrected by its estimated error."""
     return LeverArm(lever.vector_m + error_m, lever.sigma_m)
 

@@ -196,8 +196,8 @@ def _parts(
     parts[SOURCE_FOCAL_LENGTH] = by_focal_length @ np.swapaxes(by_focal_length, -1, -2)
     if prior is not None:
         for source, part in prior.parts_n.items():
-            carried = _transported(gain[..., rows:], part)
-            parts[source] = parts[source] + carried if source in parts else carried
+            propagated = _transported(gain[..., rows:], part)
+            parts[source] = parts[source] + propagated if source in parts else propagated
     return parts
 
 

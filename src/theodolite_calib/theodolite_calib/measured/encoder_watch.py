@@ -200,7 +200,7 @@ class EncoderWatch:
         if verdict is JumpVerdict.REFUSED:
             assert match is not None
             first_refused = self._jumps.refused == 1
-            self._all = (_moved_back(sample, *self._taken) if first_refused else self._all[-1], sample)
+            self._all = (_extrapolate_back(sample, *self._taken) if first_refused else self._all[-1], sample)
             return JudgedReading(_gate_refusal(match))
         healthy = self._all is self._taken
         self._all = (*self._all[-1:], sample)
@@ -266,7 +266,7 @@ def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSam
     return found
 
 
-def _moved_back(sample: EncoderSample, first: EncoderSample, second: EncoderSample) -> EncoderSample:
+def _extrapolate_back(sample: EncoderSample, first: EncoderSample, second: EncoderSample) -> EncoderSample:
     """Return the reading extrapolated back from ``sample`` to the time of ``second``.
 
     The axis moves as it did from ``first`` to ``second``. After a slip, the next reading is predicted with it.

@@ -149,7 +149,7 @@ class SightingAssembler:
         assert encoder is not None
         velocity_n = np.array([tracks.baselines[name].velocity_at(sighting.time_ns) for name in sighting.names])
         since_s = np.array(nodes.offset_ns)[:, None, None] / SECOND_NS
-        carried_n = (attitudes - ship.rotation_nd) @ lever_m
+        lever_change_n = (attitudes - ship.rotation_nd) @ lever_m
         streaks = LightStreaks(
             image=sighting.image,
             camera=Camera(telescope.focal_length_m, 0.0, telescope.principal_point_m),
@@ -158,7 +158,7 @@ class SightingAssembler:
             rotation_nt=attitudes @ self._rotation_dt(angles[:, 0], angles[:, 1]),
             middle_nt=ship.rotation_nd @ self._rotation_dt(encoder.azimuth, encoder.elevation),
             path_n=sighting.lights.baseline_n - ship.rotation_nd @ lever_m,
-            moved_n=since_s * velocity_n - carried_n[:, None, :],
+            moved_n=since_s * velocity_n - lever_change_n[:, None, :],
         )
         return replace(sighting, image=streaks.image_at_middle(), streaks=streaks, ship=ship, encoder=encoder)
 

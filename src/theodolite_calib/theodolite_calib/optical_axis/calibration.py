@@ -24,7 +24,7 @@ SAVED_NAMES = (*NAMES, "focal_length", "parallelism_azimuth", "parallelism_eleva
 """Names that are always saved, in the order of the states' blocks. The angles of star cameras follow these."""
 
 _OF_TELESCOPE = SAVED_NAMES[len(NAMES) :]
-_MOVED = 6.0
+_REMOUNTED_SIGMAS = 6.0
 """Difference of saved and configured angles, in sigmas of both, above which a camera has been remounted."""
 
 
@@ -249,8 +249,8 @@ def _reason_against_camera(
             return "no camera of that name has angles of its own here"
         sigma = np.sqrt(prior.covariance[place, place] + initial.covariance[one.row, one.row])
         off = abs(one.beyond(prior.values[place]))
-        if not off <= _MOVED * sigma:
+        if not off <= _REMOUNTED_SIGMAS * sigma:
             angle = one.name.rpartition(".")[2]
-            distance_text = f"{off / ARCSEC:.1f} arcsec from the configured one, more than {_MOVED:g} sigma"
+            distance_text = f"{off / ARCSEC:.1f} arcsec from the configured one, more than {_REMOUNTED_SIGMAS:g} sigma"
             return f"its {angle} is {distance_text}: remounted?"
     return ""

@@ -80,7 +80,7 @@ class Between:
         """Return the expected states at N times, before any step of the ship's error, shape (N, r)."""
         mean, decay = anchor.known.mean, self._decay(_since_ns(anchor, moments_ns))
         means: FloatArray = (decay * mean)[:, self.rows]
-        means[:, SHIP] = self._ship.later(mean[SHIP], decay[:, SHIP])
+        means[:, SHIP] = self._ship.propagate(mean[SHIP], decay[:, SHIP])
         return means
 
     def _cross_covariance(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
