@@ -311,7 +311,7 @@ def test_later_stars_improve_earlier_pointings() -> None:
         for number in range(80):
             time_ns = TIME_NS + number * 250_000_000
             ship = night.ship()
-            core.add_ship(ShipSample(time_ns, ship.rotation_nd, ship.rate_d, ship.slow_covariance_n))
+            core.add_ship(ShipSample(time_ns, ship.rotation_nd, ship.rate_d, ship.correlated_covariance_n))
             # Each five seconds another field; from the second on with stars.
             if number % 20 == 0:
                 field = random_field(rng)

@@ -253,7 +253,7 @@ def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, nois
         message.noise_covariance[:] = 0.0
     found, total_n = separate_errors(message, known), horizon_covariance(message.rotation_covariance.reshape(3, 3))
     noise_n = found.rotation_nv @ found.noise_v @ found.rotation_nv.T
-    np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
+    np.testing.assert_allclose(noise_n + found.correlated_n, total_n, atol=1e-9 * np.trace(total_n))
     for part in (found.noise_v, found.common_n):
         assert np.linalg.eigvalsh(part)[0] > -1e-9 * np.trace(total_n)
     # Of the suite's own solutions only the catalogue's error remains, at most 0.02" per star.
@@ -315,7 +315,7 @@ def test_below_the_refraction_model_the_stated_covariance_is_used(elevation_deg:
     message.elevation = float(np.deg2rad(elevation_deg))
     found, total_n = separate_errors(message), horizon_covariance(message.rotation_covariance.reshape(3, 3))
     noise_n = found.rotation_nv @ found.noise_v @ found.rotation_nv.T
-    np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
+    np.testing.assert_allclose(noise_n + found.correlated_n, total_n, atol=1e-9 * np.trace(total_n))
 
 
 def test_without_a_fix_shared_errors_cannot_be_separated() -> None:
@@ -330,7 +330,7 @@ def test_shared_errors_are_as_configured() -> None:
     assert type(read(message, "none")) is type(read(message, "by_input")) is AttitudeMeasurement
     alike = read(message, "message")
     np.testing.assert_array_equal(alike.common_n, 0.0)
-    np.testing.assert_allclose(alike.lasting_n, common_n, atol=1e-9 * np.trace(common_n))
+    np.testing.assert_allclose(alike.correlated_n, common_n, atol=1e-9 * np.trace(common_n))
     np.testing.assert_allclose(alike.shared_n, alike.shared_n.T, atol=1e-15)
 
 

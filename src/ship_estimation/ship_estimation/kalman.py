@@ -152,7 +152,7 @@ class StateModel:
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
 
     def later(
-        self, dt_s: float, means: FloatArray, stack: FloatArray, slow: str
+        self, dt_s: float, means: FloatArray, stack: FloatArray, correlated: str
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Propagate the main filter and all subfilters by a time.
 
@@ -182,8 +182,8 @@ class StateModel:
             self._steady_variance,
             self._walk_variance,
             self.source_of,
-            self.slices[slow].start,
-            self.blocks[slow].sigma,
+            self.slices[correlated].start,
+            self.blocks[correlated].sigma,
             _BEYOND_SIGMAS,
         )
         return found

@@ -23,7 +23,7 @@ from cython.cimports.libc.math import cos, exp, sin
 from cython.cimports.ship_geometry.compiled_rotations import _exponential, _jacobian, _times
 
 _ERRORS = cython.declare(cython.int, 14)
-_DYING = cython.declare(cython.int, 6)
+_CORRELATED = cython.declare(cython.int, 6)
 """Number of correlated errors, a and e, which come first; the others are constants."""
 
 
@@ -304,7 +304,7 @@ def pointings(
     steps: cython.bint = kept.shape[0] > 0
     check("new", kept.shape[1] == new.shape[1] == new.shape[2] == 3)
     check("new", new.shape[0] == kept.shape[0] and (kept.shape[0] == count or not steps))
-    check("errors", errors.shape[0] == _ERRORS and lasting.shape[0] == time_s.shape[0] == _DYING)
+    check("errors", errors.shape[0] == _ERRORS and lasting.shape[0] == time_s.shape[0] == _CORRELATED)
     check("steady", steady.shape[0] == 2 and steady.shape[1] == steady.shape[2] == 3)
     check("parts", parts.shape[2] == size and (size == _ERRORS - 1 or size == _ERRORS))
     check("sources", min(ship, bending, encoder, white) >= 0 and max(ship, bending, encoder, white) < sources)
@@ -333,7 +333,7 @@ def pointings(
         since_s = 1e-9 * max(since_ns[n], 0)
         for i in range(_ERRORS):
             now[i] = errors[i]
-        for i in range(_DYING):
+        for i in range(_CORRELATED):
             decay[i] = exp(-since_s / time_s[i])
             if not lasting[i]:
                 now[i] *= decay[i]
@@ -358,7 +358,7 @@ def pointings(
         for i in range(3):
             for j in range(size):
                 by_error[n, i, j] = propagated[size * i + j] = by_all[14 * i + j]
-            for j in range(_DYING):
+            for j in range(_CORRELATED):
                 propagated[size * i + j] *= decay[j]
             for j in range(3):
                 propagated[size * i + j] *= left[j]

@@ -93,7 +93,7 @@ def test_number_of_rows_is_limited_to_that_of_a_fit(tmp_path):
     assert len(read.labels) == 1000
     assert (read.time_s[0], read.time_s[-1]) == (7e-9, 2499.000000007)
     assert np.ptp(np.diff(read.time_s)) <= 1.0 + 1e-6
-    (slow,) = read.slow_errors
+    (slow,) = read.correlated_errors
     assert (slow.name, slow.time_s) == ("hull.1", 600.0)
     np.testing.assert_allclose(slow.effect[0], [1e-5, 2e-5], atol=1e-9)
 

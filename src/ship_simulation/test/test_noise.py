@@ -5,7 +5,7 @@ import pytest
 
 from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import GaussMarkov, SlowError, arrival_times, random_stream
+from ship_simulation.draws.noise import GaussMarkov, CorrelatedError, arrival_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch, stretches_of
 from ship_simulation.scenario.scenario import start_of
 
@@ -70,8 +70,8 @@ def test_processes_and_streams_go_on_where_they_were_left():
 
 def test_a_correlated_error_drops_no_part_that_is_still_requested():
     moments_s = np.linspace(0.0, 400.0, 1001)
-    whole = SlowError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
-    forgetful = SlowError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
+    whole = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
+    forgetful = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
     expected = whole.at(moments_s)
     for first in range(0, 1001, 77):
         part = slice(first, first + 77)

@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import SlowError, random_stream
+from ship_simulation.draws.noise import CorrelatedError, random_stream
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.ship.rtk import FIXED, FLOAT, NONE
@@ -64,7 +64,7 @@ def test_uniform_axis_errors_fill_their_range_and_no_more():
 def test_correlated_errors_are_gauss_markov_at_any_time():
     # Independent at twenty correlation times; between grid points as on them.
     moments_s = 10.0 * np.arange(2000) + 0.005
-    process = SlowError(random_stream(1, "test"), moments_s[-1] + 1.0, np.array([3.0]), 0.5)
+    process = CorrelatedError(random_stream(1, "test"), moments_s[-1] + 1.0, np.array([3.0]), 0.5)
     first, later = process.at(moments_s)[:, 0], process.at(moments_s + 0.15)[:, 0]
     assert_sigma(first, 3.0)
     # exp(-0.15/0.5), with the standard deviation of a correlation of 2000 pairs.

@@ -53,7 +53,7 @@ def sightings_of(settings, count: int, seed: int = 3) -> list[Sighting]:
 def filtered(filter_: CalibrationFilter, sightings: list[Sighting]) -> CalibrationState:
     state = filter_.initial_state()
     for sighting in sightings:
-        predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         comparison = filter_.compare(predicted, sighting)
         assert comparison is not None
         state, _ = filter_.used(predicted, sighting, comparison)
@@ -113,7 +113,7 @@ def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
     state = filtered(filter_, sightings)
 
     model, steps = filter_.model, len(sightings)
-    steady_n = sightings[0].ship.slow_covariance_n
+    steady_n = sightings[0].ship.correlated_covariance_n
     assert steady_n is not None
     start = filter_.predicted(filter_.initial_state(), sightings[0].time_ns, steady_n)
     free = np.flatnonzero(np.diagonal(start.covariance) > 0.0)
@@ -183,7 +183,7 @@ def test_the_parts_are_the_covariance_of_a_filter_with_one() -> None:
         decay, noise = filter_.model.transition((sighting.time_ns - last_ns) * 1e-9)
         P = decay[:, None] * P * decay + np.diag(noise)
         last_ns = sighting.time_ns
-        predicted = filter_.predicted(means, sighting.time_ns, sighting.ship.slow_covariance_n)
+        predicted = filter_.predicted(means, sighting.time_ns, sighting.ship.correlated_covariance_n)
         comparison = filter_.compare(predicted, sighting)
         means, _ = filter_.used(predicted, sighting, comparison)
         after = filter_.sightings.predict(means.mean, sighting)

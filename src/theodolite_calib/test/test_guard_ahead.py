@@ -53,11 +53,11 @@ class Run:
 
     def take(self, samples: Iterable[ShipSample]) -> None:
         for sample in samples:
-            told_rad = told_step_rad(sample.slow_covariance_n, self._stated)
+            told_rad = told_step_rad(sample.correlated_covariance_n, self._stated)
             judged = self._judged(sample, told_rad)
             self.said.append((said(judged), self.guard.rates))
             if judged.refusal is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
-                self._stated = sample.slow_covariance_n
+                self._stated = sample.correlated_covariance_n
                 self._used.insert(judged.sample)
 
     def _judged(self, sample: ShipSample, told_rad: float) -> JudgedIns:

@@ -35,7 +35,7 @@ def remembered(seed: int, later_s: float = 20.0) -> tuple[CalibrationState, Sigh
 def filtered(sightings: list[Sighting]) -> CalibrationState:
     state = FILTER.initial_state()
     for sighting in sightings:
-        predicted = FILTER.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        predicted = FILTER.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         comparison = FILTER.compare(predicted, sighting)
         assert comparison is not None
         state, _ = FILTER.used(predicted, sighting, comparison)

@@ -72,7 +72,7 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
     index, rows = filter_.model.sources.index, chain_rows(filter_.model)
     axes = CorrectedAxis(filter_, state).axes(ship, encoders)
     for number, time_ns in enumerate(encoders.time_ns.tolist()):
-        stated_n = None if ship.slow_covariance_n is None else ship.slow_covariance_n[number]
+        stated_n = None if ship.correlated_covariance_n is None else ship.correlated_covariance_n[number]
         later = filter_.predicted(state, time_ns, stated_n)
         errors = filter_.sightings.chain_errors(later.mean)
         chain = axis_chain(errors, ship.rotation_nd[number], ship.rate_d[number], *encoders.angles[number].tolist())

@@ -10,7 +10,7 @@ from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.axis_sightings import ERRORS, STRAIGHT, sight, spread
 from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, poorly_told_apart, unobservable
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
-from theodolite_calib.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up, slow_map
+from theodolite_calib.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up, correlated_map
 from theodolite_calib.chain.axes import NAMES, AxisErrors, direction_change
 
 SEEDS = 200
@@ -64,7 +64,7 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
         *(SharedError(f"hull.{axis}", 600.0, turned[..., axis]) for axis in range(3)),
         SharedError("lever", np.inf, 8.0 * ARCSEC * np.array([[1.0, 0.3]] * count)),
     )
-    moves = np.concatenate([slow_map((error,), time_s, count) for error in slow], axis=-1)
+    moves = np.concatenate([correlated_map((error,), time_s, count) for error in slow], axis=-1)
     ratios, nees, known = [], [], []
     for _ in range(seeds):
         clean = sight(rng, ERRORS, angles, 2.0)

@@ -23,7 +23,7 @@ def sightings(count: int) -> list[Sighting]:
 
 
 def stepped(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting) -> CalibrationState:
-    predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+    predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
     comparison = filter_.compare(predicted, sighting)
     assert comparison is not None
     return filter_.used(predicted, sighting, comparison)[0]
@@ -55,7 +55,7 @@ def test_a_sighting_leads_back_to_what_was_predicted() -> None:
     after = stepped(filter_, before, second)
     assert isinstance(after, TracedState)
     assert after.came is not None
-    predicted = filter_.predicted(before, second.time_ns, second.ship.slow_covariance_n)
+    predicted = filter_.predicted(before, second.time_ns, second.ship.correlated_covariance_n)
     np.testing.assert_array_equal(after.came.predicted.covariance, predicted.covariance)
     np.testing.assert_array_equal(after.came.estimate.mean, after.mean)
     assert after.came.is_update
@@ -86,7 +86,7 @@ def test_an_estimate_without_a_source_leads_nowhere_back() -> None:
     filter_ = TracedFilter(SETTINGS)
     first, second = sightings(2)
     before = stepped(filter_, filter_.initial_state(), first)
-    predicted = filter_.predicted(before, second.time_ns, second.ship.slow_covariance_n)
+    predicted = filter_.predicted(before, second.time_ns, second.ship.correlated_covariance_n)
     comparison = filter_.compare(predicted, second)
     assert comparison is not None
     after, _ = filter_.used(filter_.without(predicted, DRONE), second, comparison)

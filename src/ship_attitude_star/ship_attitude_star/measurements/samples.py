@@ -66,7 +66,7 @@ class AttitudeMeasurement:
         return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes() + shared
 
     @property
-    def lasting_n(self) -> FloatArray:
+    def correlated_n(self) -> FloatArray:
         """Covariance of all errors that are correlated between epochs, horizon frame, rad², shape (3, 3)."""
         return self.common_n if self.shared_n is None else self.common_n + self.shared_n @ self.shared_n.T
 

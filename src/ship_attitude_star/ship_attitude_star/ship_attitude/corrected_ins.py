@@ -59,17 +59,17 @@ class CorrectedIns:
     """
 
     def __init__(self, filter_: ShipFilter, state: FilterState, horizon: str = GEODETIC) -> None:
-        model, slow = filter_.model, filter_.model.slow
-        self.drift_index = model.sources.index(slow.source)
+        model, ins_attitude = filter_.model, filter_.model.ins_attitude_block
+        self.drift_index = model.sources.index(ins_attitude.source)
         self.of_filter = (
-            slow.time_s,
-            slow.sigma**2,
+            ins_attitude.time_s,
+            ins_attitude.sigma**2,
             model.blocks["ins.noise"].sigma ** 2,
             self.drift_index,
             model.sources.index(SOURCE_INS_NOISE),
             model.sources.index(SOURCE_INTERPOLATION),
         )
-        self._filter, self._slow_sigma = filter_, slow.sigma
+        self._filter, self._slow_sigma = filter_, ins_attitude.sigma
         self.on_gravity: OnGravity | None = None
         if filter_.vertical is not None:
             assert model.ins_process is not None

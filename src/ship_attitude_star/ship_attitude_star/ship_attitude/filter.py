@@ -134,7 +134,7 @@ class ShipFilter:
                 return state
         state = self.fault_detector.reset_for_ins_jump(state, effective_ns)
         stack, means, count = state.stack.copy(), state.means, len(state.means)
-        slow, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
+        ins_attitude, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
         # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
         if abs(jump.clock_s) <= _CLOCK_SIGMAS * clock.sigma[0]:
             both = np.r_[self.model.state_indices("ins.attitude"), self.model.state_indices(clock.name)]
@@ -144,7 +144,7 @@ class ShipFilter:
             covariance[both[:, None], both] = shared
             add_error(stack, count, self._ins_index, slice(None), covariance)
         else:
-            add_error(stack, count, self._ins_index, slow, jump.covariance_n)
+            add_error(stack, count, self._ins_index, ins_attitude, jump.covariance_n)
             if jump.is_of_clock:
                 state = self.fault_detector.ins.clock_has_stepped(state, effective_ns)
         return changed(

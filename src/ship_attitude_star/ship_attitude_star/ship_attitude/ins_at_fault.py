@@ -62,9 +62,9 @@ class InsAtFault:
         self._subfilters, self._return_after_s = subfilters, config.integrity.return_after_s
         self._degraded_after = config.gate.degraded_after
         self._agreed = chi_square_gate(config.gate.probability, 3)
-        self._slow, self._part = model.slices["ins.attitude"], model.sources.index(SOURCE_INS)
-        self._all_but_slow = np.ones(model.size, dtype=bool)
-        self._all_but_slow[self._slow] = False
+        self._ins_attitude, self._part = model.slices["ins.attitude"], model.sources.index(SOURCE_INS)
+        self._all_but_ins_attitude = np.ones(model.size, dtype=bool)
+        self._all_but_ins_attitude[self._ins_attitude] = False
 
     def all_filters_at(self, mean: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return means and covariances of all filters started from one state.
@@ -125,7 +125,7 @@ class InsAtFault:
 
     def learns(self, state: FilterState, learns: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the mask of states to update, shape (h, n): only the INS attitude if the stars excluded the INS."""
-        return learns & ~self._all_but_slow if distrusted(state) else learns
+        return learns & ~self._all_but_ins_attitude if distrusted(state) else learns
 
     # -- exclusion by the stars -----------------------------------------------------------------------------
 
@@ -223,7 +223,7 @@ class InsAtFault:
         return bool(state.innovation_means.refused[subfilter, index] >= self._degraded_after - 1)
 
     def _inflate(self, stack: FloatArray, count: int, covariance_n: FloatArray, subfilter: int | None) -> None:
-        add_error(stack, count, self._part, self._slow, covariance_n, subfilter)
+        add_error(stack, count, self._part, self._ins_attitude, covariance_n, subfilter)
 
 
 def distrusted(state: FilterState) -> bool:

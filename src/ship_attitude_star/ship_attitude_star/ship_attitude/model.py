@@ -157,10 +157,10 @@ class ShipStateModel(StateModel):
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         blocks = _ins_blocks(config.ins)
-        self.slow, self.ins_process = blocks[0], _ins_process(config, blocks[0])
+        self.ins_attitude_block, self.ins_process = blocks[0], _ins_process(config, blocks[0])
         if self.ins_process is not None:
             # The process propagates these states; as a block they are constant.
-            blocks[0] = block("ins.attitude", self.slow.sigma, SOURCE_INS)
+            blocks[0] = block("ins.attitude", self.ins_attitude_block.sigma, SOURCE_INS)
         if config.models_deflection:
             blocks.append(block("gravity.deflection", [0.0, 0.0], SOURCE_DEFLECTION))
         if config.ins.model == SCHULER:
@@ -274,12 +274,12 @@ def _baseline_device(config: ShipAttitudeConfig) -> Device:
     )
 
 
-def _ins_process(config: ShipAttitudeConfig, slow: StateBlock) -> InsProcess | None:
+def _ins_process(config: ShipAttitudeConfig, ins_attitude: StateBlock) -> InsProcess | None:
     """Return the error process of the INS; None if each axis is a first-order Gauss-Markov process."""
     length_m = config.gravity.correlation_length_m if config.models_deflection else None
     if config.ins.model == SCHULER:
-        return SchulerIns(config.ins.schuler, slow.sigma, length_m)
-    return None if length_m is None else InsOnGravity(slow, length_m)
+        return SchulerIns(config.ins.schuler, ins_attitude.sigma, length_m)
+    return None if length_m is None else InsOnGravity(ins_attitude, length_m)
 
 
 def _schuler_blocks(schuler: SchulerConfig) -> list[StateBlock]:

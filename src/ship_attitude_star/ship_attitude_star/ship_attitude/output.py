@@ -43,7 +43,7 @@ def attitude_alone(
     if isinstance(attitude, Refusal):
         return None
     if isinstance(attitude, AttitudeMeasurement):
-        return replace(attitude, common_n=attitude.lasting_n, shared_n=None)
+        return replace(attitude, common_n=attitude.correlated_n, shared_n=None)
     assert watch is not None
     assert isinstance(measurement, StarExposure)
     return _by_stars(measurement, watch, untold_acceleration)

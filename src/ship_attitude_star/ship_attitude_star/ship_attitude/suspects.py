@@ -84,7 +84,7 @@ class Suspects:
         self._sources = self.subfilters.sources
         self._indices = {name: index for index, name in enumerate(self._sources)}
         self.ins = InsAtFault(config, model, self.subfilters)
-        self._slow = model.slices["ins.attitude"]
+        self._ins_attitude = model.slices["ins.attitude"]
         self._consistent_sigmas = min(INFLATION_START_SIGMAS, self.subfilters.k.false_exclusion)
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
@@ -148,7 +148,7 @@ class Suspects:
             running = lately[source].windowed_means if source in lately else NO_MEANS
             lately = with_entry(lately, source, Lately(*averaged(running, innovations.whitened_innovation[0])))
             if source in self.subfilters.stars and INS not in state.excluded:
-                absorbed = absorbed.with_correction(innovations, measured.linear.jacobian, self._slow.start)
+                absorbed = absorbed.with_correction(innovations, measured.linear.jacobian, self._ins_attitude.start)
         means = predicted.means + corrections
         return changed(
             predicted, means=means, stack=stack, seen=seen, apart=last_innovations, lately=lately, absorbed=absorbed
@@ -181,7 +181,7 @@ class Suspects:
             Separations about North, Up and East, rad, shape (h, 3), and their largest values in standard deviations,
             shape (h,).
         """
-        return solution_separations(state.means, state.stack, self._slow)
+        return solution_separations(state.means, state.stack, self._ins_attitude)
 
     def judged(
         self, state: FilterState, source: str, innovations: FilterInnovations, is_ins_confirmed: bool, time_ns: int
@@ -258,7 +258,7 @@ class Suspects:
             state.absorbed.sigmas <= COMMON_ERROR_START_SIGMAS
             and agrees_with_all(state.innovation_means, self._degraded_after)
             and all(one.sigmas <= INFLATION_START_SIGMAS for one in state.lately.values())
-            and stand_together(state.means, state.stack, self._slow, self._consistent_sigmas)
+            and stand_together(state.means, state.stack, self._ins_attitude, self._consistent_sigmas)
         )
 
     def _agreed(
@@ -397,7 +397,7 @@ class Suspects:
             absorbed = state.absorbed
             turn_n = turn_n + absorbed.turn_n
             mean, parts = mean.copy(), parts.copy()
-            mean[self._slow] -= absorbed.turn_n
+            mean[self._ins_attitude] -= absorbed.turn_n
             self.ins.inflate_ins_attitude(parts, np.diag(absorbed.variance))
         excluded = {
             name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars

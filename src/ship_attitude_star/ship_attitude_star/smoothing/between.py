@@ -98,8 +98,8 @@ class Between:
         transition, noise, means = _diagonal(decay), _diagonal(variance), decay * mean
         propagation = self._process_propagation(anchor, times_ns)
         if propagation is None:
-            slow = model.slices["ins.attitude"]
-            means[:, slow] = slow_error_later(mean[slow], decay[:, slow], model.slow.sigma)
+            ins_attitude = model.slices["ins.attitude"]
+            means[:, ins_attitude] = slow_error_later(mean[ins_attitude], decay[:, ins_attitude], model.ins_attitude_block.sigma)
             return _Passage(transition, means, noise)
         assert model.ins_process is not None
         assert anchor.given is not None

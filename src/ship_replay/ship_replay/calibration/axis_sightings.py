@@ -23,8 +23,8 @@ from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.replay import Watcher, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from theodolite_calib.axis_fit.exposure_errors import slow_effects
-from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, slow_column
+from theodolite_calib.axis_fit.exposure_errors import correlated_effects
+from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, correlated_column
 from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS
 from theodolite_calib.lights.telescope_attitude import solve
 from theodolite_calib.measured.samples import Exposure, ExposureDecision, PointingOutcome
@@ -57,7 +57,7 @@ class AxisSighting:
     """
 
     angles_deg: tuple[float, float, float, float]
-    slow: dict[tuple[str, float], FloatArray]
+    correlated_effects: dict[tuple[str, float], FloatArray]
 
 
 @dataclass
@@ -83,14 +83,14 @@ class AxisSightings:
     def write(self, path: Path) -> None:
         """Write the table as CSV, in order of time."""
         chosen = self.chosen
-        slow = [key for key in self._slow_errors() if self._moves(key, chosen)]
-        names = [slow_column(side, *key) for key in slow for side in (0, 1)]
+        correlated_errors = [key for key in self._correlated_errors() if self._moves(key, chosen)]
+        names = [correlated_column(side, *key) for key in correlated_errors for side in (0, 1)]
         # Angles in degrees and times need more decimals than a table in arcseconds.
         write_csv(
             path,
             [LABEL_COLUMN, TIME_COLUMN, *COLUMNS, *names],
             (
-                (number, f"{stamp // 10**9}.{stamp % 10**9:09d}", *self._cells(self.rows[stamp], slow))
+                (number, f"{stamp // 10**9}.{stamp % 10**9:09d}", *self._cells(self.rows[stamp], correlated_errors))
                 for number, stamp in enumerate(chosen, start=1)
             ),
         )
@@ -108,17 +108,17 @@ class AxisSightings:
         else:
             self.rows[time_ns] = row
 
-    def _slow_errors(self) -> list[tuple[str, float]]:
-        return list(dict.fromkeys(key for row in self.rows.values() for key in row.slow))
+    def _correlated_errors(self) -> list[tuple[str, float]]:
+        return list(dict.fromkeys(key for row in self.rows.values() for key in row.correlated_effects))
 
     def _moves(self, key: tuple[str, float], chosen: list[int]) -> bool:
-        effects = [self.rows[stamp].slow[key] for stamp in chosen if key in self.rows[stamp].slow]
+        effects = [self.rows[stamp].correlated_effects[key] for stamp in chosen if key in self.rows[stamp].correlated_effects]
         return bool(np.max(np.abs(effects)) > _LEAST_EFFECT_ARCSEC * ARCSEC)
 
     @staticmethod
-    def _cells(row: AxisSighting, slow: list[tuple[str, float]]) -> list[str]:
+    def _cells(row: AxisSighting, correlated_errors: list[tuple[str, float]]) -> list[str]:
         none = np.zeros(2)
-        effects = [value / ARCSEC + 0.0 for key in slow for value in row.slow.get(key, none)]
+        effects = [value / ARCSEC + 0.0 for key in correlated_errors for value in row.correlated_effects.get(key, none)]
         return [*(f"{value:.8f}" for value in row.angles_deg), *(f"{value:.4f}" for value in effects)]
 
 
@@ -183,5 +183,5 @@ def _row(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) 
         float(np.rad2deg(elevation - encoder.elevation)),
     )
     return AxisSighting(
-        angles_deg, slow_effects(filter_.model, prediction, sighting, attitude.rotation_nt, direction_d)
+        angles_deg, correlated_effects(filter_.model, prediction, sighting, attitude.rotation_nt, direction_d)
     )

@@ -24,7 +24,7 @@ _INS_TOPIC = "ins/imu"
 _LEAST_FACTOR = 0.01
 _FEWEST_STEPS, _LONGEST_STEP_S = 200, 0.15
 _RATE_SIGMAS = 5.0
-_OUTLIER, _MOST_LASTING = 8.0, 0.2
+_OUTLIER, _MAX_CORRELATED_SHARE = 8.0, 0.2
 
 
 class InsNoise(NamedTuple):
@@ -173,7 +173,7 @@ def ins_noise(times_ns: Any, rotations_nd: FloatArray, rates_d: FloatArray) -> I
     of_rates = variance + 2.0 * next_one
     if of_rates < _RATE_SIGMAS * variance * np.sqrt(2.0 / np.count_nonzero(pairs)):
         of_rates = 0.0
-    lasts = abs(one_further) > _MOST_LASTING * variance
+    is_correlated = abs(one_further) > _MAX_CORRELATED_SHARE * variance
     return InsNoise(
-        np.sqrt(max(variance - 0.5 * of_rates, 0.0) / 2.0), np.nan if lasts else np.sqrt(of_rates) / usual_s
+        np.sqrt(max(variance - 0.5 * of_rates, 0.0) / 2.0), np.nan if is_correlated else np.sqrt(of_rates) / usual_s
     )

@@ -63,7 +63,7 @@ class GaussMarkov:
         return samples * self._sigma
 
 
-class SlowError:
+class CorrelatedError:
     """Gauss–Markov processes with one correlation time, which can be evaluated at any time.
 
     The processes are drawn on a grid much finer than the correlation time, up to the latest requested time, and

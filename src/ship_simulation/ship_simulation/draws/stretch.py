@@ -14,7 +14,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import GaussMarkov, SlowError, random_stream
+from ship_simulation.draws.noise import GaussMarkov, CorrelatedError, random_stream
 
 STRETCH_S = 20
 """Length of a stretch when a bag is written, s: some thousand samples, which is as fast as all at once."""
@@ -127,9 +127,9 @@ class Draws:
             self._processes[component] = GaussMarkov(random_stream(self.seed, component), period_s, sigma, time_s)
         return self._processes[component].take(count)
 
-    def slow_error(self, component: str, duration_s: float, sigma: FloatArray, time_s: float) -> SlowError:
+    def correlated_error(self, component: str, duration_s: float, sigma: FloatArray, time_s: float) -> CorrelatedError:
         """Return a component's correlated error, the same object at each call."""
-        make = functools.partial(SlowError, duration_s=duration_s, sigma=sigma, time_s=time_s)
+        make = functools.partial(CorrelatedError, duration_s=duration_s, sigma=sigma, time_s=time_s)
         return self.lasting(component, make)
 
     def lasting(self, component: str, make: Callable[[np.random.Generator], LastingT]) -> LastingT:

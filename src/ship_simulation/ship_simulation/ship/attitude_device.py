@@ -67,7 +67,7 @@ def simulate_ins(
     config = scenario.ins
     time_ns = stretch.stamps(config.rate_hz, 0.0)
     truth = InsTruth(
-        attitude_error_n=_slow_error_of_ins(scenario, stretch, draws, deflection),
+        attitude_error_n=_correlated_ins_error(scenario, stretch, draws, deflection),
         time_offset_s=config.time_offset_s
         + config.time_offset_sigma_s * random_stream(draws.seed, "ins.time_offset").standard_normal(),
     )
@@ -83,7 +83,7 @@ def simulate_ins(
     return samples, truth
 
 
-def _slow_error_of_ins(scenario: Scenario, stretch: Stretch, draws: Draws, deflection: Deflection) -> FloatArray:
+def _correlated_ins_error(scenario: Scenario, stretch: Stretch, draws: Draws, deflection: Deflection) -> FloatArray:
     """Return the INS's own correlated error, plus the effect of the deflection, as it levels itself on gravity."""
     config, gravity = scenario.ins, None if scenario.gravity.is_level else deflection
     time_ns = stretch.stamps(config.rate_hz, 0.0)
@@ -206,10 +206,10 @@ def motion_of_star_sensor(
     truth = _draw_truth(name, draws.seed, nominal_dv, sigma_installation, config)
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
-    flexure_d = _slow_error(
+    flexure_d = _correlated_error(
         name + ".flexure", draws, time_ns.size, config.rate_hz, config.flexure_sigma_arcsec, config.flexure_time_s
     )
-    common_n = _slow_error(
+    common_n = _correlated_error(
         name + ".common", draws, time_ns.size, config.rate_hz, config.common_sigma_arcsec, config.common_time_s
     )
     valid_s = since_start_s + truth.time_offset_s
@@ -283,7 +283,7 @@ def _draw_truth(
     )
 
 
-def _slow_error(
+def _correlated_error(
     name: str, draws: Draws, count: int, rate_hz: float, sigma_arcsec: float, time_s: float
 ) -> FloatArray:
     """Return a Gauss–Markov rotation vector with equal axes, rad, shape (count, 3)."""
@@ -343,7 +343,7 @@ def simulate_fused_attitude(scenario: Scenario, carrier: Carrier, stretch: Stret
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
     sigma = ARCSEC * np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec])
-    error = draws.slow_error("fused.error", scenario.duration_s, sigma, config.time_s)
+    error = draws.correlated_error("fused.error", scenario.duration_s, sigma, config.time_s)
     white_sigma = config.white_sigma_arcsec * ARCSEC
     white_n = white_sigma * draws.stream("fused.white").standard_normal((time_ns.size, 3))
     arrival = draws.stream("fused.arrival")

@@ -37,7 +37,7 @@ class Deflection:
         if not speed:
             return known + sigma * random_stream(self._draws.seed, _UNKNOWN).standard_normal(2)
         time_s = gravity.correlation_length_m / speed
-        return known + self._draws.slow_error(_UNKNOWN, self._duration_s, sigma, time_s).at(since_start_s)
+        return known + self._draws.correlated_error(_UNKNOWN, self._duration_s, sigma, time_s).at(since_start_s)
 
     def horizon_rotation_n(self, since_start_s: FloatArray) -> FloatArray:
         """Return the rotation vector of the geodetic horizon against gravity's, (North, Up, East), rad, (n, 3)."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import SlowError, arrival_times, outside, random_stream
+from ship_simulation.draws.noise import CorrelatedError, arrival_times, outside, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import Rtk
@@ -59,8 +59,8 @@ def solved(
         draws: of the run.
     """
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
-    bias = _slow(name + ".bias", stretch, config.bias_sigma_m, config.bias_time_s, draws)
-    unfixed = _slow(name + ".float", stretch, config.float_sigma_m, config.float_time_s, draws)
+    bias = _correlated_error(name + ".bias", stretch, config.bias_sigma_m, config.bias_time_s, draws)
+    unfixed = _correlated_error(name + ".float", stretch, config.float_sigma_m, config.float_time_s, draws)
     is_float = ~outside(t_s, config.float_times)
     white_n = config.sigma_m * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
     error_n = white_n + bias.at(t_s) + is_float[:, None] * unfixed.at(t_s)
@@ -90,5 +90,5 @@ def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretc
     return solved(name + ".rtk", config.rtk, time_ns, true_n, stretch, draws)
 
 
-def _slow(name: str, stretch: Stretch, sigma_m: float, time_s: float, draws: Draws) -> SlowError:
-    return draws.slow_error(name, stretch.duration_s, np.full(3, sigma_m), time_s)
+def _correlated_error(name: str, stretch: Stretch, sigma_m: float, time_s: float, draws: Draws) -> CorrelatedError:
+    return draws.correlated_error(name, stretch.duration_s, np.full(3, sigma_m), time_s)

@@ -7,7 +7,7 @@ import numpy as np
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, wrap_two_pi
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (
-    SlowError,
+    CorrelatedError,
     arrival_times,
     centroids,
     exposure_times,
@@ -122,7 +122,7 @@ def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArra
 
 
 def solve_baselines(
-    beacon_id: str, scene: Scene, ship_antenna: SlowError, stretch: Stretch, draws: Draws
+    beacon_id: str, scene: Scene, ship_antenna: CorrelatedError, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
     """Return solutions for the baseline from the ship's antenna to a drone's, with the error of the former."""
     light = scene.lights[beacon_id]
@@ -162,7 +162,7 @@ def simulate_drone_attitude(
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     sigma = np.deg2rad([config.tilt_sigma_deg, config.heading_sigma_deg, config.tilt_sigma_deg])
     white_sigma = np.deg2rad(config.white_sigma_deg)
-    slow = draws.slow_error(name + ".slow", stretch.duration_s, sigma, config.time_s)
+    slow = draws.correlated_error(name + ".slow", stretch.duration_s, sigma, config.time_s)
     white_n = white_sigma * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
     arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)

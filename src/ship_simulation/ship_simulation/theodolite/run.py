@@ -75,7 +75,7 @@ def simulate_theodolite(
     config = scenario.theodolite
     scene = draw_scene(scenario, carrier, draws)
     antenna = config.ship_antenna
-    ship_antenna = draws.slow_error(
+    ship_antenna = draws.correlated_error(
         "theodolite.ship_antenna", stretch.duration_s, np.full(3, antenna.sigma_m), antenna.time_s
     )
     time_ns = stretch.stamps(config.encoder.rate_hz, config.encoder.phase_s)

@@ -11,7 +11,7 @@ import numpy as np
 from ship_bags.errors import BadInput
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_simulation.draws.noise import SlowError, outside, random_stream
+from ship_simulation.draws.noise import CorrelatedError, outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import (
@@ -112,7 +112,7 @@ class SeenBody:
 
     config: Beacon | Target
     path: FlightPath
-    refraction: SlowError
+    refraction: CorrelatedError
 
     def shows(self, t_s: FloatArray) -> np.ndarray:
         """True if the body is present and not hidden, shape (k,)."""
@@ -170,10 +170,10 @@ class Scene:
 
     carrier: Carrier
     theodolite: TrueTheodolite
-    deformation: SlowError
+    deformation: CorrelatedError
     aim: Aim
     lights: dict[str, TrueLight]
-    refraction: SlowError
+    refraction: CorrelatedError
     coefficient: float
 
     def mount(self, t_s: FloatArray) -> MountState:
@@ -230,7 +230,7 @@ def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
             path=flight_path(beacon.flight, config.programme),
             attitude=swaying(beacon.flight, random_stream(seed, f"beacon.{key}.sway")),
             lever_b=draw_lever(beacon.light, f"beacon.{key}.light", seed),
-            refraction=draws.slow_error(
+            refraction=draws.correlated_error(
                 f"beacon.{key}.refraction",
                 duration_s,
                 np.array([config.air.light_sigma]),
@@ -242,7 +242,7 @@ def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
     return Scene(
         carrier=carrier,
         theodolite=draw_theodolite(config, seed),
-        deformation=draws.slow_error(
+        deformation=draws.correlated_error(
             "theodolite.deformation",
             duration_s,
             np.full(3, np.deg2rad(config.deformation.sigma_arcsec / 3600.0)),
@@ -254,7 +254,7 @@ def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
             gone_s=max((light.config.leaves_s for light in lights.values()), default=0.0),
         ),
         lights=lights,
-        refraction=draws.slow_error(
+        refraction=draws.correlated_error(
             "theodolite.refraction", duration_s, np.array([config.air.sigma]), config.air.time_s
         ),
         coefficient=config.air.coefficient,

@@ -64,7 +64,7 @@ def draw_targets(scenario: Scenario, draws: Draws) -> dict[str, TrueTarget]:
         key: TrueTarget(
             config=target,
             path=flight_path(target.course, scenario.theodolite.programme),
-            refraction=draws.slow_error(
+            refraction=draws.correlated_error(
                 f"target.{key}.refraction", scenario.duration_s, np.array([air.light_sigma]), air.time_s
             ),
         )

@@ -16,7 +16,7 @@ _SOUGHT = "axes"
 _SHIP = "ship.attitude"
 
 
-def slow_effects(
+def correlated_effects(
     model: StateModel, prediction: Prediction, sighting: Sighting, rotation_nt: FloatArray, direction_d: FloatArray
 ) -> dict[tuple[str, float], FloatArray]:
     """Return the effect of one sigma of each correlated error on a sighting.
@@ -45,8 +45,8 @@ def slow_effects(
         if name == _SOUGHT:
             continue
         root = np.diag(block.sigma)
-        if name == _SHIP and sighting.ship.slow_covariance_n is not None:
-            values, vectors = np.linalg.eigh(sighting.ship.slow_covariance_n)
+        if name == _SHIP and sighting.ship.correlated_covariance_n is not None:
+            values, vectors = np.linalg.eigh(sighting.ship.correlated_covariance_n)
             root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         moved = by_error[:, model.slices[name]] @ root
         for number, time_s in enumerate(block.time_s):

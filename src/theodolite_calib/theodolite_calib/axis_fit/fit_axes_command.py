@@ -135,7 +135,7 @@ def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFi
         raise BadInput("every term is fixed: no term to fit")
     if len(sightings.labels) < terms:
         raise BadInput(f"{len(sightings.labels)} sightings for {terms} terms: expected at least {terms}", file=path)
-    fading = any(not math.isinf(error.time_s) for error in sightings.slow_errors)
+    fading = any(not math.isinf(error.time_s) for error in sightings.correlated_errors)
     if fading and len(sightings.labels) > MOST_SIGHTINGS:
         raise BadInput(
             f"{len(sightings.labels)} sightings with errors correlated in time: expected at most "

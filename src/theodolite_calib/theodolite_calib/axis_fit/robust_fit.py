@@ -112,8 +112,8 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
     free = np.array([name not in fixed for name in NAMES])
     terms = int(np.sum(free))
     vector = np.array([fixed.get(name, start) for name, start in zip(NAMES, _initial_errors(sightings), strict=True)])
-    problem = _Problem(sightings, free, sightings.slow_map())
-    shared = np.zeros(problem.slow.shape[-1])
+    problem = _Problem(sightings, free, sightings.correlated_map())
+    shared = np.zeros(problem.correlated_map.shape[-1])
     scale, taken = 0.0, float(terms)
     for step in range(_MOST_STEPS):
         residuals, design = problem.linearized(vector, shared)
@@ -165,17 +165,17 @@ class _Problem:
 
     sightings: Sightings
     free: NDArray[np.bool_]
-    slow: FloatArray
+    correlated_map: FloatArray
 
     @property
     def information(self) -> FloatArray:
         """Prior information of the unknowns, shape (k + q, k + q)."""
-        return np.diag(np.concatenate([PRIOR_SIGMAS[self.free] ** -2.0, np.ones(self.slow.shape[-1])]))
+        return np.diag(np.concatenate([PRIOR_SIGMAS[self.free] ** -2.0, np.ones(self.correlated_map.shape[-1])]))
 
     def linearized(self, vector: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, 2), and the model's derivative by all unknowns, shape (n, 2, k + q)."""
         residuals, change = self.sightings.linearized(AxisErrors.from_vector(vector))
-        return residuals - self.slow @ shared, np.concatenate([change[..., self.free], self.slow], axis=-1)
+        return residuals - self.correlated_map @ shared, np.concatenate([change[..., self.free], self.correlated_map], axis=-1)
 
 
 def _scale(residuals: FloatArray, taken: float) -> float:
@@ -215,7 +215,7 @@ def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: fl
         sigmas_known=neighbours <= max(HANG_TOGETHER, chance),
         scale=scale,
         before=sightings.residuals(AxisErrors()),
-        shared=problem.slow @ shared,
+        shared=problem.correlated_map @ shared,
         residuals=residuals,
         leave_one_out=_leave_one_out_residuals(residuals, design, weights, scale**2 * problem.information),
         weights=weights,

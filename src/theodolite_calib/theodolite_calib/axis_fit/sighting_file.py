@@ -86,13 +86,13 @@ def read_sightings(path: Path) -> Sightings:
     azimuth, elevation, azimuth_offset, elevation_offset = np.deg2rad(numbers.T)
     direction_d = directions(azimuth + azimuth_offset, elevation + elevation_offset)
     time_s = _column(table, TIME_COLUMN, "seconds") if TIME_COLUMN in table[0][1] else None
-    slow = (*_slow_errors(path, table), *_group_errors(table, direction_d))
-    if time_s is None and not all(np.isinf(error.time_s) for error in slow):
+    correlated = (*_correlated_errors(path, table), *_group_errors(table, direction_d))
+    if time_s is None and not all(np.isinf(error.time_s) for error in correlated):
         raise BadInput(f"columns missing: {TIME_COLUMN}: required for errors correlated in time", file=path)
-    return Sightings(labels, azimuth, elevation, direction_d, time_s, slow, repeated)
+    return Sightings(labels, azimuth, elevation, direction_d, time_s, correlated, repeated)
 
 
-def slow_column(side: int, name: str, time_s: float) -> str:
+def correlated_column(side: int, name: str, time_s: float) -> str:
     """Return the name of the column of a correlated error to the right (0) or up (1)."""
     return f"{_SIDES[side]}:{name}:{time_s:g}"
 
@@ -116,7 +116,7 @@ def _column(table: list[_Row], column: str, unit: str) -> np.ndarray:
     return np.array([_number(place, values, column, unit) for place, values in table])
 
 
-def _slow_errors(path: Path, table: list[_Row]) -> Iterator[SharedError]:
+def _correlated_errors(path: Path, table: list[_Row]) -> Iterator[SharedError]:
     """Yield the errors of pairs of columns ``slow_right_arcsec:NAME:T``, ``slow_up_arcsec:NAME:T``."""
     names = [column for column in table[0][1] if str(column).startswith(tuple(f"{side}:" for side in _SIDES))]
     for key in dict.fromkeys(column.split(":", 1)[1] for column in names):

@@ -40,7 +40,7 @@ class SharedError:
     effect: FloatArray
 
 
-def slow_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, count: int) -> FloatArray:
+def correlated_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, count: int) -> FloatArray:
     """Return the effects of independent errors of variance 1 on the sightings, shape (count, 2, q), rad.
 
     Args:
@@ -96,12 +96,12 @@ class Sightings:
     elevation: FloatArray
     direction_d: FloatArray
     time_s: FloatArray | None = None
-    slow_errors: tuple[SharedError, ...] = ()
+    correlated_errors: tuple[SharedError, ...] = ()
     repeated: tuple[str, ...] = ()
 
-    def slow_map(self) -> FloatArray:
+    def correlated_map(self) -> FloatArray:
         """Return the effects of independent errors of variance 1 on the sightings, shape (n, 2, q), rad."""
-        return slow_map(self.slow_errors, self.time_s, len(self.labels))
+        return correlated_map(self.correlated_errors, self.time_s, len(self.labels))
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:
         """Return true azimuth and elevation minus the encoders', on the face of the reading, shape (n,) each, rad."""

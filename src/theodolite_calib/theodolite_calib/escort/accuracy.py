@@ -61,7 +61,7 @@ class LightsAccuracy:
         self._exposures = config.escort.exposures
         configured_n = {name: beacon.rtk.sigma_m**2 * np.eye(3) for name, beacon in config.beacons.items()}
         self._noise_n = configured_n | dict(baseline_noise_n or {})
-        start = filter_.predicted(filter_.initial_state(), 0, ship.slow_covariance_n)
+        start = filter_.predicted(filter_.initial_state(), 0, ship.correlated_covariance_n)
         self._mean = start.mean if mean is None else mean
         self._parts, self._covariance = start.parts, start.covariance
         self._parallelism = filter_.model.slices["parallelism"]

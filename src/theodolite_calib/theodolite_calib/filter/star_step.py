@@ -48,7 +48,7 @@ class StarStep:
         return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded)))
 
     def _judged(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
-        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         predicted = self._filter.unknown(predicted)
         exposure = sighting.exposure.after(state.stays.get(sighting.exposure.source))
         sighting = replace(sighting, exposure=exposure)

@@ -75,7 +75,7 @@ class SightingStep:
             exposure: exposure of the sighting.
             jumps: jumps of the baselines of its beacons, by name.
         """
-        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         trust = self._fault_detector.restart_timers(predicted.fault_state, sighting.names, sighting.time_ns)
         predicted = replace(predicted, trust=trust)
         for name, jump in jumps:

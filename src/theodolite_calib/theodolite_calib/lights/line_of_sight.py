@@ -116,7 +116,7 @@ class ErrorTerm:
     name: str
     source: str
     common: bool
-    slow: bool
+    is_correlated: bool
     jacobian_n: FloatArray
     covariance: FloatArray
 

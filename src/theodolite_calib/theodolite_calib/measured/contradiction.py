@@ -138,7 +138,7 @@ def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: flo
     left_n = _rate_residuals(rotation_nd, rate_d, seconds)
     means_n = np.stack([np.bincount(places, axis_n) for axis_n in left_n.T], axis=1) / count[:, None]
     spread_rad = float(np.max(np.ptp(means_n, axis=0)))
-    stated_n = np.array([one.slow_covariance_n for one in told if one.slow_covariance_n is not None])
+    stated_n = np.array([one.correlated_covariance_n for one in told if one.correlated_covariance_n is not None])
     may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
     coarse_n = _rate_residuals(rotation_nd[::2], rate_d[::2], seconds[::2])
     may_rad += _BY_TRAPEZOIDS * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))

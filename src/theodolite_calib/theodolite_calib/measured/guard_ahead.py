@@ -137,5 +137,5 @@ def _arrays(samples: Sequence[ShipSample]) -> tuple[SampleBlock, FloatArray]:
         np.array([sample.rotation_nd for sample in samples]),
         np.array([sample.rate_d for sample in samples]),
     )
-    stated = [sample.slow_covariance_n for sample in samples]
+    stated = [sample.correlated_covariance_n for sample in samples]
     return block, np.array([told_step_rad(now, before) for now, before in zip(stated, [None, *stated], strict=False)])

@@ -81,12 +81,12 @@ class ShipSample(AttitudeSample):
         status: status stated by the source.
     """
 
-    slow_covariance_n: FloatArray | None = None
+    correlated_covariance_n: FloatArray | None = None
     status: Status = Status.VALID
 
     def content(self) -> bytes:
         """See :meth:`AttitudeSample.content`."""
-        covariance = b"" if self.slow_covariance_n is None else self.slow_covariance_n.tobytes()
+        covariance = b"" if self.correlated_covariance_n is None else self.correlated_covariance_n.tobytes()
         return super().content() + covariance + bytes([self.status])
 
 

@@ -55,7 +55,7 @@ class ShipWatch:
     def judge(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
         """Check a sample; none before ``oldest_ns`` will come."""
         self._used.drop_before(oldest_ns)
-        judged = self._guard.judge(sample, self._used, told_step_rad(sample.slow_covariance_n, self._stated))
+        judged = self._guard.judge(sample, self._used, told_step_rad(sample.correlated_covariance_n, self._stated))
         if judged.rates_wrong_after_ns is not None:
             self._used.forget_rates(judged.rates_wrong_after_ns)
         if judged.jumps:
@@ -63,7 +63,7 @@ class ShipWatch:
             self._unconfirmed = Unconfirmed(since_ns, f"{self._source} has jumped", "lights")
         if judged.refusal is None:
             if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
-                self._stated = sample.slow_covariance_n
+                self._stated = sample.correlated_covariance_n
             known = self._used.get(sample.time_ns)
             if known is None or same_stamp(known, judged.sample)[0]:
                 self._used.insert(judged.sample)

@@ -54,7 +54,7 @@ class ShipAt:
 
     rotation_nd: FloatArray
     rate_d: FloatArray
-    slow_covariance_n: FloatArray | None
+    correlated_covariance_n: FloatArray | None
     noise: float
     status: Status = Status.VALID
     chord_nd: FloatArray | None = None
@@ -75,7 +75,7 @@ class ShipRun:
 
     rotation_nd: FloatArray
     rate_d: FloatArray
-    slow_covariance_n: FloatArray | None
+    correlated_covariance_n: FloatArray | None
     noise: FloatArray
     status: list[Status]
     chord_nd: FloatArray | None
@@ -83,7 +83,7 @@ class ShipRun:
     @classmethod
     def of(cls, ships: Sequence[ShipAt]) -> "ShipRun":
         """Return the series of some times, all of one source and with covariances stated in the same way."""
-        slow_n = [ship.slow_covariance_n for ship in ships if ship.slow_covariance_n is not None]
+        slow_n = [ship.correlated_covariance_n for ship in ships if ship.correlated_covariance_n is not None]
         chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
         return cls(
             rotation_nd=np.array([ship.rotation_nd for ship in ships]),
@@ -215,7 +215,7 @@ class MeasuredTracks:
         degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
         status = Status.DEGRADED if degraded else sample.status
         chord_nd = None if self._by_ins else attitude.chord_nd(time_ns)
-        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise, status, chord_nd)
+        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.correlated_covariance_n, noise, status, chord_nd)
 
     def encoder_at(self, time_ns: int, over: Nodes | None = None) -> EncoderAt | None:
         """Return the encoders at a time; None in a gap. For ``over`` see :meth:`ship_at`."""

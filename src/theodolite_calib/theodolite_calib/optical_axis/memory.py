@@ -78,7 +78,7 @@ def memory_residuals(
     filter_: CalibrationFilter, memory: CalibrationState, sighting: Sighting
 ) -> dict[str, MemoryResidual]:
     """Return the residual of each beacon against a remembered state, rotations of its direction right and up."""
-    state = filter_.predicted(memory, sighting.time_ns, sighting.ship.slow_covariance_n)
+    state = filter_.predicted(memory, sighting.time_ns, sighting.ship.correlated_covariance_n)
     drift, prediction = _drift(filter_, state), filter_.sightings.predict(state.mean, sighting)
     noise_m2 = sum(prediction.noise_by_source.values(), np.zeros((2 * len(sighting.names),) * 2))
     found = {}
@@ -122,7 +122,7 @@ def departure_sigmas(
             the standard deviations are then those of the latter.
     """
     assert state.time_ns is not None
-    memory = filter_.predicted(memory, state.time_ns, ship.slow_covariance_n)
+    memory = filter_.predicted(memory, state.time_ns, ship.correlated_covariance_n)
     sightings = filter_.sightings
     errors = sightings.chain_errors(memory.mean)
     chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)

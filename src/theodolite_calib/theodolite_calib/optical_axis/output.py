@@ -110,7 +110,7 @@ class CorrectedAxis:
         since_ns = np.zeros(len(encoders.time_ns), dtype=np.int64)
         if self.state.time_ns is not None:
             since_ns = encoders.time_ns - self.state.time_ns
-        stated_n = ship.slow_covariance_n
+        stated_n = ship.correlated_covariance_n
         step = None if stated_n is None else ship_error_steps(self.state.ship_covariance_n, stated_n)
         found = compiled_mounts.pointings(
             since_ns,
@@ -172,7 +172,7 @@ class PointingOutput:
     def of_due(self, due: Sequence[DuePointing]) -> list[tuple[slice, PointingRun | Refusal]]:
         """Compute pending pointings; return slices of them, each with its series or its failure."""
         found: list[tuple[slice, PointingRun | Refusal]] = []
-        for _, group in groupby(due, key=lambda one: (id(one.state), one.ship.slow_covariance_n is None)):
+        for _, group in groupby(due, key=lambda one: (id(one.state), one.ship.correlated_covariance_n is None)):
             group_pointings, start = list(group), found[-1][0].stop if found else 0
             run = self._run_or_failure(group_pointings)
             if isinstance(run, PointingRun):

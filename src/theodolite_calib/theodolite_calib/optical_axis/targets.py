@@ -249,7 +249,7 @@ class TargetOutput:
         Ship, lever and air are states of the pointing, so the position uses their joint covariance.
         """
         model, ship = self._filter.model, due.ship
-        state = self._filter.predicted(pointing.state, sample.time_ns, ship.slow_covariance_n)
+        state = self._filter.predicted(pointing.state, sample.time_ns, ship.correlated_covariance_n)
         errors = self._filter.sightings.chain_errors(state.mean)
         chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, *due.sample.vector.tolist())
         lever_m, coefficient = self._config.lever.vector_m, self._config.air.coefficient

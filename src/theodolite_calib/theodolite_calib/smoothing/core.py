@@ -130,8 +130,8 @@ class SmoothingAxisCore(OpticalAxisCore):
         rests_on = None
         if not (due.unconfirmed_reason or _has_unresolved_fault(due.state)):
             rests_on = _RestsOn(due.sample, due.ship, estimate.covariance_n - estimate.undisputed_n)
-            if due.ship.slow_covariance_n is not None:
-                self._stated_n[due.time_ns] = due.ship.slow_covariance_n
+            if due.ship.correlated_covariance_n is not None:
+                self._stated_n[due.time_ns] = due.ship.correlated_covariance_n
             self._chain.ask(due.time_ns)
         self._told.append(_ToldAtOnce(_alone(estimate), rests_on))
 
@@ -171,7 +171,7 @@ class _SmoothedOutput:
         mean[self._rows], parts[self._source, self._rows[:, None], self._rows] = known
         # The ship's error is as the messages state it at that time: no further step.
         state = replace(
-            self._blank, time_ns=told.time_ns, mean=mean, parts=parts, ship_steady_n=ship.slow_covariance_n
+            self._blank, time_ns=told.time_ns, mean=mean, parts=parts, ship_steady_n=ship.correlated_covariance_n
         )
         corrected = CorrectedAxis(self._filter, state)
         axes = corrected.axes(ShipRun.of([ship]), EncoderRun.of([sample], [""], [0.0]))
