@@ -134,7 +134,7 @@ def test_gravitys_horizon_differs_by_the_deflection_and_is_consistent() -> None:
         # The deflection itself, except the arcsecond that is not in the table.
         between_n = log_rotation(geodetic.rotation_nd @ gravity.rotation_nd.T)
         np.testing.assert_allclose(between_n[[0, 2]], turn_n[[0, 2]], atol=4.0 * ARCSEC)
-        np.testing.assert_allclose(gravity.covariance_parts_n.sum(axis=0), gravity.covariance_n, rtol=1e-9)
+        np.testing.assert_allclose(gravity.covariance_by_source_n.sum(axis=0), gravity.covariance_n, rtol=1e-9)
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(nees) < high
 

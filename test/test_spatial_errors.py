@@ -47,7 +47,7 @@ def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
         if solution.status is SolutionStatus.INVALID:
             continue
         nees.append(normalized_error_squared(log_rotation(true_nv @ solution.rotation_nb.T), solution.covariance_n))
-        parts.append(solution.parts_n)
+        parts.append(solution.covariance_by_source_n)
     assert len(nees) >= 58
     low, high = mean_nees_band(len(nees), 3)
     assert low <= np.mean(nees) <= high

@@ -151,7 +151,7 @@ class _Smoother:
         self._lags = lag_s is not None
         self._smoother = gtsam.IncrementalFixedLagSmoother(lag_s, parameters) if lag_s else gtsam.ISAM2(parameters)
         self._gtsam, self._model = gtsam, model
-        self._variance = model.initial_parts().sum(axis=0).diagonal()
+        self._variance = model.initial_covariance_by_source().sum(axis=0).diagonal()
         decay, noise = model.transition(1.0)
         constant = (decay == 1.0) & (noise == 0.0)
         self._moving = np.flatnonzero(~constant & (self._variance > 0.0))
@@ -211,7 +211,7 @@ def _filterpy_rows(filterpy: ModuleType, run: SimulatedRun) -> list[Row]:
     peer.F, peer.Q, peer.H, peer.R = np.diag(decay), np.diag(noise), linear.jacobian, linear.noise
 
     def step() -> None:
-        peer.P = model.initial_parts().sum(axis=0)
+        peer.P = model.initial_covariance_by_source().sum(axis=0)
         peer.predict()
         peer.update(linear.residual)
 

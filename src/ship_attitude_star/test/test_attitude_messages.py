@@ -31,7 +31,7 @@ def attitudes(count: int = 40) -> list[AttitudeEstimate]:
             AttitudeEstimate(
                 time_ns=1_400_000_000_000_000_000 + 10_000_001 * number,
                 rotation_nd=exp_rotation(rng.uniform(-2.0, 2.0, 3)) + nothing,
-                covariance_parts_n=np.zeros((1, 3, 3)),
+                covariance_by_source_n=np.zeros((1, 3, 3)),
                 covariance_n=root @ root.T + nothing,
                 covariance_without_separation_n=root @ root.T,
                 rate_d=rng.standard_normal(3) + (0.0 if rate_known else np.nan),

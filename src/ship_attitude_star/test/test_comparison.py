@@ -108,7 +108,7 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
     mean[MODEL.slices["ins.time_offset"]] = 0.005
     mean[MODEL.slices["star.fore.time_offset"]] = 0.001
     mean[MODEL.slices["reference.other.time_offset"]] = 0.002
-    one_second, state = 1_000_000_000, FILTER.fault_detector.start(mean, FILTER.initial_state().parts)
+    one_second, state = 1_000_000_000, FILTER.fault_detector.start(mean, FILTER.initial_state().covariance_by_source)
     shifts_ms = {"star.plain": -15, "star.fore": -14, "reference.other": -102}
     for source, shift_ms in shifts_ms.items():
         measurement = AttitudeMeasurement(source, one_second, np.eye(3), np.eye(3))

@@ -198,7 +198,7 @@ def test_nan_passes_no_gate(field):
     after, decision = ship_filter.step(before, replace(good, **{field: values}), ins_track(), None)
     assert decision.reason in (Reason.GATE, Reason.BAD_COVARIANCE)
     assert after.mean.tobytes() == before.mean.tobytes()
-    assert after.parts.tobytes() == before.parts.tobytes()
+    assert after.covariance_by_source.tobytes() == before.covariance_by_source.tobytes()
     assert ship_filter.step(after, good, ins_track(), None)[1].accepted
 
 
@@ -246,7 +246,7 @@ def test_fixes_in_any_order_end_in_the_same_state():
     first = end([*fixes, *ins, *exposures])
     last = end([*ins, *exposures, *reversed(fixes)])
     np.testing.assert_array_equal(first.mean, last.mean)
-    np.testing.assert_array_equal(first.parts, last.parts)
+    np.testing.assert_array_equal(first.covariance_by_source, last.covariance_by_source)
     assert first.used_ns["star.fore"] == exposures[-1].time_ns
 
 

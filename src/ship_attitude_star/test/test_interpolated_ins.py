@@ -136,8 +136,8 @@ def test_the_budget_names_interpolation() -> None:
     _, slow = last_estimate(2.5, False, 1)
     _, fast = last_estimate(10.0, True, 1)
     row = core.filter.model.sources.index(SOURCE_INTERPOLATION)
-    parts = slow.covariance_parts_n
+    parts = slow.covariance_by_source_n
     np.testing.assert_allclose(parts.sum(axis=0), slow.covariance_n, rtol=1e-9)
     assert np.trace(parts[row]) > (1.0 * ARCSEC) ** 2
     # With rates only the noise of the measurements counts.
-    assert np.trace(fast.covariance_parts_n[row]) < 0.01 * np.trace(fast.covariance_n)
+    assert np.trace(fast.covariance_by_source_n[row]) < 0.01 * np.trace(fast.covariance_n)

@@ -32,7 +32,7 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
     initial = FILTER.initial_state()
     corrected = []
     for scale in (0.5, 1.0, 2.0):
-        root = rng.normal(scale=scale * sigma_rad, size=initial.parts.shape)
+        root = rng.normal(scale=scale * sigma_rad, size=initial.covariance_by_source.shape)
         mean = rng.normal(scale=scale * sigma_rad, size=FILTER.model.size)
         started = FILTER.fault_detector.start(mean, root @ root.transpose(0, 2, 1))
         corrected.append(CorrectedIns(FILTER, replace(started, time_ns=1_000_000_000)))
@@ -79,7 +79,7 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
             at = slice(count * number + place, count * number + place + 1)
             (alone,) = estimates_by([one], [1], times_ns[at], moved.some(at), config)
             assert repr(run.one(place)) == repr(alone.one(0))
-            assert run.covariance_parts_n[place].tobytes() == alone.covariance_parts_n[0].tobytes()
+            assert run.covariance_by_source_n[place].tobytes() == alone.covariance_by_source_n[0].tobytes()
             assert run.covariance_n[place].tobytes() == alone.covariance_n[0].tobytes()
             assert run.covariance_without_separation_n[place].tobytes() == alone.covariance_without_separation_n[0].tobytes()
             statuses.add(run.status[place])
@@ -91,7 +91,7 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     rng = np.random.default_rng(11)
     rows, initial = 5, FILTER.initial_state()
     means = rng.normal(scale=1e-4, size=(rows, FILTER.model.size))
-    root = rng.normal(scale=1e-4, size=(len(initial.parts) + rows - 1, FILTER.model.size, FILTER.model.size))
+    root = rng.normal(scale=1e-4, size=(len(initial.covariance_by_source) + rows - 1, FILTER.model.size, FILTER.model.size))
     stack = root @ root.swapaxes(-1, -2)
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
@@ -100,7 +100,7 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     after = FILTER.apply_ins_change(FILTER.propagate(together, 31_000_000_000), jump)
     assert not after.stays  # the effect of earlier stars is gone
     for row in range(rows):
-        parts = np.zeros_like(initial.parts)
+        parts = np.zeros_like(initial.covariance_by_source)
         parts[0] = filter_covariances(stack, rows)[row]
         one = replace(together, means=means[row : row + 1], stack=parts)
         alone = FILTER.apply_ins_change(FILTER.propagate(one, 31_000_000_000), jump)

@@ -50,7 +50,7 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     sigma = np.sqrt(start.covariance.diagonal())
     full = sigma[:, None] * (mix @ mix.T) * sigma
     stack = np.zeros_like(start.stack)
-    stack[0], stack[len(start.parts) :] = full, full
+    stack[0], stack[len(start.covariance_by_source) :] = full, full
     state = changed(start, stack=stack, means=start.means + 0.3 * sigma * rng.standard_normal(len(sigma)))
     anchor = Anchor(START_NS, Known(state.mean, state.covariance), state.vertical)
     between = Between(filter_, values.get("horizon") == "gravity")

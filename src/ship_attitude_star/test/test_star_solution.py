@@ -64,7 +64,7 @@ def mean_parts(counts: tuple[int, int]) -> np.ndarray:
     """Return the covariance by source of a level ship heading North, averaged over star positions in the fields."""
     rngs = (np.random.default_rng([20, seed]) for seed in range(300))
     scenes = [draw_scene(rng, counts, heading_deg=0.0, tilt_deg=0.0) for rng in rngs]
-    return np.mean([solve_stars(scene.stars).parts_n for scene in scenes], axis=0)
+    return np.mean([solve_stars(scene.stars).covariance_by_source_n for scene in scenes], axis=0)
 
 
 def sigma_arcsec(covariance_n: np.ndarray) -> np.ndarray:
@@ -97,9 +97,9 @@ def test_one_star_per_sensor_has_the_covariance_of_the_design():
 def test_catalogue_errors_are_separate_from_noise():
     stars = draw_scene(np.random.default_rng(21), (8, 8)).stars
     poor = replace(stars, position_sigma=stars.sigma)
-    parts = dict(zip(SOLUTION_TERMS, solve_stars(poor).parts_n, strict=False))
+    parts = dict(zip(SOLUTION_TERMS, solve_stars(poor).covariance_by_source_n, strict=False))
     np.testing.assert_allclose(parts["catalogue"], parts["star_noise"], rtol=1e-9)
-    np.testing.assert_allclose(parts["star_noise"], solve_stars(stars).parts_n[0], rtol=1e-3)
+    np.testing.assert_allclose(parts["star_noise"], solve_stars(stars).covariance_by_source_n[0], rtol=1e-3)
 
 
 def test_scipy_finds_the_same_attitude():
@@ -279,11 +279,11 @@ def test_scipy_finds_the_same_attitude_with_errors_of_the_optics() -> None:
 
         found = least_squares(residuals, np.zeros(11), x_scale=[1e-5] * 3 + [1.0] * 8, xtol=1e-14, ftol=1e-14)
         assert np.linalg.norm(found.x[:3]) < 1e-3 * ARCSEC
-        parts = dict(zip(SOLUTION_TERMS, ours.parts_n, strict=False))
+        parts = dict(zip(SOLUTION_TERMS, ours.covariance_by_source_n, strict=False))
         covariance_n = np.linalg.inv(found.jac.T @ found.jac)[:3, :3]
         np.testing.assert_allclose(parts["star_noise"] + parts["optics"], covariance_n, rtol=1e-3, atol=1e-15)
         # A catalogue as poor as the centroids causes half of the noise.
-        poor = dict(zip(SOLUTION_TERMS, solve_stars(replace(stars, position_sigma=stars.sigma)).parts_n, strict=False))
+        poor = dict(zip(SOLUTION_TERMS, solve_stars(replace(stars, position_sigma=stars.sigma)).covariance_by_source_n, strict=False))
         np.testing.assert_allclose(poor["catalogue"], poor["star_noise"], rtol=1e-6, atol=1e-16)
         # One sigma of each camera's error rotates the attitude by its part of the covariance by source.
         turns = []

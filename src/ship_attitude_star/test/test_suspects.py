@@ -684,11 +684,11 @@ def test_the_attitude_does_not_depend_on_pair_subfilters_and_the_levels_grow() -
     assert with_pairs.excluded == [(0.0, ())]
     for one, other in zip(plain.estimates, with_pairs.estimates, strict=True):
         assert one.rotation_nd.tobytes() == other.rotation_nd.tobytes()
-        assert one.covariance_parts_n.tobytes() == other.covariance_parts_n.tobytes()
+        assert one.covariance_by_source_n.tobytes() == other.covariance_by_source_n.tobytes()
         assert one.status is other.status
     first, last = plain.core.state, with_pairs.core.state
     assert first.mean.tobytes() == last.mean.tobytes()
-    assert first.parts.tobytes() == last.parts.tobytes()
+    assert first.covariance_by_source.tobytes() == last.covariance_by_source.tobytes()
     lower, higher = plain.reports[-1][0], with_pairs.reports[-1][0]
     assert lower.hypotheses == ("star.aft", "star.bow", "star.port", "ins", "all_stars")
     assert higher.hypotheses[:4] == lower.hypotheses[:4]
@@ -719,5 +719,5 @@ def test_an_unresolved_fault_is_in_the_error_budget() -> None:
     sailed = sailed_with(InjectedError("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 10.0), sensors=("bow",), seconds=20.0)
     last = sailed.estimates[-1]
     assert last.status is Status.DEGRADED
-    np.testing.assert_allclose(last.covariance_parts_n.sum(axis=0), last.covariance_n, rtol=1e-9)
+    np.testing.assert_allclose(last.covariance_by_source_n.sum(axis=0), last.covariance_n, rtol=1e-9)
     assert np.sqrt(np.trace(last.covariance_n)) > 40.0 * ARCSEC

@@ -136,7 +136,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state() -> None:
     shuffled, _ = sailed(run, late_ns)
     assert in_order.state.used_ns == shuffled.state.used_ns
     assert in_order.state.mean.tobytes() == shuffled.state.mean.tobytes()
-    assert in_order.state.parts.tobytes() == shuffled.state.parts.tobytes()
+    assert in_order.state.covariance_by_source.tobytes() == shuffled.state.covariance_by_source.tobytes()
 
 
 def test_the_first_measurements_of_an_ins_are_used_too() -> None:

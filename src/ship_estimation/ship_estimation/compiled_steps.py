@@ -709,7 +709,7 @@ def updated(
     residual: cython.const[cython.double][:, ::1],
     gain: cython.const[cython.double][:, :, ::1],
     learns: cython.const[cython.uchar][:, ::1],
-    booked: tuple,
+    noise_parts: tuple,
     noise: cython.const[cython.double][:, ::1],
 ):
     """Return the corrections (h, n) and the stack after a measurement update.
@@ -773,7 +773,7 @@ def updated(
         if row > 0:
             _add_noise(own, noise, cython.address(out[sources + row - 1, 0, 0]), room)
             continue
-        for s, part in booked:
+        for s, part in noise_parts:
             check("booked", 0 <= s < sources and part.shape[0] == part.shape[1] == m)
             _add_noise(own, part, cython.address(out[s, 0, 0]), room)
     for s in range(sources + rows - 1):

@@ -219,7 +219,7 @@ def update_rows(
         compared.residual,
         compared.gain,
         learns.view(np.uint8),
-        measurement.booked,
+        measurement.noise_parts,
         measurement.noise,
     )
     return corrections, updated

@@ -126,7 +126,7 @@ class StateModel:
         """Indices of a block in the state."""
         return np.arange(self.slices[name].start, self.slices[name].stop)
 
-    def initial_parts(self) -> FloatArray:
+    def initial_covariance_by_source(self) -> FloatArray:
         """Return the covariance by error source before any measurement, shape (n_sources, n, n)."""
         return self.booked(np.diag(self._initial_variance))
 
@@ -232,7 +232,7 @@ class LinearMeasurement:
     jacobian: FloatArray
     noise_by_source: Mapping[int, FloatArray]
     noise: FloatArray = field(init=False, repr=False)
-    booked: tuple[tuple[int, FloatArray], ...] = field(init=False, repr=False)
+    noise_parts: tuple[tuple[int, FloatArray], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         # The compiled steps read matrices row by row.
@@ -307,7 +307,7 @@ def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCom
 
 
 def update(
-    parts: FloatArray, measurement: LinearMeasurement, gain: FloatArray
+    covariance_by_source: FloatArray, measurement: LinearMeasurement, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the correction of the state, shape (n,), and the covariance by error source after a measurement update.
 
@@ -326,12 +326,12 @@ def update(
         [3.] [0.1875 0.5625]
     """
     corrections, updated = compiled_steps.updated(
-        np.ascontiguousarray(parts),
+        np.ascontiguousarray(covariance_by_source),
         measurement.jacobian,
         measurement.residual[None],
         gain[None],
         np.ones((1, len(gain)), dtype=np.uint8),
-        measurement.booked,
+        measurement.noise_parts,
         measurement.noise,
     )
     return corrections[0], updated

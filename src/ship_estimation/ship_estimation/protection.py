@@ -201,7 +201,7 @@ def solution_separation(
     by_output: tuple[FloatArray, FloatArray, FloatArray],
     mean: FloatArray,
     means: FloatArray,
-    parts: FloatArray,
+    covariance_by_source: FloatArray,
     subfilter_covariances: FloatArray,
 ) -> SolutionSeparation:
     """Return the solution separations of the subfilters from the main filter, and the protection levels.
@@ -231,7 +231,7 @@ def solution_separation(
         *by_output,
         mean,
         means,
-        parts,
+        covariance_by_source,
         subfilter_covariances,
         tested_subfilters,
         k.fault_free,

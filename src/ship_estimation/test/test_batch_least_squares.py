@@ -25,7 +25,7 @@ def sequential(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, n
         ],
         ["noise"],
     )
-    mean, parts, last_s = np.zeros(4), model.initial_parts(), 0.0
+    mean, parts, last_s = np.zeros(4), model.initial_covariance_by_source(), 0.0
     for time_s, jacobian, value in zip(TIMES_S, jacobians, values, strict=True):
         decay, noise = model.transition(time_s - last_s)
         mean, parts, last_s = decay * mean, predict(parts, decay, noise, model.source_of), time_s
@@ -78,7 +78,7 @@ def test_constant_measured_often_is_the_weighted_mean() -> None:
     sigmas = rng.uniform(0.5, 2.0, 50)
     values = design @ true + sigmas * rng.standard_normal(50)
     model = StateModel([block("constant", [1e4] * 3, "constant")], ["noise"])
-    mean, parts = np.zeros(3), model.initial_parts()
+    mean, parts = np.zeros(3), model.initial_covariance_by_source()
     for row, value, sigma in zip(design, values, sigmas, strict=True):
         measurement = LinearMeasurement(np.array([value - row @ mean]), row[None], {1: np.array([[sigma**2]])})
         _, _, gain = innovation(parts, measurement)

@@ -50,7 +50,7 @@ def information_update(P: np.ndarray, measurement: LinearMeasurement) -> np.ndar
 @pytest.mark.parametrize("seed", range(5))
 def test_sum_of_parts_is_the_textbook_filter(seed: int) -> None:
     model = ship_like_model()
-    parts = model.initial_parts()
+    parts = model.initial_covariance_by_source()
     P = parts.sum(axis=0)
     for dt_s, measurement in random_measurements(model, 60, seed):
         decay, noise = model.transition(dt_s)
@@ -72,7 +72,7 @@ def test_sum_of_parts_is_the_textbook_filter(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_one_update_is_that_of_the_information_form(seed: int) -> None:
     model = ship_like_model()
-    parts = model.initial_parts()
+    parts = model.initial_covariance_by_source()
     _, measurement = next(random_measurements(model, 1, seed))
     _, _, gain = innovation(parts, measurement)
     _, updated = update(parts, measurement, gain)
@@ -82,7 +82,7 @@ def test_one_update_is_that_of_the_information_form(seed: int) -> None:
 
 def test_every_part_stays_symmetric_and_positive_semidefinite() -> None:
     model = ship_like_model()
-    parts = model.initial_parts()
+    parts = model.initial_covariance_by_source()
     for dt_s, measurement in random_measurements(model, 400, 7):
         decay, noise = model.transition(dt_s)
         parts = predict(parts, decay, noise, model.source_of)
@@ -97,7 +97,7 @@ def test_every_part_stays_symmetric_and_positive_semidefinite() -> None:
 def test_very_precise_measurement_leaves_a_valid_covariance() -> None:
     """A noise 1e-14 of the prior's variance, where (I - K H) P alone loses its sign."""
     model = ship_like_model()
-    parts = model.initial_parts()
+    parts = model.initial_covariance_by_source()
     for axis in (0, 1, 2, 1):
         jacobian = np.zeros((1, model.size))
         jacobian[0, axis] = jacobian[0, axis + 3] = 1.0
@@ -112,7 +112,7 @@ def test_covariance_by_source_is_the_variance_of_each_source_alone() -> None:
     model = ship_like_model()
     rng = np.random.default_rng(8)
     draws = 20_000
-    parts = model.initial_parts()
+    parts = model.initial_covariance_by_source()
     rows = (model.source_of == np.arange(len(model.sources))[:, None]).astype(float)
     start_sigma = np.sqrt(np.diagonal(parts, axis1=1, axis2=2))
     # errors[s] is the estimation error with source s only.
@@ -140,7 +140,7 @@ def test_covariance_by_source_is_the_variance_of_each_source_alone() -> None:
 
 def test_useless_measurement_changes_nothing() -> None:
     model = ship_like_model()
-    parts = model.initial_parts()
+    parts = model.initial_covariance_by_source()
     measurement = LinearMeasurement(np.array([5.0]), np.zeros((1, model.size)), {3: np.eye(1)})
     _, nis, gain = innovation(parts, measurement)
     correction, updated = update(parts, measurement, gain)
@@ -152,7 +152,7 @@ def test_useless_measurement_changes_nothing() -> None:
 def test_inputs_are_left_as_they_were() -> None:
     """The time-ordered log keeps states and returns to them: a step must not change them."""
     model = ship_like_model()
-    parts = model.initial_parts()
+    parts = model.initial_covariance_by_source()
     _, measurement = next(random_measurements(model, 1, 1))
     arrays = (parts, measurement.residual, measurement.jacobian, measurement.noise)
     copies = [a.copy() for a in arrays]
@@ -169,4 +169,4 @@ def test_impossible_innovation_covariance_raises() -> None:
     model = ship_like_model()
     measurement = LinearMeasurement(np.zeros(1), np.zeros((1, model.size)), {3: np.array([[-1.0]])})
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-        innovation(model.initial_parts(), measurement)
+        innovation(model.initial_covariance_by_source(), measurement)

@@ -72,7 +72,7 @@ def test_steps_add_up(model: StateModel, split: tuple[float, ...]) -> None:
 
 def test_steady_state_stays_and_is_found_from_anywhere(model: StateModel) -> None:
     steady = [4.0, 9.0, 1.0]
-    start = np.diagonal(model.initial_parts().sum(axis=0))
+    start = np.diagonal(model.initial_covariance_by_source().sum(axis=0))
     np.testing.assert_allclose(start[:3], steady)
     np.testing.assert_allclose(variance_after(model, start, *[13.0] * 50)[:3], steady, rtol=1e-14)
     np.testing.assert_allclose(variance_after(model, np.zeros(6), 1e5)[:3], steady, rtol=1e-14)
@@ -92,7 +92,7 @@ def test_white_noise_is_new_after_the_least_time(model: StateModel) -> None:
 
 
 def test_initial_covariance_belongs_to_the_sources_of_the_blocks(model: StateModel) -> None:
-    parts = model.initial_parts()
+    parts = model.initial_covariance_by_source()
     assert parts.shape == (4, 6, 6)
     diagonals = {source: np.diagonal(part).tolist() for source, part in zip(model.sources, parts, strict=True)}
     assert diagonals == {
@@ -115,7 +115,7 @@ def test_covariance_by_source_keeps_correlations_within_a_source_and_the_sum(mod
 
 def test_process_noise_belongs_to_the_sources_of_the_blocks(model: StateModel) -> None:
     decay, noise = model.transition(10.0)
-    parts = predict(model.initial_parts(), decay, noise, model.source_of)
+    parts = predict(model.initial_covariance_by_source(), decay, noise, model.source_of)
     np.testing.assert_allclose(np.diagonal(parts.sum(axis=0)), [4.0, 9.0, 1.0, 25.0, 36.0, 0.25 + 0.1], rtol=1e-14)
     assert parts[2, 5, 5] == pytest.approx(0.35)
     np.testing.assert_array_equal(parts[3], 0.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_monitor.page.marking import is_about, is_error_of, is_of
+from ship_monitor.page.marking import is_about, is_budget_part_of, is_of
 from ship_watch.picture import Event
 
 # As ship/error_budget and theodolite/error_budget of a ship with everything aboard name them.
@@ -34,7 +34,7 @@ POINTING = (
     ],
 )
 def test_budget_parts_of_a_source(source, parts):
-    assert {part for part in SHIP + POINTING if is_error_of(part, source)} == parts
+    assert {part for part in SHIP + POINTING if is_budget_part_of(part, source)} == parts
 
 
 @pytest.mark.parametrize(

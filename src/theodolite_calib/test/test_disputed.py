@@ -84,7 +84,7 @@ def test_separations_are_small_without_faults() -> None:
 def test_levels_and_separations_rest_on_the_covariance_without_it() -> None:
     one = max(pointed(), key=lambda one: float(np.trace(one.separation_covariance_n))).estimate
     assert np.trace(one.covariance_n) > 2.0 * np.trace(one.undisputed_n)
-    assert one.parts_n.sum(axis=0) == pytest.approx(one.covariance_n, rel=1e-12)
+    assert one.covariance_by_source_n.sum(axis=0) == pytest.approx(one.covariance_n, rel=1e-12)
     plain = replace(one, covariance_n=one.undisputed_n)
     told, expected = (integrity_of(FILTER, SETTINGS, estimate) for estimate in (one, plain))
     np.testing.assert_array_equal(told.statistic, expected.statistic)

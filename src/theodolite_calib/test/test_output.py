@@ -82,7 +82,7 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
         parts_n[index("ship_noise")] += ship.noise[number] * np.eye(3)
         np.testing.assert_allclose(axes.rotation_nm[number], chain.rotation_nm, rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(axes.by_error_n[number], by_error, rtol=0.0, atol=1e-13)
-        np.testing.assert_allclose(axes.parts_n[number], parts_n, rtol=0.0, atol=1e-13 * np.max(parts_n))
+        np.testing.assert_allclose(axes.covariance_by_source_n[number], parts_n, rtol=0.0, atol=1e-13 * np.max(parts_n))
 
 
 def with_unresolved_fault(state: CalibrationState) -> CalibrationState:
@@ -136,7 +136,7 @@ def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
     parallelism = rotation_from_angles(*filter_.sightings.parallelism(state.mean))
     np.testing.assert_allclose(run.rotation_nt[recent] @ parallelism, run.rotation_nm[recent], rtol=0.0, atol=1e-15)
     assert run.light_count.tolist() == np.where(recent, 2, 0).tolist()
-    np.testing.assert_allclose(run.parts_n.sum(axis=1), run.covariance_n, rtol=1e-12)
+    np.testing.assert_allclose(run.covariance_by_source_n.sum(axis=1), run.covariance_n, rtol=1e-12)
     more = np.trace(run.covariance_n - run.undisputed_n, axis1=1, axis2=2)
     assert (more > 0.0).tolist() == recent.tolist()
     if ship.chord_nd is None:

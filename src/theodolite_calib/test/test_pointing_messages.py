@@ -35,7 +35,7 @@ def pointings(count: int = 40) -> list[PointingEstimate]:
             PointingEstimate(
                 time_ns=1_400_000_000_000_000_000 + 10_000_001 * number,
                 rotation_nm=exp_rotation(rng.uniform(-2.0, 2.0, 3)) + nothing,
-                parts_n=np.zeros((1, 3, 3)),
+                covariance_by_source_n=np.zeros((1, 3, 3)),
                 covariance_n=root @ root.T + nothing,
                 undisputed_n=root @ root.T,
                 rotation_nt=exp_rotation(rng.uniform(-2.0, 2.0, 3)) + (np.nan if mode is Mode.ENCODER else 0.0),

@@ -60,7 +60,7 @@ def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sight
     angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
     reading = EncoderRun(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
     axes = CorrectedAxis(filter_, state).axes(ShipRun.of([sighting.ship]), reading)
-    return AxisAt(axes.rotation_nm[0], axes.parts_n[0])
+    return AxisAt(axes.rotation_nm[0], axes.covariance_by_source_n[0])
 
 
 @dataclass(frozen=True)

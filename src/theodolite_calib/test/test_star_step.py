@@ -157,13 +157,13 @@ def test_parallelism_dominates_the_budget(watch) -> None:
     across = estimate.rotation_nm[:, 1:].T
     parts = {
         source: float(np.sqrt(np.trace(across @ part @ across.T))) / ARCSEC
-        for source, part in zip(mount.filter.model.sources, estimate.parts_n, strict=True)
+        for source, part in zip(mount.filter.model.sources, estimate.covariance_by_source_n, strict=True)
     }
     assert max(parts, key=parts.__getitem__) == "parallelism"
     # One sigma in azimuth and in elevation: √2″.
     assert parts["parallelism"] == pytest.approx(np.sqrt(2.0), rel=0.02)
     assert min(parts[name] for name in ("star_noise", "refraction", "ship_position", "earth_rotation")) > 0.0
-    np.testing.assert_allclose(estimate.parts_n.sum(axis=0), estimate.covariance_n, rtol=1e-9)
+    np.testing.assert_allclose(estimate.covariance_by_source_n.sum(axis=0), estimate.covariance_n, rtol=1e-9)
 
 
 @pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])

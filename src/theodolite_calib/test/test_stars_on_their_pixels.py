@@ -75,7 +75,7 @@ def test_pointing_matches_its_covariance_with_pixel_errors() -> None:
     assert (estimate.mode, estimate.status) == (Mode.STARS, Status.VALID)
     sigma = {
         source: np.sqrt(np.trace(part)) / ARCSEC
-        for source, part in zip(filter_.model.sources, estimate.parts_n, strict=True)
+        for source, part in zip(filter_.model.sources, estimate.covariance_by_source_n, strict=True)
     }
     assert sigma[SOURCE_FIELD] > 0.2
     assert sigma[SOURCE_PIXEL] > 0.05

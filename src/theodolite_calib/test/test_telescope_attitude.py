@@ -113,7 +113,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
             )
     assert lines.direction_n.shape == (count, 2, 3)
     attitude = solved(epochs)
-    part = attitude.parts_n[source].mean(axis=0)
+    part = attitude.covariance_by_source_n[source].mean(axis=0)
     error = error_n(epochs, attitude)
     values, axes = np.linalg.eigh(part)
     # Some sources move the telescope in fewer than three ways.
@@ -217,7 +217,7 @@ def test_principal_point_off_its_place_is_seen_by_nothing():
     assert np.abs(np.sqrt(off.chi2) - np.sqrt(right.chi2)).max() < 0.01
     assert np.abs(off.focal_length_m - right.focal_length_m).max() < 0.01 * right.focal_length_sigma_m.min()
     said = replace(wrong, survey=replace(epochs.survey, principal_point=LeverArm(lens, np.array([0.0, 0.06, 0.0]))))
-    budget = np.sqrt(np.trace(solved(said).parts_n["lever_arms"], axis1=-1, axis2=-2)) / ARCSEC
+    budget = np.sqrt(np.trace(solved(said).covariance_by_source_n["lever_arms"], axis1=-1, axis2=-2)) / ARCSEC
     assert np.all((budget > 6.0) & (budget < 7.0))
 
 

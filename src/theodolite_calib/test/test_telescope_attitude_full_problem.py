@@ -153,8 +153,8 @@ def test_the_budget_adds_up_to_the_covariance(name):
     problem = FullProblem(lights_deg, prior)
     attitude, epoch = solved(problem), problem.epoch
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction", "image", "focal_length"}
-    assert set(attitude.parts_n) == (sources if prior is None else sources | {"encoder"})
-    parts = np.array(list(attitude.parts_n.values()))
+    assert set(attitude.covariance_by_source_n) == (sources if prior is None else sources | {"encoder"})
+    parts = np.array(list(attitude.covariance_by_source_n.values()))
     # The covariance by the information of the equations, which knows nothing of sources; taken one step later, which
     # may be 1e-9 rad.
     lines = epoch.lines()

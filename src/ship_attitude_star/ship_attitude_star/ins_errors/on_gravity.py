@@ -29,7 +29,7 @@ class InsErrors(NamedTuple):
     """
 
     error_n: FloatArray
-    parts: FloatArray
+    covariance_by_source: FloatArray
     deflection: FloatArray
     deflection_covariance: FloatArray
     vertical_known: NDArray[np.bool_]
@@ -64,7 +64,7 @@ class OnGravity:
         since_ns: int | None,
         before: VerticalHere | None,
         mean: FloatArray,
-        parts: FloatArray,
+        covariance_by_source: FloatArray,
         times_ns: Sequence[int],
     ) -> InsErrors:
         """Return the INS errors at N times.
@@ -79,7 +79,7 @@ class OnGravity:
         verticals = [self._vertical.at(time_ns) for time_ns in times_ns]
         count, size = len(times_ns), len(mean)
         of_process = np.tile(mean[self._of_process], (count, 1))
-        transition, noise = np.tile(np.eye(size), (count, 1, 1)), np.zeros((count, len(parts), size, size))
+        transition, noise = np.tile(np.eye(size), (count, 1, 1)), np.zeros((count, len(covariance_by_source), size, size))
         rows, columns = np.ix_(self._of_process, self._of_process)
         if since_ns is None or before is None:
             # Before the first measurement the state is the initial one at each time.
@@ -92,13 +92,13 @@ class OnGravity:
             transition[:, rows, columns] = propagation.transition
             noise[:, self._ins, rows, columns] += propagation.ins_noise
             noise[:, self._deflection, rows, columns] += propagation.deflection_noise
-        after = transition[:, None] @ parts @ np.swapaxes(transition, -1, -2)[:, None] + noise
+        after = transition[:, None] @ covariance_by_source @ np.swapaxes(transition, -1, -2)[:, None] + noise
         told, of_deflection = self._told(verticals), after[:, :, _DEFLECTION, _DEFLECTION].sum(axis=1)
         to_four = np.zeros((count, 4, size))
         to_four[:, :3, self._of_process], to_four[:, 3, _CLOCK] = told, 1.0
         return InsErrors(
             error_n=(told @ of_process[:, :, None])[..., 0],
-            parts=np.ascontiguousarray(to_four[:, None] @ after @ np.swapaxes(to_four, -1, -2)[:, None]),
+            covariance_by_source=np.ascontiguousarray(to_four[:, None] @ after @ np.swapaxes(to_four, -1, -2)[:, None]),
             deflection=of_process[:, DEFLECTION] if self._models_deflection else np.empty((count, 0)),
             deflection_covariance=of_deflection if self._models_deflection else np.empty((count, 0, 0)),
             vertical_known=self._known(of_deflection, verticals),

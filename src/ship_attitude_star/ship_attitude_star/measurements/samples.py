@@ -125,7 +125,7 @@ class AttitudeEstimate:
 
     time_ns: int
     rotation_nd: FloatArray
-    covariance_parts_n: FloatArray
+    covariance_by_source_n: FloatArray
     covariance_n: FloatArray
     covariance_without_separation_n: FloatArray
     rate_d: FloatArray
@@ -158,7 +158,7 @@ class AttitudeRun:
 
     time_ns: StampArray
     rotation_nd: FloatArray
-    covariance_parts_n: FloatArray
+    covariance_by_source_n: FloatArray
     covariance_n: FloatArray
     covariance_without_separation_n: FloatArray
     rate_d: FloatArray
@@ -175,7 +175,7 @@ class AttitudeRun:
         return cls(
             time_ns=np.array([estimate.time_ns]),
             rotation_nd=estimate.rotation_nd[None],
-            covariance_parts_n=estimate.covariance_parts_n[None],
+            covariance_parts_n=estimate.covariance_by_source_n[None],
             covariance_n=estimate.covariance_n[None],
             undisputed_n=estimate.covariance_without_separation_n[None],
             rate_d=estimate.rate_d[None],
@@ -192,7 +192,7 @@ class AttitudeRun:
         return AttitudeRun(
             time_ns=self.time_ns[which],
             rotation_nd=self.rotation_nd[which],
-            covariance_parts_n=self.covariance_parts_n[which],
+            covariance_by_source_n=self.covariance_by_source_n[which],
             covariance_n=self.covariance_n[which],
             covariance_without_separation_n=self.covariance_without_separation_n[which],
             rate_d=self.rate_d[which],
@@ -209,7 +209,7 @@ class AttitudeRun:
         return AttitudeEstimate(
             time_ns=int(self.time_ns[number]),
             rotation_nd=self.rotation_nd[number],
-            covariance_parts_n=self.covariance_parts_n[number],
+            covariance_by_source_n=self.covariance_by_source_n[number],
             covariance_n=self.covariance_n[number],
             covariance_without_separation_n=self.covariance_without_separation_n[number],
             rate_d=self.rate_d[number],

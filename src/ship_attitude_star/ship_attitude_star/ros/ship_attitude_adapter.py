@@ -375,7 +375,7 @@ def hint_text(hint: TurnHint | None) -> str:
 
 def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str], deck: str) -> Any:
     """Return ship_msgs/ErrorBudget of a published attitude; ``sources`` are the names of its error sources."""
-    parts_n, covariance_n = estimate.covariance_parts_n, estimate.covariance_n
+    parts_n, covariance_n = estimate.covariance_by_source_n, estimate.covariance_n
     return error_budget_message(factory, "ship_attitude", estimate.time_ns, deck, sources, parts_n, covariance_n)
 
 

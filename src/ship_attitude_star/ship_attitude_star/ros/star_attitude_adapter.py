@@ -246,7 +246,7 @@ def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str
 
 def solution_budget(factory: MessageFactory, solved: Solved, deck: str) -> Any:
     """Return ship_msgs/ErrorBudget of a joint solution."""
-    parts_n, covariance_n = solved.solution.parts_n, solved.solution.covariance_n
+    parts_n, covariance_n = solved.solution.covariance_by_source_n, solved.solution.covariance_n
     terms = SOLUTION_TERMS[: len(parts_n)]
     return error_budget_message(factory, f"star_{JOINT}", solved.time_ns, deck, terms, parts_n, covariance_n)
 

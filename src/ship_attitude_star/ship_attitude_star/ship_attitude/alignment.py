@@ -172,17 +172,17 @@ def state_from_prior(
     saved[np.ix_(rows, rows)] = prior.covariance[np.ix_(saved_rows, saved_rows)]
     saved = to_state @ saved @ to_state.T
     saved[rows, rows] += model.transition(age_s)[1][rows]
-    parts = initial.parts.copy()
+    covariance_by_source = initial.covariance_by_source.copy()
     if age_s > config.alignment_max_age_d * 86400.0:
         messages.append(
             f"saved alignment is {age_s / 86400.0:.1f} d old, more than alignment_max_age_d = "
             f"{config.alignment_max_age_d:g}: its uncertainty is widened by the configured one"
         )
     else:
-        parts[:, rows, :] = 0.0
-        parts[:, :, rows] = 0.0
-    parts[model.sources.index(SOURCE_SAVED_ALIGNMENT)] += saved
-    return filter_.fault_detector.start(mean, parts), messages
+        covariance_by_source[:, rows, :] = 0.0
+        covariance_by_source[:, :, rows] = 0.0
+    covariance_by_source[model.sources.index(SOURCE_SAVED_ALIGNMENT)] += saved
+    return filter_.fault_detector.start(mean, covariance_by_source), messages
 
 
 def installed(filter_: ShipFilter, state: FilterState, name: str) -> FloatArray:

@@ -93,7 +93,7 @@ class CorrectedIns:
         mean = self._mean = state.mean[rows]
         self.error_n, self.time_offset_s = mean[_ATTITUDE], float(mean[_TIME_OFFSET])
         self.lasting = lasting(self.error_n, self._slow_sigma).view(np.uint8)
-        self.parts: FloatArray = state.parts[:, rows[:, None], rows]
+        self.covariance_by_source: FloatArray = state.covariance_by_source[:, rows[:, None], rows]
         self.since_ns = _NEVER_NS if state.time_ns is None else state.time_ns
         self.newest_star_ns = newest_star_ns(self._filter, state)
 
@@ -103,7 +103,7 @@ class CorrectedIns:
         since_ns = self.state.time_ns
         # A sample older than the state counts as of the time of the state.
         moments_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
-        return self.on_gravity.errors(since_ns, self.state.vertical, self._mean, self.parts, moments_ns)
+        return self.on_gravity.errors(since_ns, self.state.vertical, self._mean, self.covariance_by_source, moments_ns)
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """Return the attitude at the stamp of an INS sample, with its status."""
@@ -182,7 +182,7 @@ def corrected_attitudes(
         np.array([one.error_n for one in corrected]),
         np.array([one.lasting for one in corrected]),
         *corrected[0].of_filter[:3],
-        np.array([one.parts for one in corrected]),
+        np.array([one.covariance_by_source for one in corrected]),
         *corrected[0].of_filter[3:],
     )
     return found
@@ -198,17 +198,17 @@ def _attitudes_on_gravity(
         shape (N,).
     """
     errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, stretches, strict=True)]
-    rotation_nd, parts = compiled_rotations.corrected(
+    rotation_nd, covariance_by_source = compiled_rotations.corrected(
         np.arange(len(time_ns), dtype=np.intp),
         np.zeros(len(time_ns)),
         *propagated,
         np.concatenate([one.error_n for one in errors]),
         np.ones((len(time_ns), 3), dtype=np.uint8),
         *corrected[0].of_filter[:3],
-        np.concatenate([one.parts for one in errors]),
+        np.concatenate([one.covariance_by_source for one in errors]),
         *corrected[0].of_filter[3:],
     )
-    return rotation_nd, parts, np.concatenate([one.vertical_known for one in errors])
+    return rotation_nd, covariance_by_source, np.concatenate([one.vertical_known for one in errors])
 
 
 def estimates_by(
@@ -232,21 +232,21 @@ def estimates_by(
     stops = np.cumsum(counts).tolist()
     stretches = [slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True)]
     if corrected[0].on_gravity is None:
-        rotation_nd, parts = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), propagated)
+        rotation_nd, covariance_by_source = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), propagated)
         vertical_known = None
     else:
-        rotation_nd, parts, vertical_known = _attitudes_on_gravity(corrected, stretches, time_ns, propagated)
+        rotation_nd, covariance_by_source, vertical_known = _attitudes_on_gravity(corrected, stretches, time_ns, propagated)
     for one, some in zip(corrected, stretches, strict=True):
         if one.state.unresolved_fault is not None:
-            parts[some, one.drift_index] += one.state.unresolved_fault.covariance_n
+            covariance_by_source[some, one.drift_index] += one.state.unresolved_fault.covariance_n
         if INS in one.state.excluded:
             unknown = UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns[some] * 1e-9
-            parts[some, one.drift_index] += unknown[:, None, None] * np.eye(3)
-    covariance_n = covariance_without_separation_n = parts.sum(axis=1)
+            covariance_by_source[some, one.drift_index] += unknown[:, None, None] * np.eye(3)
+    covariance_n = covariance_without_separation_n = covariance_by_source.sum(axis=1)
     for one, some in zip(corrected, stretches, strict=True):
         if one.state.separation_covariance_n is not None:
-            parts[some, one.drift_index] += one.state.separation_covariance_n
-            covariance_n = parts.sum(axis=1)
+            covariance_by_source[some, one.drift_index] += one.state.separation_covariance_n
+            covariance_n = covariance_by_source.sum(axis=1)
     star_age_s = _star_ages_s(corrected, by, time_ns)
     horizon = _horizons(star_age_s, vertical_known, config)
     recent_ns, runs = round(config.coasting_after_s * SECOND_NS), []
@@ -255,7 +255,7 @@ def estimates_by(
         run = AttitudeRun(
             time_ns=time_ns[some],
             rotation_nd=rotation_nd[some],
-            covariance_parts_n=parts[some],
+            covariance_by_source_n=covariance_by_source[some],
             covariance_n=covariance_n[some],
             covariance_without_separation_n=covariance_without_separation_n[some],
             rate_d=propagated.rate_d[some],

@@ -64,7 +64,7 @@ class ShipFilter:
 
     def initial_state(self) -> FilterState:
         """Return the state before any measurement, with the configured covariance."""
-        return self.fault_detector.start(np.zeros(self.model.size), self.model.initial_parts())
+        return self.fault_detector.start(np.zeros(self.model.size), self.model.initial_covariance_by_source())
 
     def propagate(self, state: FilterState, time_ns: int) -> FilterState:
         """Propagate a state to a later time."""
@@ -252,7 +252,7 @@ class ShipFilter:
         """Return the rejection of an exposure whose estimated focal length differs from the configured one, or None."""
         if exposure.optics is None:
             return None
-        variance = float(state.parts[:, optics.start, optics.start].sum())
+        variance = float(state.covariance_by_source[:, optics.start, optics.start].sum())
         return learned_contradiction(exposure.optics, state.mean.item(optics.start), variance)
 
     def _with_inflated_optics(self, state: FilterState, optics: slice) -> FilterState:

@@ -66,7 +66,7 @@ class InsAtFault:
         self._all_but_ins_attitude = np.ones(model.size, dtype=bool)
         self._all_but_ins_attitude[self._ins_attitude] = False
 
-    def all_filters_at(self, mean: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def all_filters_at(self, mean: FloatArray, covariance_by_source: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return means and covariances of all filters started from one state.
 
         Args:
@@ -77,14 +77,14 @@ class InsAtFault:
             Shapes (h, n) and (n_sources + h - 1, n, n).
         """
         count = self._subfilters.count
-        stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (count - 1, 1, 1))])
+        stack = np.concatenate([covariance_by_source, np.tile(covariance_by_source.sum(axis=0), (count - 1, 1, 1))])
         for subfilter in self._subfilters.ins_subfilters:
             self._inflate(stack, count, _UNKNOWN_RAD**2 * np.eye(3), subfilter)
         return np.tile(mean, (count, 1)), stack
 
-    def inflate_ins_attitude(self, parts: FloatArray, covariance_n: FloatArray) -> None:
+    def inflate_ins_attitude(self, covariance_by_source: FloatArray, covariance_n: FloatArray) -> None:
         """Inflate the covariance of the correlated INS error, in place, in a main filter without subfilters."""
-        self._inflate(parts, 1, covariance_n, None)
+        self._inflate(covariance_by_source, 1, covariance_n, None)
 
     def propagate(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Add the random walk of an excluded INS to the covariances, in place."""
@@ -196,7 +196,7 @@ class InsAtFault:
             return state
         if distrust:
             # The filters were updated equally and do not differ.
-            means, stack = self.all_filters_at(state.mean, state.parts)
+            means, stack = self.all_filters_at(state.mean, state.covariance_by_source)
             state = changed(state, means=means, stack=stack)
         if not exclusion.is_self_reported:
             # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.

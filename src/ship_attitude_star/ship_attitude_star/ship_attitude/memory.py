@@ -34,7 +34,7 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterStat
         live: state of the estimator in use; its exclusion counts and INS fault time are kept.
     """
     return changed(
-        filter_.fault_detector.start(memory.mean, memory.parts),
+        filter_.fault_detector.start(memory.mean, memory.covariance_by_source),
         time_ns=memory.time_ns,
         vertical=memory.vertical,
         common_n=memory.common_n,

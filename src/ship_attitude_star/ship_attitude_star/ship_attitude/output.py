@@ -87,15 +87,15 @@ def estimate_from_star(
         by_deflection, deflection = filter_.vertical.at(measurement.time_ns).turn, model.state_indices("gravity.deflection")
         rotation_nd = exp_rotation(-by_deflection @ state.mean[deflection]) @ rotation_nd
         rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -by_deflection])
-    parts = jacobian @ state.parts[:, rows[:, None], rows] @ jacobian.T
-    parts[model.sources.index(device.noise_source)] += to_horizon @ measurement.noise_v @ to_horizon.T
+    covariance_by_source = jacobian @ state.covariance_by_source[:, rows[:, None], rows] @ jacobian.T
+    covariance_by_source[model.sources.index(device.noise_source)] += to_horizon @ measurement.noise_v @ to_horizon.T
     common = model.blocks[f"{device.name}.common"].source
-    parts[model.sources.index(common)] += measurement.common_n
-    covariance_n = parts.sum(axis=0)
+    covariance_by_source[model.sources.index(common)] += measurement.common_n
+    covariance_n = covariance_by_source.sum(axis=0)
     return AttitudeEstimate(
         time_ns=measurement.time_ns,
         rotation_nd=rotation_nd,
-        covariance_parts_n=parts,
+        covariance_by_source_n=covariance_by_source,
         covariance_n=covariance_n,
         covariance_without_separation_n=covariance_n,
         rate_d=np.full(3, np.nan),
@@ -113,7 +113,7 @@ def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text: str 
     return AttitudeEstimate(
         time_ns=now_ns,
         rotation_nd=np.full((3, 3), np.nan),
-        covariance_parts_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
+        covariance_by_source_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
         covariance_n=np.full((3, 3), np.nan),
         covariance_without_separation_n=np.full((3, 3), np.nan),
         rate_d=np.full(3, np.nan),

@@ -195,7 +195,7 @@ class FilterState:
         return mean
 
     @property
-    def parts(self) -> FloatArray:
+    def covariance_by_source(self) -> FloatArray:
         """Covariance of the main filter by error source, shape (n_sources, n, n)."""
         parts: FloatArray = self.stack[: len(self.stack) - len(self.means) + 1]
         return parts

@@ -87,14 +87,14 @@ class Suspects:
         self._ins_attitude = model.slices["ins.attitude"]
         self._consistent_sigmas = min(INFLATION_START_SIGMAS, self.subfilters.k.false_exclusion)
 
-    def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
+    def start(self, mean: FloatArray, covariance_by_source: FloatArray) -> FilterState:
         """Return the state before any measurement, with all filters at one mean and covariance.
 
         Args:
             mean: estimated errors, shape (n,).
             covariance_by_source: covariance by error source, shape (n_sources, n, n).
         """
-        return FilterState(None, *self.ins.all_filters_at(mean, parts), no_means(self.subfilters.count, len(self._sources)))
+        return FilterState(None, *self.ins.all_filters_at(mean, covariance_by_source), no_means(self.subfilters.count, len(self._sources)))
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Return a mask of the sources that each filter uses, shape (h, s)."""
@@ -293,7 +293,7 @@ class Suspects:
         After an unresolved fault all filters restart from the main filter, because they differ by that fault.
         """
         if state.unresolved_fault is not None:
-            means, stack = self.ins.all_filters_at(state.mean, state.parts)
+            means, stack = self.ins.all_filters_at(state.mean, state.covariance_by_source)
             state = changed(state, means=means, stack=stack)
         if distrusted(state):
             return self.ins.contradicted_now(state, time_ns)
@@ -312,7 +312,7 @@ class Suspects:
 
     def restart_subfilters(self, state: FilterState) -> FilterState:
         """Return the state with all filters restarted from the main filter and faults reset."""
-        means, stack = self.ins.all_filters_at(state.mean, state.parts)
+        means, stack = self.ins.all_filters_at(state.mean, state.covariance_by_source)
         return self._reset_faults(changed(state, means=means, stack=stack))
 
     def _reset_faults(self, state: FilterState) -> FilterState:
@@ -392,17 +392,17 @@ class Suspects:
         main filter, which has rejected the stars. The corrections by an error that the stars share are taken back.
         """
         turn_n = shared_rotation([state.last_innovations[name] for name in stars])
-        mean, parts = state.mean, state.parts
+        mean, covariance_by_source = state.mean, state.covariance_by_source
         if shared:
             absorbed = state.absorbed
             turn_n = turn_n + absorbed.turn_n
-            mean, parts = mean.copy(), parts.copy()
+            mean, covariance_by_source = mean.copy(), covariance_by_source.copy()
             mean[self._ins_attitude] -= absorbed.turn_n
-            self.ins.inflate_ins_attitude(parts, np.diag(absorbed.variance))
+            self.ins.inflate_ins_attitude(covariance_by_source, np.diag(absorbed.variance))
         excluded = {
             name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
         }
-        means, stack = self.ins.all_filters_at(mean, parts)
+        means, stack = self.ins.all_filters_at(mean, covariance_by_source)
         return changed(
             state,
             means=means,

@@ -55,9 +55,9 @@ class TracedFilter(ShipFilter):
 class _TracedFaultDetector(Suspects):
     """Fault detection on states that record their last update."""
 
-    def initial_state(self, mean: FloatArray, parts: FloatArray) -> FilterState:
+    def initial_state(self, mean: FloatArray, covariance_by_source: FloatArray) -> FilterState:
         """See :meth:`FaultDetector.initial_state`."""
-        return TracedState(**vars(super().start(mean, parts)))
+        return TracedState(**vars(super().start(mean, covariance_by_source)))
 
     def update(
         self,

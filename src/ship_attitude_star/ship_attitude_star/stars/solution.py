@@ -89,7 +89,7 @@ class StarSolution:
     status: SolutionStatus
     refusal: Refusal | None
     rotation_nb: FloatArray
-    parts_n: FloatArray
+    covariance_by_source_n: FloatArray
     members: NDArray[np.bool_]
     residual_n: FloatArray
     rejected: dict[int, Refusal] = field(default_factory=dict)
@@ -97,18 +97,18 @@ class StarSolution:
     @property
     def covariance_n(self) -> FloatArray:
         """Covariance of the total error, rotation vector in the horizon frame, rad², shape (3, 3)."""
-        total: FloatArray = self.parts_n.sum(axis=0)
+        total: FloatArray = self.covariance_by_source_n.sum(axis=0)
         return total
 
     @property
     def noise_n(self) -> FloatArray:
         """Covariance of the error that is independent from epoch to epoch, rad², shape (3, 3)."""
-        noise: FloatArray = self.parts_n[_STAR_NOISE]
+        noise: FloatArray = self.covariance_by_source_n[_STAR_NOISE]
         return noise
 
     def with_more_noise(self, variance: float) -> "StarSolution":
         """Return the attitude with an additional independent error of this variance about each axis, rad²."""
-        parts_n = self.parts_n.copy()
+        parts_n = self.covariance_by_source_n.copy()
         parts_n[_STAR_NOISE] += variance * np.eye(3)
         return replace(self, parts_n=parts_n)
 
@@ -150,7 +150,7 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
         status=_status(count, prior, found.rotation_nb),
         refusal=None,
         rotation_nb=found.rotation_nb,
-        parts_n=_parts(stars, found, members),
+        covariance_by_source_n=_covariance_by_source(stars, found, members),
         members=members,
         residual_n=residual_n,
         rejected=_rejected(residual_n, stars.lone_sigma, members),
@@ -216,7 +216,7 @@ def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> Sol
     return SolutionStatus.ANGLES_SINGULAR if singular else SolutionStatus.VALID
 
 
-def _parts(stars: SightedStars, found: AttitudeFit, members: NDArray[np.bool_]) -> FloatArray:
+def _covariance_by_source(stars: SightedStars, found: AttitudeFit, members: NDArray[np.bool_]) -> FloatArray:
     """Return the covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
@@ -232,21 +232,21 @@ def _parts(stars: SightedStars, found: AttitudeFit, members: NDArray[np.bool_]) 
         jacobian = jacobian.copy()
         jacobian[..., ATTITUDE] -= jacobian[..., fields] @ found.field_weight[ATTITUDE].T
         information = information - found.field_weight @ information[fields]
-    parts, by_catalogue = compiled_fit.covariances(
+    covariance_n, by_catalogue = compiled_fit.covariances(
         found.white_covariance_n, information, jacobian, share, np.concatenate(kinds), terms
     )
     # The white covariance contains the field errors; those of mountings and of the sky are added to it.
-    by_fields = parts[_OPTICS] + parts[_FIELD] if spatial else parts[_OPTICS]
-    parts[_CATALOGUE] = by_catalogue
-    parts[_STAR_NOISE] = found.white_covariance_n - by_fields - by_catalogue
+    by_fields = covariance_n[_OPTICS] + covariance_n[_FIELD] if spatial else covariance_n[_OPTICS]
+    covariance_n[_CATALOGUE] = by_catalogue
+    covariance_n[_STAR_NOISE] = found.white_covariance_n - by_fields - by_catalogue
     if stars.pixel_sigma is not None:
         share = np.where(members, stars.pixel_sigma / stars.white_sigma, 0.0)
         no_terms = np.zeros(len(information) - ATTITUDE.stop, dtype=np.intp)
-        _, parts[_PIXEL] = compiled_fit.covariances(
+        _, covariance_n[_PIXEL] = compiled_fit.covariances(
             found.white_covariance_n, information, jacobian, share, no_terms, 1
         )
-        parts[_STAR_NOISE] -= parts[_PIXEL]
-    solved: FloatArray = parts
+        covariance_n[_STAR_NOISE] -= covariance_n[_PIXEL]
+    solved: FloatArray = covariance_n
     return solved
 
 
@@ -275,7 +275,7 @@ def no_attitude(members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
         status=SolutionStatus.INVALID,
         refusal=refusal,
         rotation_nb=unknown,
-        parts_n=np.full((len(SOLUTION_TERMS), 3, 3), np.nan),
+        covariance_by_source_n=np.full((len(SOLUTION_TERMS), 3, 3), np.nan),
         members=members,
         residual_n=np.full((len(members), 3), np.nan),
     )

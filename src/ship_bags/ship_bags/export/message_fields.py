@@ -84,17 +84,17 @@ def fields_of(
         cf_name = standard_name(type_name, name)
         values = tuple(value_names(type_name, name, constants).items())
         field = MessageField((*path, name), node, content, unit, cf_name, owner=type_name, value_names=values)
-        yield from _parts(field, store)
+        yield from _expanded_fields(field, store)
 
 
-def _parts(field: MessageField, store: Typestore) -> Iterator[MessageField]:
+def _expanded_fields(field: MessageField, store: Typestore) -> Iterator[MessageField]:
     """Yield the field itself, or the fields of a message or of a short array of messages."""
     if field.node == Nodetype.NAME and field.content not in TIMES:
         yield from fields_of(field.content, store, field.path, field.unit)
     elif field.node == Nodetype.ARRAY and field.content[0][0] == Nodetype.NAME and field.content[1] <= _MOST_NUMBERED:
         (node, content), length = field.content
         for place in range(length):
-            yield from _parts(MessageField((*field.path, place), node, content, field.unit), store)
+            yield from _expanded_fields(MessageField((*field.path, place), node, content, field.unit), store)
     else:
         yield field
 

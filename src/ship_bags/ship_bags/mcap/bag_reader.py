@@ -348,7 +348,7 @@ def open_files(path: Path) -> list[BagFile]:
 
             files.append(open_with_rosbags(path))
         else:
-            for part in _parts(path):
+            for part in _mcap_files(path):
                 files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
             files += further_box_files(files[0])
         _rename_topics(path, files)
@@ -402,7 +402,7 @@ def watched(records: Iterator[BagRecord], bag: Bag, doing: str = "") -> Iterator
     return with_progress(records, label, bag.start_ns, bag.end_ns, lambda record: record.log_time_ns)
 
 
-def _parts(path: Path) -> list[Path]:
+def _mcap_files(path: Path) -> list[Path]:
     """Return the MCAP files of a bag, in order."""
     if not path.exists():
         raise BadInput("no such file or folder", file=path)

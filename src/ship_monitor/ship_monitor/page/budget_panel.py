@@ -22,7 +22,7 @@ from ship_monitor.page.figures import (
     empty_time_plot,
     words,
 )
-from ship_monitor.page.marking import is_error_of, with_mark
+from ship_monitor.page.marking import is_budget_part_of, with_mark
 from ship_monitor.page.themes import FONT, Theme
 from ship_monitor.page.trails import TimePlots, Trail
 from ship_watch.history import KEPT_S, BudgetPoint, History
@@ -133,7 +133,7 @@ class BudgetPanel:
             return
         known = np.isfinite(totals)
         means = {source: float(np.mean(np.asarray(columns[_column(source)])[known])) for source in self._sources}
-        bands = largest_sources(means, self._bands, [one for one in means if is_error_of(one, self._marked)])
+        bands = largest_sources(means, self._bands, [one for one in means if is_budget_part_of(one, self._marked)])
         if bands != self._bands:
             self._bands = bands
             with models_at_once(self._figure):
@@ -170,7 +170,7 @@ class BudgetPanel:
         self._filled, below = [], None
         for index, fields in enumerate(edges):
             colour = self._theme.series[index % 3] if index < len(self._bands) else self._theme.second_text
-            if index < len(self._bands) and is_error_of(self._bands[index], self._marked):
+            if index < len(self._bands) and is_budget_part_of(self._bands[index], self._marked):
                 colour = self._theme.text
             band = self._figure.varea(
                 x="t",
@@ -272,7 +272,7 @@ def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, 
         return {}
     heights = placed(middles, 0.115 * height, 0.03 * height, 0.97 * height)
     texts = [
-        with_mark(f"{name.replace('_', ' ')} {math.sqrt(max(part, 0.0)):.2f}″", is_error_of(name, marked))
+        with_mark(f"{name.replace('_', ' ')} {math.sqrt(max(part, 0.0)):.2f}″", is_budget_part_of(name, marked))
         for name, part in parts
     ]
     return dict(zip(heights, texts, strict=True))

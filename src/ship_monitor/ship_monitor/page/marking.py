@@ -39,7 +39,7 @@ def is_about(event: Event, source: str) -> bool:
     )
 
 
-def is_error_of(part: str, source: str) -> bool:
+def is_budget_part_of(part: str, source: str) -> bool:
     """True if a source of error in a budget belongs to a source."""
     return part.startswith(_CAUSES.get(source.partition(".")[0], ())) if source else False
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.refusals import Refusal
-from ship_node.edge.blocks import BatchOutput, BlockTurn, PublishedRows, StampArray, parts_with_levels
+from ship_node.edge.blocks import BatchOutput, BlockTurn, PublishedRows, StampArray, outputs_with_levels
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_node.edge.topics import Published
@@ -104,14 +104,14 @@ class BlockAdapter(ReportingAdapter):
             self.health.took_block(pending.topic, pending.receive_ns[:usual], times_ns, known)
         parts: list[BatchOutput] = []
         for some, found in feed.block.core.estimates_ahead(pending.ahead):
-            parts += self.parts(some, found, pending.reading.samples.times_ns)
+            parts += self.batch_outputs(some, found, pending.reading.samples.times_ns)
         last = feed.block.core.end_ahead(pending.ahead)
         if last is not None:
             reading, now_ns = ReadMessage(pending.reading.samples.one(usual), known), int(pending.receive_ns[usual])
             parts.append(BatchOutput(usual, self.told(feed, reading, last, now_ns, now_ns)))
         return parts
 
-    def parts(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BatchOutput]:
+    def batch_outputs(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BatchOutput]:
         """Yield the outputs of estimates, with the protection levels to be published before some of them.
 
         Args:
@@ -126,7 +126,7 @@ class BlockAdapter(ReportingAdapter):
         if self.integrity_topic:
             checked_by = list(zip(*self.checked_by(found), strict=True))
             directions, levels_before = self.directions(found), self.protection_level_messages
-            yield from parts_with_levels(some.start, found, self.published_levels, checked_by, directions, levels_before)
+            yield from outputs_with_levels(some.start, found, self.published_levels, checked_by, directions, levels_before)
         else:
             yield BatchOutput(some.start, [], found)
         self.latest = self.budget_due = found.one(len(found.time_ns) - 1)

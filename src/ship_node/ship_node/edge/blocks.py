@@ -125,7 +125,7 @@ class PublishedRows(NamedTuple):
     places: NDArray[np.int64]
 
 
-def parts_with_levels(
+def outputs_with_levels(
     place: int,
     run: Any,
     published: ToldLevels,

@@ -41,7 +41,7 @@ class DeferringAdapter(BlockAdapter):
         """Number of outputs pending since :meth:`defer_outputs` or :meth:`take_outputs`."""
         return self._made + len(self.core.due)
 
-    def take_parts(self) -> list[BatchOutput]:
+    def take_outputs(self) -> list[BatchOutput]:
         """Compute and return all pending outputs by their indices, with the messages published before some of them."""
         self._make_due()
         parts, self._parts_made, self._made = self._parts_made, [], 0
@@ -64,6 +64,6 @@ class DeferringAdapter(BlockAdapter):
             return
         times_ns = [due.time_ns for due in self.core.due]
         for some, found in self.core.estimates_due():
-            parts = self.parts(some, found, times_ns)
+            parts = self.batch_outputs(some, found, times_ns)
             self._parts_made += [part._replace(place=self._made + part.place) for part in parts]
         self._made += len(times_ns)

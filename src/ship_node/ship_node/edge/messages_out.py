@@ -185,7 +185,7 @@ def error_budget_message(
     time_ns: int,
     frame_id: str,
     sources: Sequence[str],
-    parts_n: FloatArray,
+    covariances_n: FloatArray,
     covariance_n: FloatArray,
 ) -> Any:
     """Return the ship_msgs/ErrorBudget of an estimate: its covariance by error source.
@@ -204,7 +204,7 @@ def error_budget_message(
         header={"stamp": time_ns, "frame_id": frame_id},
         quantity=quantity,
         sources=list(sources),
-        covariances=enu_covariance(parts_n).ravel(),
+        covariances=enu_covariance(covariances_n).ravel(),
         total=enu_covariance(covariance_n).ravel(),
     )
 

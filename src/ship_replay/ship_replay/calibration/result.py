@@ -72,7 +72,7 @@ class JointRotation:
 
 
 def combinations(
-    prior_sigma: FloatArray, parts: FloatArray, rotations_ds: FloatArray, ins_sigma_d: FloatArray
+    prior_sigma: FloatArray, covariance_by_source: FloatArray, rotations_ds: FloatArray, ins_sigma_d: FloatArray
 ) -> list[JointRotation]:
     """Return the three common rotations of all sensors, then the relative ones that were not well observed.
 
@@ -85,7 +85,7 @@ def combinations(
         ins_sigma_d: error of the INS about the axes of the deck, rad, shape (3,).
     """
     scale = prior_sigma.ravel()
-    whitened = parts / np.outer(scale, scale)
+    whitened = covariance_by_source / np.outer(scale, scale)
     turn = np.concatenate([rotation.T for rotation in rotations_ds])
     # In units of the prior sigmas the prior is the unit matrix, and independent means orthogonal.
     turned = turn / scale[:, None]
@@ -120,9 +120,9 @@ def _relative_rotations(whitened: FloatArray, scale: FloatArray, basis: FloatArr
     return found
 
 
-def _variances(parts: FloatArray, functional: FloatArray) -> FloatArray:
+def _variances(covariance_by_source: FloatArray, functional: FloatArray) -> FloatArray:
     """Return the variance of a linear combination by source of error, shape (n_sources,)."""
-    variances: FloatArray = np.einsum("i,kij,j->k", functional, parts, functional)
+    variances: FloatArray = np.einsum("i,kij,j->k", functional, covariance_by_source, functional)
     return variances
 
 
@@ -214,7 +214,7 @@ def calibration_of(session: Session) -> InstallationCalibration:
     ins = config.ins
     found = combinations(
         prior_sigma=np.array([star.installation_sigma_s for star in config.star_sensors.values()]),
-        parts=_installation_parts(core, sensors),
+        covariance_by_source=_installation_covariances(core, sensors),
         rotations_ds=np.array([prior.rotations_dv[f"star.{id_}"] for id_ in sensors]),
         ins_sigma_d=ARCSEC * np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]),
     )
@@ -232,7 +232,7 @@ def calibration_of(session: Session) -> InstallationCalibration:
     )
 
 
-def _installation_parts(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> FloatArray:
+def _installation_covariances(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> FloatArray:
     """Return the joint covariance of the installations by source, in the installed axes, rad², (n_sources, 3 N, 3 N).
 
     The state vectors refer to the configured axes: a degree from there, a rotation of the deck has other components.
@@ -242,7 +242,7 @@ def _installation_parts(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> Flo
     for number, block in enumerate(blocks):
         axes = slice(number * len(DECK_AXES), (number + 1) * len(DECK_AXES))
         to_axes[axes, block] = left_jacobian(core.state.mean[block]).T
-    parts: FloatArray = to_axes @ core.state.parts @ to_axes.T
+    parts: FloatArray = to_axes @ core.state.covariance_by_source @ to_axes.T
     return parts
 
 

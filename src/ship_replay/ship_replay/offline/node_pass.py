@@ -223,7 +223,7 @@ class NodePass:
     def _publish_promised(self, adapter: DeferringAdapter) -> None:
         """Collect the outputs that were deferred during this pass."""
         places, orders = np.array(self._promised, dtype=np.int64).T
-        for part in adapter.take_parts():
+        for part in adapter.take_outputs():
             if part.published:
                 self.passed.single.append((int(places[part.place]), int(orders[part.place]), part.published))
             if part.estimates is not None:

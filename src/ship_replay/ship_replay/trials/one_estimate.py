@@ -31,8 +31,8 @@ class ShipFilterWithoutSubfilters(ShipFilter):
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
     ) -> tuple[FilterState, AttitudeDecision]:
         linear = found.compared.linear
-        _, nis, gain = innovation(predicted.parts, linear)
-        correction, parts = update(predicted.parts, linear, gain)
+        _, nis, gain = innovation(predicted.covariance_by_source, linear)
+        correction, parts = update(predicted.covariance_by_source, linear, gain)
         after = changed(predicted, means=predicted.means + correction, stack=parts)
         decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
         return self._used(after, measurement), decision

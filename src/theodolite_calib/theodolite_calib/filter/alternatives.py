@@ -53,7 +53,7 @@ class Alternatives:
 
     time_ns: int | None
     mean: FloatArray
-    parts: FloatArray
+    covariances: FloatArray
     ship_steady_n: FloatArray | None = None
 
 
@@ -137,7 +137,7 @@ class SourceRows:
         dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
         mean, ship, count = decay * subfilters.mean, self._ship_error.columns, len(subfilters.mean) + 1
-        parts = predict(subfilters.parts[:, 0], decay, noise, self._model.source_of, count)[:, None]
+        parts = predict(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
         mean[:, ship] = self._ship_error.propagate(subfilters.mean[:, ship], decay[ship])
         mean, parts, _ = self._ship_error.apply_stated_covariance(
             mean, parts, ship, decay[ship], subfilters.ship_steady_n, ship_now_n, _ONLY_SOURCE
@@ -147,19 +147,19 @@ class SourceRows:
 
     def inflate_covariance(self, subfilters: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
         """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
-        parts = subfilters.parts.copy()
+        parts = subfilters.covariances.copy()
         parts[..., states[:, None], states] += covariance
         return replace(subfilters, parts=parts)
 
     def unknown(self, subfilters: Alternatives, excluded: Set[str]) -> Alternatives:
         """Add the unknown error changes of excluded sources, and of each subfilter's own source, before a sighting."""
-        parts = subfilters.parts.copy()
+        parts = subfilters.covariances.copy()
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():
                 add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN[name])
         return replace(subfilters, parts=parts)
 
-    def with_unknown(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
+    def add_unknown_errors_to_parts(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
         """Add the unknown error changes of excluded sources to a covariance by source, shape (n_sources, n, n)."""
         parts = parts.copy()
         for name in sorted(excluded & self._states.keys()):
@@ -209,7 +209,7 @@ class SourceRows:
             excluded: sources that every subfilter leaves out.
             probability: probability of the gate.
         """
-        pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(subfilters.parts[:, 0])
+        pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(subfilters.covariances[:, 0])
         residual, gain, nis, whitened_innovation = compiled_rows.beacon_innovations(
             subfilters.mean - main_filter[0],
             parts,
@@ -255,7 +255,7 @@ class SourceRows:
             by_turn: derivative of the residual by a rotation of the camera, shape (m, 3).
             probability: probability of the gate.
         """
-        stack = subfilters.parts[:, 0]
+        stack = subfilters.covariances[:, 0]
         compared = compare_rows(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
         accepted = compared.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
         learns = np.repeat(accepted[:, None], self._model.size, axis=1)

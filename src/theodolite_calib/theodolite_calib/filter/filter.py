@@ -134,7 +134,7 @@ class CalibrationFilter:
 
     def initial_state(self) -> CalibrationState:
         """Return the state before any sighting, with the errors as configured."""
-        return self.started(np.zeros(self.model.size), self.model.initial_parts())
+        return self.started(np.zeros(self.model.size), self.model.initial_covariance_by_source())
 
     def started(self, mean: FloatArray, parts: FloatArray) -> CalibrationState:
         """Return the state before any sighting, with given errors; shapes (n,), (n_sources, n, n)."""
@@ -194,7 +194,7 @@ class CalibrationFilter:
             subfilters = self.subfilters.restarted(state.subfilters, state.mean, state.covariance)
             return replace(state, alternatives=subfilters)
         subfilters, row = state.subfilters, self.subfilters.sources.index(source)
-        mean, covariance = subfilters.mean[row], subfilters.parts[row, 0]
+        mean, covariance = subfilters.mean[row], subfilters.covariances[row, 0]
         return replace(
             state,
             mean=mean,
@@ -208,7 +208,7 @@ class CalibrationFilter:
         """Add the unknown error changes of excluded sources to the propagated state, before a sighting."""
         excluded, parts = state.fault_state.excluded, state.parts
         if excluded:
-            parts = self.subfilters.with_unknown(parts, self.model.sources.index(SOURCE_AXES), excluded)
+            parts = self.subfilters.add_unknown_errors_to_parts(parts, self.model.sources.index(SOURCE_AXES), excluded)
         return replace(state, parts=parts, alternatives=self.subfilters.unknown(state.subfilters, excluded))
 
     def aligned(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:

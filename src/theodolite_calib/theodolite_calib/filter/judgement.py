@@ -77,7 +77,7 @@ class SightingJudge:
     ) -> Judgement:
         """Resolve a misidentification among two or more beacons that fail the gate as named."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
-        prior = AttitudePrior(prediction.rotation_nt, _telescope_parts(state, comparison))
+        prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
         check = check_lights(sighting.image, camera, prediction.lines, self._gate.probability, prior)
         mended = self._renamed(state, sighting, exposure, check.order) if check.verdict is Verdict.SWAPPED else None
         mended = mended or self._without_one(state, sighting, exposure)
@@ -162,7 +162,7 @@ class SightingJudge:
         )
 
 
-def _telescope_parts(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
+def _telescope_covariance_by_source(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
     """Return the covariance of the predicted telescope's rotation vector in n by source, rad², shape (3, 3) each."""
     turn_n = comparison.prediction.by_state_n
     return {"state": turn_n @ state.covariance @ turn_n.T, **comparison.prediction.noise_n}

@@ -335,7 +335,7 @@ def separations(
     to_axes = rotation_nc.T @ turn_n[:, turning]
     separation = (subfilters.mean - state.mean)[:, turning] @ to_axes.T
     covariance = np.concatenate(
-        [state.parts[:, turning[:, None], turning].sum(axis=0)[None], subfilters.parts[:, 0, turning[:, None], turning]]
+        [state.parts[:, turning[:, None], turning].sum(axis=0)[None], subfilters.covariances[:, 0, turning[:, None], turning]]
     )
     variance = (to_axes @ covariance * to_axes).sum(axis=-1)
     statistic: FloatArray = np.abs(separation / separation_sigma(variance[1:], variance[0])).max(axis=-1)

@@ -43,12 +43,12 @@ class AttitudePrior:
     """
 
     rotation_nt: FloatArray
-    parts_n: Mapping[str, FloatArray]
+    covariance_by_source_n: Mapping[str, FloatArray]
 
     @property
     def covariance_n(self) -> FloatArray:
         """Total covariance, rad², shape (..., 3, 3)."""
-        return total(self.parts_n)
+        return total(self.covariance_by_source_n)
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class TelescopeAttitude:
     """
 
     rotation_nt: FloatArray
-    parts_n: dict[str, FloatArray]
+    covariance_by_source_n: dict[str, FloatArray]
     focal_length_m: FloatArray
     focal_length_sigma_m: FloatArray
     chi2: FloatArray
@@ -97,7 +97,7 @@ class TelescopeAttitude:
     @property
     def covariance_n(self) -> FloatArray:
         """Total covariance of the rotation vector in n, rad², shape (..., 3, 3)."""
-        return total(self.parts_n)
+        return total(self.covariance_by_source_n)
 
 
 def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> TelescopeAttitude:
@@ -137,7 +137,7 @@ def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrio
     blank = np.where(converged, 1.0, np.nan)
     return TelescopeAttitude(
         rotation_nt=rotation_nt * blank[..., None, None],
-        parts_n={
+        covariance_by_source_n={
             source: part * blank[..., None, None]
             for source, part in _parts(equations, gain, image, camera, line_parts, prior).items()
         },
@@ -195,7 +195,7 @@ def _parts(
     by_focal_length = by_focal_length * np.asarray(camera.focal_length_sigma_m, dtype=float)[..., None, None]
     parts[SOURCE_FOCAL_LENGTH] = by_focal_length @ np.swapaxes(by_focal_length, -1, -2)
     if prior is not None:
-        for source, part in prior.parts_n.items():
+        for source, part in prior.covariance_by_source_n.items():
             propagated = _transported(gain[..., rows:], part)
             parts[source] = parts[source] + propagated if source in parts else propagated
     return parts

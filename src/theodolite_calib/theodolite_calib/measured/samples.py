@@ -286,7 +286,7 @@ class PointingEstimate:
 
     time_ns: int
     rotation_nm: FloatArray
-    parts_n: FloatArray
+    covariance_by_source_n: FloatArray
     covariance_n: FloatArray
     undisputed_n: FloatArray
     rotation_nt: FloatArray
@@ -321,7 +321,7 @@ class PointingRun:
 
     time_ns: StampArray
     rotation_nm: FloatArray
-    parts_n: FloatArray
+    covariance_by_source_n: FloatArray
     covariance_n: FloatArray
     undisputed_n: FloatArray
     rotation_nt: FloatArray
@@ -343,7 +343,7 @@ class PointingRun:
         return PointingEstimate(
             time_ns=int(self.time_ns[number]),
             rotation_nm=self.rotation_nm[number],
-            parts_n=self.parts_n[number],
+            covariance_by_source_n=self.covariance_by_source_n[number],
             covariance_n=self.covariance_n[number],
             undisputed_n=self.undisputed_n[number],
             rotation_nt=self.rotation_nt[number],

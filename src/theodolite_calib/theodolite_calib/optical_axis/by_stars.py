@@ -55,18 +55,18 @@ def pointing_by_stars(
     block = model.slices[parallelism_block(camera_id, config)]
     azimuth, elevation, roll = config.telescopes[camera_id].parallelism + state.mean[block]
     by_angles_n = solution.rotation_nb @ rotation_vector_from_angle_errors(azimuth, elevation)
-    parts_n = np.zeros((len(model.sources), 3, 3))
-    for term, part_n in zip(SOLUTION_TERMS, solution.parts_n, strict=False):
+    covariance_by_source_n = np.zeros((len(model.sources), 3, 3))
+    for term, part_n in zip(SOLUTION_TERMS, solution.covariance_by_source_n, strict=False):
         # The model has no source for a term that is zero.
         if not part_n.any():
             continue
-        parts_n[model.source_indices[SOURCE_STAR_NOISE if term in _OF_STARS else term]] += part_n
-    parts_n[model.source_indices[SOURCE_PARALLELISM]] += by_angles_n @ state.covariance[block, block] @ by_angles_n.T
-    unknown, covariance_n = np.full((3, 3), np.nan), parts_n.sum(axis=0)
+        covariance_by_source_n[model.source_indices[SOURCE_STAR_NOISE if term in _OF_STARS else term]] += part_n
+    covariance_by_source_n[model.source_indices[SOURCE_PARALLELISM]] += by_angles_n @ state.covariance[block, block] @ by_angles_n.T
+    unknown, covariance_n = np.full((3, 3), np.nan), covariance_by_source_n.sum(axis=0)
     return PointingEstimate(
         time_ns=exposure.time_ns,
         rotation_nm=solution.rotation_nb @ rotation_from_angles(azimuth, elevation, roll),
-        parts_n=parts_n,
+        covariance_by_source_n=covariance_by_source_n,
         covariance_n=covariance_n,
         undisputed_n=covariance_n,
         rotation_nt=unknown,

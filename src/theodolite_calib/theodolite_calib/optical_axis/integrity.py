@@ -59,7 +59,7 @@ class PointingLevels:
             self.state.mean,
             self.state.subfilters.mean,
             self.state.parts,
-            self.state.subfilters.parts[:, 0],
+            self.state.subfilters.covariances[:, 0],
         )
         # Without beacons and stars nothing checks encoders and ship's attitude; stars alone are not checked either.
         alone = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED

@@ -59,7 +59,7 @@ class AxesAt(NamedTuple):
 
     rotation_nm: FloatArray
     by_error_n: FloatArray
-    parts_n: FloatArray
+    covariance_by_source_n: FloatArray
 
 
 class CorrectedAxis:
@@ -209,12 +209,12 @@ class PointingOutput:
             self._corrected = CorrectedAxis(self._filter, state)
         time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
         if state.fault_state.conflict is not None:
-            axes.parts_n[:, self._disagreement] += state.fault_state.conflict.spread_n
+            axes.covariance_by_source_n[:, self._disagreement] += state.fault_state.conflict.spread_n
         lights, stars = self._recent(time_ns, state.used_ns), self._recent(time_ns, state.stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
         covariance_without_separation_n, covariance_n = compiled_mounts.totals(
-            axes.parts_n, axes.by_error_n, self._corrected.separation_inflation, recent.view(np.uint8), self._disagreement
+            axes.covariance_by_source_n, axes.by_error_n, self._corrected.separation_inflation, recent.view(np.uint8), self._disagreement
         )
         mode = np.where(lights, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
         mode = np.where(stars, np.where(lights, _STARS_AND_LIGHTS, _STARS), mode)
@@ -228,7 +228,7 @@ class PointingOutput:
         run = PointingRun(
             time_ns=time_ns,
             rotation_nm=axes.rotation_nm,
-            parts_n=axes.parts_n,
+            covariance_by_source_n=axes.covariance_by_source_n,
             covariance_n=covariance_n,
             undisputed_n=covariance_without_separation_n,
             rotation_nt=rotation_nt,
@@ -307,7 +307,7 @@ def invalid_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns
     return PointingEstimate(
         time_ns=now_ns,
         rotation_nm=unknown,
-        parts_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
+        covariance_by_source_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
         covariance_n=unknown,
         undisputed_n=unknown,
         rotation_nt=unknown,

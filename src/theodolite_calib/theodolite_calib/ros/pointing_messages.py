@@ -162,7 +162,7 @@ def _messages(
 
 def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:
     """Return ship_msgs/ErrorBudget of a published pointing; ``sources`` name the parts of its covariance."""
-    parts_n, covariance_n = estimate.parts_n, estimate.covariance_n
+    parts_n, covariance_n = estimate.covariance_by_source_n, estimate.covariance_n
     return error_budget_message(factory, "optical_axis", estimate.time_ns, MAIN_FRAME, sources, parts_n, covariance_n)
 
 

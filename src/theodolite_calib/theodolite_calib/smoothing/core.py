@@ -160,7 +160,7 @@ class _SmoothedOutput:
 
     def __init__(self, filter_: CalibrationFilter, rows: NDArray[np.intp]) -> None:
         self._filter, self._rows = filter_, rows
-        self._blank = filter_.started(np.zeros(filter_.model.size), np.zeros_like(filter_.model.initial_parts()))
+        self._blank = filter_.started(np.zeros(filter_.model.size), np.zeros_like(filter_.model.initial_covariance_by_source()))
         # The smoother has no covariance by source: it is assigned to one source.
         self._source = filter_.model.sources.index(SOURCE_AXES)
 
@@ -175,7 +175,7 @@ class _SmoothedOutput:
         )
         corrected = CorrectedAxis(self._filter, state)
         axes = corrected.axes(ShipRun.of([ship]), EncoderRun.of([sample], [""], [0.0]))
-        (rotation_nm,), (parts_n,) = axes.rotation_nm, axes.parts_n
+        (rotation_nm,), (parts_n,) = axes.rotation_nm, axes.covariance_by_source_n
         covariance_without_separation_n = parts_n.sum(axis=0)
         return replace(
             told,
