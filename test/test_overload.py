@@ -42,7 +42,7 @@ MOST_SIGMAS = 6.0
 LIMIT_S = 60.0
 
 
-class Heard:
+class NodeObserver:
     """Messages of the nodes, as an observer receives them.
 
     Attributes:
@@ -147,7 +147,7 @@ def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
 
     with contextlib.ExitStack() as stack:
         observer = stack.enter_context(GraphObserver(domain))
-        heard = Heard(observer, truth)
+        heard = NodeObserver(observer, truth)
         for name, package in NODES.items():
             options = ["--ros-args", "--params-file", str(tmp_path / "suite.yaml"), "-p", "use_sim_time:=true"]
             options += ["-p", f"black_box:={tmp_path / name}.mcap"]

@@ -268,7 +268,7 @@ def test_preflight_subscribes_to_the_ships_topic_names(monkeypatch):
     driver.create_publisher(Imu, "/imu/data", 10)
     topic = InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=False, depth=100)
     try:
-        (heard,) = look_at_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).heard
+        (heard,) = look_at_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).inputs
         assert [publisher.node for publisher in heard.publishers] == ["/driver"]
     finally:
         driver.destroy_node()

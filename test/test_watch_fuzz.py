@@ -28,7 +28,7 @@ def kind_of(type_name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def heard(*bags: Path) -> list[tuple[int, str, Any]]:
+def recorded_messages(*bags: Path) -> list[tuple[int, str, Any]]:
     """Return (log time, topic, rclpy message) of the first seconds of bags; attitudes and pointings at 10 Hz."""
     found = []
     for path in bags:
@@ -52,7 +52,7 @@ def heard(*bags: Path) -> list[tuple[int, str, Any]]:
 def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None:
     rng, watch = np.random.default_rng([12, len(bag)]), Watch()
     given, out = replayed(tmp_path, bag)
-    voyage = heard(out, given) if bag == "theodolite" else heard(out)
+    voyage = recorded_messages(out, given) if bag == "theodolite" else recorded_messages(out)
     tried = 0
     for time_ns, topic, message in voyage:
         watch.take(topic, message, time_ns)

@@ -91,9 +91,9 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
     def new_adapter() -> ReportingAdapter:
         return adapter_class(config, FACTORY)
 
-    heard = {feed.topic for feed in new_adapter().inputs}
+    input_topics = {feed.topic for feed in new_adapter().inputs}
     logged = list(messages([simulate(given, _SEED)], FACTORY))
-    arrivals = tuple(Arrival(topic, message, log_ns) for topic, message, log_ns in logged if topic in heard)
+    arrivals = tuple(Arrival(topic, message, log_ns) for topic, message, log_ns in logged if topic in input_topics)
     kind = "truth/pointing" if node.startswith("optical_axis") else "truth/attitude"
     return Voyage(new_adapter, arrivals, {log_ns: message for topic, message, log_ns in logged if topic == kind})
 

@@ -88,9 +88,9 @@ class ListeningNode:
         topics = {
             topic: type_name for id_ in sources for topic, type_name in self.config.role(id_).topics(id_).items()
         }
-        self.heard = {topic: [] for topic in topics}
+        self.received = {topic: [] for topic in topics}
         for topic, type_name in topics.items():
-            take = self.heard[topic].append
+            take = self.received[topic].append
             self.peer.create_subscription(message_class(type_name), topic, take, QoSProfile(depth=_DEPTH))
         # It is matched when its first report is here: the report's topic was the first to be published.
         self.wait_until(lambda: self._diagnostics)

@@ -9,7 +9,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC
-from ship_replay.ins_noise.session import NoiseSession, PairsHeard, session_config, noise_session
+from ship_replay.ins_noise.session import NoiseSession, StarComparisons, session_config, noise_session
 from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
@@ -64,11 +64,11 @@ def noise_session(of: Scenario, seed: int, told: dict[str, Any] | None = None, w
     suite = suite_configuration(of)
     thin = {"max_gap_s": 1.5 / of.ins.rate_hz, "silence_s": 20.0}
     config = build(ShipAttitudeConfig, {**suite, "ins": {**suite["ins"], **thin, **(told or {})}})
-    core, heard, run = ShipAttitudeCore(session_config(config)), PairsHeard(), simulate(of, seed)
+    core, pairs, run = ShipAttitudeCore(session_config(config)), StarComparisons(), simulate(of, seed)
     source: Any = _WithFixes(run) if with_fixes else run
     for outcome in attitude_outcomes(core, source, set()):
-        heard.take(core, outcome.decisions)
-    return noise_session("voyage", config, core, heard, [])
+        pairs.take(core, outcome.decisions)
+    return noise_session("voyage", config, core, pairs, [])
 
 
 class GaussMarkovProcess(NamedTuple):

@@ -67,13 +67,13 @@ def over(name: str, because_of: str = "", share: float = 1.5) -> AngleShown:
     return angle(name, because_of=because_of, **changes)
 
 
-def never_heard(*names: str) -> list[AngleShown]:
+def angles_without_data(*names: str) -> list[AngleShown]:
     """Return angles that were never received."""
     changes = {"value": math.nan, "accuracy_95": math.nan, "safety": Safety.UNSAFE, "reason": "waiting"}
     return [angle(name, age_s=math.inf, is_old=True, **changes) for name in names]
 
 
-def silent(*names: str, age_s: float = 7.0, reason: str = "no data") -> list[AngleShown]:
+def angles_timed_out(*names: str, age_s: float = 7.0, reason: str = "no data") -> list[AngleShown]:
     """Return angles that were not received for some seconds."""
     return [angle(name, safety=Safety.UNSAFE, reason=reason, age_s=age_s, is_old=True) for name in names]
 
@@ -185,7 +185,7 @@ def state_with_mounting_shift(*changed: AngleShown | SourceShown, **changes: Any
 
 def faulty() -> Picture:
     """Return in addition an encoder without messages for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
-    angles = silent("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
+    angles = angles_timed_out("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
     encoder = out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
     lost_pointing = alert("pointing", "pointing lost, encoder no data", NOW_NS - 10 * NS)
     return state_with_mounting_shift(*angles, encoder, alerts=(lost_pointing, SHIFTED_SENSOR_ALERT), pointing_by="no pointing")

@@ -26,7 +26,7 @@ class PublishingShip:
             self.publishers[topic] = self.node.create_publisher(type(message), topic, qos)
         self.publishers[topic].publish(message)
 
-    def heard(self, until: Callable[[Callable[[], Any]], Any], look: Callable[[], Any], *topics: str) -> None:
+    def wait_for_subscribers(self, until: Callable[[Callable[[], Any]], Any], look: Callable[[], Any], *topics: str) -> None:
         """Wait until the subscriptions of the node under test have been matched, while it spins."""
         until(lambda: look() and all(self.publishers[topic].get_subscription_count() for topic in topics))
 

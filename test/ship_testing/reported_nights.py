@@ -13,7 +13,7 @@ SIGMA_ENU = np.diag([2.0, 3.0, 4.0]) * ARCSEC
 """Of a ship with heading North: pitch 2″, roll 3″, heading 4″; 95 % are 3.9″, 5.9″ and 7.8″."""
 
 
-def write_night(path, seconds=40, with_truth=True, silent=(0, 0), refused=()):
+def write_night(path, seconds=40, with_truth=True, gap_s=(0, 0), refused=()):
     """Write attitudes at 10 Hz with 1″ of heading error, a gap between two times; rejections of star.fore at times."""
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", "ship_attitude:\n  ros__parameters: {}\n")
@@ -21,7 +21,7 @@ def write_night(path, seconds=40, with_truth=True, silent=(0, 0), refused=()):
             stamp_ns = START_NS + tick * SECOND_NS // 10
             if with_truth:
                 bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
-            if not silent[0] <= tick / 10 < silent[1]:
+            if not gap_s[0] <= tick / 10 < gap_s[1]:
                 estimate = ship_attitude(stamp_ns, ARCSEC, covariance_enu=SIGMA_ENU @ SIGMA_ENU)
                 # Of (heading, pitch, roll), for a level ship that heads North.
                 estimate.covariance = (np.diag([4.0, 2.0, 3.0]) ** 2 * ARCSEC**2).ravel()

@@ -33,15 +33,15 @@ FAULTS = {
         "silent: {topic: theodolite/encoder, kind: drop, start_s: 31.0, end_s: 36.0}"
     ),
 }
-SILENCE_S = 2.0
+TIMEOUT_S = 2.0
 """A message is overdue after three periods, 2 s at least (docs/explanation/watch.md): before, it may only be late.
 Three periods of the star sensor are 0.6 s, of the encoder 0.06 s.
 """
 
 # When each fault could be known: at the first wrong measurement; of a silence so long after the last message came.
 KNOWN_S = {
-    "demo": {"star.starboard": 15.117, "ins": 28.0, "star.fore": 37.933 + SILENCE_S},
-    "theodolite": {"baselines": 10.0, "lights": 20.0, "encoder": 30.982 + SILENCE_S},
+    "demo": {"star.starboard": 15.117, "ins": 28.0, "star.fore": 37.933 + TIMEOUT_S},
+    "theodolite": {"baselines": 10.0, "lights": 20.0, "encoder": 30.982 + TIMEOUT_S},
 }
 END_S = {"demo": 43.0, "theodolite": 35.0}
 WITHIN_S = 2.0
@@ -49,12 +49,12 @@ SOON_S = 0.5
 """An overdue message is reported without a further message: at the next update, 0.2 s, by the alerts 0.2 s later
 (AlertTimes.raise_after_s) and so an update later; measured 0.0 s and 0.2 s.
 """
-SILENT = ("star.fore", "encoder")
+TIMED_OUT_SOURCES = ("star.fore", "encoder")
 
 
 def within_s(source: str) -> float:
     """Return the time within which a source must be named in a recording, without process delays."""
-    return SOON_S if source in SILENT else WITHIN_S
+    return SOON_S if source in TIMED_OUT_SOURCES else WITHIN_S
 
 
 @dataclass

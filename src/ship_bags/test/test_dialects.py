@@ -7,7 +7,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.nmea.dialects import DIALECTS
 from ship_bags.nmea.instrument import GYRO, INS, REFERENCE, Instrument, InstrumentRole
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport
-from ship_bags.nmea.lines import heard_texts
+from ship_bags.nmea.lines import parse_line
 from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.frames import angles_from_rotation
@@ -27,7 +27,7 @@ RECEIVE_NS = 1_268_178_851 * NS_PER_S
 
 
 def said(text, needs_checksum=True):
-    (heard,) = heard_texts(text.encode(), needs_checksum)
+    (heard,) = parse_line(text.encode(), needs_checksum)
     return heard.says
 
 

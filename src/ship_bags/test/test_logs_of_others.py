@@ -12,7 +12,7 @@ import pytest
 from ship_bags.commands.import_nmea import main
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.nmea.instrument_line import datetime_ns
-from ship_bags.nmea.lines import heard_texts
+from ship_bags.nmea.lines import parse_line
 from ship_bags.nmea.sentences import Sentence
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.frames import angles_from_rotation
@@ -102,7 +102,7 @@ def assert_stamped_when_measured(messages, count):
 )  # fmt: skip
 def test_complete_sentences_without_checksum_are_used_only_on_request(text):
     def is_used(line, needs_checksum):
-        return any(isinstance(heard.says, Sentence) for heard in heard_texts(line.encode(), needs_checksum))
+        return any(isinstance(heard.says, Sentence) for heard in parse_line(line.encode(), needs_checksum))
 
     assert is_used(text, needs_checksum=False)
     assert not is_used(text, needs_checksum=True)

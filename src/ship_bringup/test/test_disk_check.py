@@ -11,7 +11,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.disk_check import DiskState, judge_disk, look_at_disk, night_bytes
-from ship_bringup.checks.network_look import HeardTopic
+from ship_bringup.checks.network_look import ObservedTopic
 from ship_node.edge.topics import InputTopic
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.nodes import ADAPTERS
@@ -33,13 +33,13 @@ def chain_and_inputs(path):
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         records = list(bag.records([topic.topic for topic in chain.inputs]))
         seconds = (bag.end_ns - bag.start_ns) * 1e-9
-    heard = []
+    observed = []
     for topic in chain.inputs:
         lengths = [len(record.data) for record in records if record.topic == topic.topic]
         if lengths:
             mean, count = sum(lengths) / len(lengths), len(lengths)
-            heard.append(HeardTopic(topic, (), count / seconds, mean, count))
-    return chain, heard, records, seconds
+            observed.append(ObservedTopic(topic, (), count / seconds, mean, count))
+    return chain, observed, records, seconds
 
 
 @pytest.mark.parametrize("name", ["demo", "theodolite"])
@@ -80,7 +80,7 @@ def test_missing_inputs_count_with_typical_values():
     chain, heard, _, _ = chain_and_inputs(path)
     full, unheard = night_bytes(chain.adapters, heard), night_bytes(chain.adapters, [])
     assert 0.5 < unheard.record / full.record < 2.0
-    silent = [HeardTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
+    silent = [ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
     assert night_bytes(chain.adapters, silent) == unheard
     one_message = [dataclasses.replace(silent[0], count=1, message_bytes=316.0)]
     assert night_bytes(chain.adapters, one_message) == unheard
@@ -88,7 +88,7 @@ def test_missing_inputs_count_with_typical_values():
 
 def test_faster_ins_needs_more_space():
     chain, heard, _, _ = chain_and_inputs(ROOT / "bags" / "demo.mcap")
-    faster = [HeardTopic(each.input, (), 10.0 * each.rate_hz, each.message_bytes, each.count) for each in heard]
+    faster = [ObservedTopic(each.input, (), 10.0 * each.rate_hz, each.message_bytes, each.count) for each in heard]
     assert night_bytes(chain.adapters, faster).boxes > 5.0 * night_bytes(chain.adapters, heard).boxes
 
 

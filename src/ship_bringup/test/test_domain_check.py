@@ -4,12 +4,12 @@ import pytest
 
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.domain_check import judge_domain, judge_settings
-from ship_bringup.checks.network_look import HeardTopic, NetworkState, Publisher
+from ship_bringup.checks.network_look import ObservedTopic, NetworkState, Publisher
 from ship_bringup.security.demand import domain_of
 from ship_node.edge.topics import InputTopic
 
 OWN = ("/demo/ship_attitude",)
-INS = HeardTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1000), (Publisher("/demo/ins", "x"),))
+INS = ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1000), (Publisher("/demo/ins", "x"),))
 
 
 def found(state):

@@ -13,7 +13,7 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bringup.commands import policies
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text, published, subscribed
-from ship_bringup.security.rights import companions_of, device_of, heard_by_nmea, suite_rights
+from ship_bringup.security.rights import companions_of, device_of, nmea_in_topics, suite_rights
 from ship_bringup.suite.plan import checked_nodes
 
 PACKAGE = Path(__file__).parents[1]
@@ -102,7 +102,7 @@ def test_rights_of_nmea_nodes(tmp_path):
     assert not into.subscribes | into.requests
     given = {topic for topic in into.publishes if topic.startswith("/demo/")}
     assert given == {f"/demo/{topic}" for topic in ("ins/imu", "gnss/fix", "reference/s330/imu")}
-    assert set(heard_by_nmea(companions)) == {"ins/imu", "gnss/fix", "reference/s330/imu"}
+    assert set(nmea_in_topics(companions)) == {"ins/imu", "gnss/fix", "reference/s330/imu"}
     # No other node may publish them; without nmea_in, a driver of the INS may.
     assert [name for name, rights in every.items() if "/demo/ins/imu" in rights.publishes] == ["/demo/nmea_in"]
     assert "/demo/sensors/ins" in rights_of("two_sensors")

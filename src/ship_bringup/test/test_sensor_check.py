@@ -7,20 +7,20 @@ from types import MappingProxyType
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState, Publisher, heard_rate_hz
+from ship_bringup.checks.network_look import STRONGER, ObservedTopic, NetworkState, Publisher, observed_rate_hz
 from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_node.edge.topics import InputTopic
 from ship_watch.limits import InputLimits, Limits
 
 IMU = "sensor_msgs/msg/Imu"
 DRIVER = Publisher("/ins_driver", IMU)
-GOOD = HeardTopic(InputTopic("ins/imu", IMU, True, 1000), (DRIVER,), 100.0, 316.0, 500, 0.012)
+GOOD = ObservedTopic(InputTopic("ins/imu", IMU, True, 1000), (DRIVER,), 100.0, 316.0, 500, 0.012)
 LIMITS = Limits(inputs={"ins": InputLimits(rate_hz=90.0)})
 
 
 def judged(limits=LIMITS, asked=MappingProxyType({}), **changes):
-    heard = dataclasses.replace(GOOD, **changes)
-    (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), limits, {"ins/imu": 2.0}, asked)
+    observed = dataclasses.replace(GOOD, **changes)
+    (row,) = judge_sensors(NetworkState("rmw", inputs=(observed,)), limits, {"ins/imu": 2.0}, asked)
     return row.result, row.found
 
 
@@ -60,7 +60,7 @@ def test_single_message_of_a_slow_sensor():
 )
 def test_rate_from_mean_interval(count, span_s, rate_hz):
     """In five seconds: 2 Hz, a last message just in time or not, three and then none, a burst."""
-    assert heard_rate_hz(count, span_s, listened_s=5.0) == pytest.approx(rate_hz)
+    assert observed_rate_hz(count, span_s, listened_s=5.0) == pytest.approx(rate_hz)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_age_texts(age_s, told):
 def test_old_stamps_with_clock_are_of_a_bag():
     old = dataclasses.replace(GOOD, age_s=390513437.825)
     for has_clock, advice in ((True, "a bag is being played"), (False, "set the clock of the device")):
-        (row,) = judge_sensors(NetworkState("rmw", heard=(old,), has_clock=has_clock), LIMITS, {"ins/imu": 2.0}, {})
+        (row,) = judge_sensors(NetworkState("rmw", inputs=(old,), has_clock=has_clock), LIMITS, {"ins/imu": 2.0}, {})
         assert row.result is Result.FAIL
         assert row.advice.startswith(advice)
 
@@ -90,7 +90,7 @@ def test_weather_and_position_may_exceed_lag():
     for name in ("gnss/fix", "met/pressure"):
         topic = InputTopic(name, IMU, required=True, depth=100)
         heard = dataclasses.replace(GOOD, input=topic, age_s=2.1)
-        (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), LIMITS, {name: 2.0}, {})
+        (row,) = judge_sensors(NetworkState("rmw", inputs=(heard,)), LIMITS, {name: 2.0}, {})
         assert row.result is Result.OK
 
 
@@ -122,20 +122,20 @@ def test_advice_names_the_setting_of_the_unmet_quality(tmp_path):
     ):  # fmt: skip
         path.write_text(f"/**/ship_attitude: {{ros__parameters: {parameters}}}\n")
         asked = asked_qualities(path, ["ins/imu"], "", by_option)
-        (row,) = judge_sensors(NetworkState("rmw", heard=(weak,)), LIMITS, {"ins/imu": 2.0}, asked)
+        (row,) = judge_sensors(NetworkState("rmw", inputs=(weak,)), LIMITS, {"ins/imu": 2.0}, asked)
         assert (row.result, row.advice) == (Result.FAIL, f"let the driver offer it, or leave out {setting}")
 
 
 def test_required_input_of_nmea_in_fails_until_received():
-    silent = NetworkState("rmw", heard=(dataclasses.replace(GOOD, publishers=()),))
+    silent = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, publishers=()),))
     (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
     assert row.result is Result.FAIL
     assert row.found == "ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
     assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"
     spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
-    (row,) = judge_sensors(NetworkState("rmw", heard=(spare,)), LIMITS, {}, {}, ["ins/imu"])
+    (row,) = judge_sensors(NetworkState("rmw", inputs=(spare,)), LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.NOT_CHECKED
-    heard = NetworkState("rmw", heard=(dataclasses.replace(GOOD, rate_hz=1.0),))
+    heard = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, rate_hz=1.0),))
     (row,) = judge_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.FAIL
 

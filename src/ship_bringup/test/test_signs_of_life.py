@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from ship_bringup.suite.process import Process
-from ship_bringup.suite.signs_of_life import HeartbeatSocket, Silence
+from ship_bringup.suite.signs_of_life import HeartbeatSocket, HeartbeatAge
 
 MISSING = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
@@ -39,7 +39,7 @@ class Schedstat:
 )
 def test_only_time_with_a_processor_counts(monkeypatch, waited_s, time_s):
     monkeypatch.setattr("ship_bringup.suite.signs_of_life.Path", lambda _path: Schedstat(*waited_s))
-    silence = Silence(1)
+    silence = HeartbeatAge(1)
     silence.add(0.5)
     silence.add(1.0)
     assert silence.time_s == pytest.approx(time_s)
@@ -49,9 +49,9 @@ def test_begin_resets_the_heartbeat_age():
     """Heartbeats sent in reserve are no evidence of its work."""
     heartbeats = HeartbeatSocket()
     process = Process([sys.executable, "-c", "input()"], heartbeats.sender_descriptor, waits=True)
-    process.silence.restart(has_beaten=True)
-    process.silence.time_s = 4.0
+    process.heartbeat_age.restart(has_beaten=True)
+    process.heartbeat_age.time_s = 4.0
     process.begin()
-    assert (process.silence.has_beaten, process.silence.time_s) == (False, 0.0)
+    assert (process.heartbeat_age.has_beaten, process.heartbeat_age.time_s) == (False, 0.0)
     assert process.close() == 0
     heartbeats.close()

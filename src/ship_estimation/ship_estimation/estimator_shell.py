@@ -354,7 +354,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
         if clock_jumped:
             self._last_claim_ns: int | None = None
-            self._silent_after_ns: int | None = None
+            self._output_timeout_ns: int | None = None
             self._said_invalid_ns: int | None = None
 
     def step_time_base(self, state: State, step_ns: int) -> None:
@@ -531,7 +531,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         time_ns: int,
         waiting_ns: int,
         estimate: Callable[[State], Estimate | None],
-        patience_ns: int = SECOND_NS,
+        timeout_ns: int = SECOND_NS,
     ) -> None:
         """Add the estimate of a stamp to the outcome if it is later than all before.
 
@@ -553,17 +553,17 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             return
         if found is not None:
             outcome.estimates.append(found)
-            self.was_put_out(time_ns, waiting_ns, patience_ns)
+            self.was_put_out(time_ns, waiting_ns, timeout_ns)
 
-    def was_put_out(self, time_ns: int, waiting_ns: int, patience_ns: int = SECOND_NS) -> None:
+    def was_put_out(self, time_ns: int, waiting_ns: int, timeout_ns: int = SECOND_NS) -> None:
         """Record that an estimate was published, later than all before; arguments as for :meth:`add_output`."""
         self._last_claim_ns, self._said_invalid_ns = time_ns, None
-        self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
+        self._output_timeout_ns = waiting_ns + max(timeout_ns, SECOND_NS)
 
     def continue_outputs(self, before: "EstimatorShell[Any, Any, Any, Any, Any]") -> None:
         """Continue the sequence of outputs of another estimator; own outputs so far were not published."""
         self._last_claim_ns, self._said_invalid_ns = before._last_claim_ns, before._said_invalid_ns
-        self._silent_after_ns = before._silent_after_ns
+        self._output_timeout_ns = before._output_timeout_ns
 
     @property
     def state_now(self) -> State:
@@ -580,7 +580,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
 
         It has the time of a tick. It does not count for the order of outputs: an older valid estimate may follow.
         """
-        if self._silent_after_ns is not None and waiting_ns <= self._silent_after_ns:
+        if self._output_timeout_ns is not None and waiting_ns <= self._output_timeout_ns:
             return
         if self._said_invalid_ns is not None and waiting_ns - self._said_invalid_ns < SECOND_NS:
             return

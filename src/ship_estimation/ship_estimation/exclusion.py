@@ -19,7 +19,7 @@ from ship_estimation.running_means import LONG_AGO_NS, CONSISTENT_RATIO, Innovat
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-HEARD_NS = 10 * SECOND_NS
+MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
 """Maximum age of a source's last measurement for it to count in fault isolation, ns."""
 
 _CLEARER = 0.6
@@ -128,17 +128,17 @@ def find_fault(
         >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
         Finding(fault=True, row=1, explaining=(1,))
     """
-    agrees = _first_row_agrees(means, uses[0], now_ns - HEARD_NS, degraded_after)
+    agrees = _first_row_agrees(means, uses[0], now_ns - MAX_MEASUREMENT_AGE_NS, degraded_after)
     sigmas = separations.tolist()
     if agrees and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN is not
         return _NO_FAULT
-    heard = means.heard_ns >= now_ns - HEARD_NS
+    heard = means.last_measured_ns >= now_ns - MAX_MEASUREMENT_AGE_NS
     counts = uses & heard
     contradicted = np.where(means.refused >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
     # A subfilter explains a fault if it is consistent with all its sources, each measured since the fault began.
     began_ns = np.max(means.contradicts_ns, initial=LONG_AGO_NS, where=heard)
-    well = (means.excess <= CONSISTENT_RATIO) & (means.refused == 0) & (means.heard_ns >= began_ns)
+    well = (means.excess <= CONSISTENT_RATIO) & (means.refused == 0) & (means.last_measured_ns >= began_ns)
     explains = np.all(well | ~counts, axis=-1)
     asked = larger_subfilters if larger_subfilters and not np.any(worst[candidates] <= 1.0) else candidates
     explaining = sorted((row for row in asked if explains[row]), key=lambda row: worst[row])
@@ -170,7 +170,7 @@ def agrees_with_all(means: InnovationMeans, degraded_after: int) -> bool:
 def _first_row_agrees(means: InnovationMeans, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
     """True if the main filter is consistent with all sources that it uses and that were measured since a stamp."""
     by_source = zip(
-        means.excess[0].tolist(), means.refused[0].tolist(), means.heard_ns.tolist(), uses.tolist(), strict=True
+        means.excess[0].tolist(), means.refused[0].tolist(), means.last_measured_ns.tolist(), uses.tolist(), strict=True
     )
     # NaN is inconsistent.
     return all(

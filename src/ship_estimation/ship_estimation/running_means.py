@@ -65,7 +65,7 @@ class InnovationMeans:
     running: FloatArray
     excess: FloatArray
     refused: NDArray[np.int64]
-    heard_ns: NDArray[np.int64]
+    last_measured_ns: NDArray[np.int64]
     contradicts_ns: NDArray[np.int64]
 
 
@@ -80,7 +80,7 @@ def no_means(subfilters: int, sources: int) -> InnovationMeans:
         running=np.zeros((subfilters, sources, len(WINDOW_LENGTHS), 5)),
         excess=np.zeros((subfilters, sources)),
         refused=np.zeros((subfilters, sources), dtype=np.int64),
-        heard_ns=np.full(sources, LONG_AGO_NS),
+        last_measured_ns=np.full(sources, LONG_AGO_NS),
         contradicts_ns=np.full(sources, LONG_AGO_NS),
     )
 
@@ -135,7 +135,7 @@ def observed(
         means.running,
         means.excess,
         means.refused,
-        means.heard_ns,
+        means.last_measured_ns,
         means.contradicts_ns,
         tuple(source),
         innovation,

@@ -11,7 +11,7 @@ from ship_geometry.rotations import FloatArray
 NOISE, WALK, COUNT = 9.0, 0.2, 40
 
 
-def filtered(measured: FloatArray, heard: int) -> tuple[FloatArray, FloatArray, list[FilterInnovations]]:
+def filtered(measured: FloatArray, used_count: int) -> tuple[FloatArray, FloatArray, list[FilterInnovations]]:
     """Filter a random walk of three states with the first measurements only; plain equations of the Kalman filter.
 
     Args:
@@ -24,7 +24,7 @@ def filtered(measured: FloatArray, heard: int) -> tuple[FloatArray, FloatArray, 
     mean, covariance, found = np.zeros(3), 25.0 * np.eye(3), []
     for number, one in enumerate(measured):
         covariance = covariance + WALK * np.eye(3)
-        if number < heard:
+        if number < used_count:
             of_residual = covariance + NOISE * np.eye(3)
             gain, residual = covariance @ np.linalg.inv(of_residual), one - mean
             found.append(

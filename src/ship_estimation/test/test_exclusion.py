@@ -154,13 +154,13 @@ def test_without_pairs_fault_free_sources_are_not_excluded():
 def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_separates_most():
     uses = np.array([[True] * 3, [False, True, True], [True, False, True], [False, False, True]])
     seen = no_means(4, 3)
-    seen.heard_ns[:], seen.excess[:2, 1], seen.excess[2, 0] = 0, [3.0, 2.0], 0.8
+    seen.last_measured_ns[:], seen.excess[:2, 1], seen.excess[2, 0] = 0, [3.0, 2.0], 0.8
     # The third subfilter, of one source, is consistent: it may still explain the fault.
     assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter is None
     seen.excess[2, 0] = 1.1
     assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter == 3
     agrees = no_means(4, 3)
-    agrees.heard_ns[:] = 0
+    agrees.last_measured_ns[:] = 0
     for far, told in ((6.0, 3), (5.2, None)):
         # No separation is clearly the largest, and no subfilter of one source exceeds the threshold.
         assert find_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter == told
@@ -170,7 +170,7 @@ def test_separation_isolates_nothing_after_a_rejection():
     """The main filter has not used a measurement of a subfilter: their covariances do not bound their separation."""
     uses = np.array([[True, True], [False, True], [True, False]])
     seen = no_means(3, 2)
-    seen.heard_ns[:] = 0
+    seen.last_measured_ns[:] = 0
     apart = np.array([0.0, 2000.0, 4.0])
     assert find_fault(seen, uses, apart, 5.0, [1, 2], 0).subfilter == 1
     seen.refused[0, 1] = 1
@@ -191,7 +191,7 @@ def test_single_gross_error_excludes_no_source():
 
 def test_nan_is_inconsistent():
     means = no_means(2, 1)
-    means.excess[0, 0], means.heard_ns[0] = np.nan, 0
+    means.excess[0, 0], means.last_measured_ns[0] = np.nan, 0
     uses = np.array([[True], [False]])
     assert find_fault(means, uses, np.zeros(2), 5.0, [1], 0).fault
     assert find_fault(no_means(2, 1), uses, np.array([0.0, np.nan]), 5.0, [1], 0).fault
@@ -203,7 +203,7 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
 
     def found(by_all, by_second):
         seen = no_means(3, 2)
-        seen.heard_ns[:], seen.excess[:, 0], seen.refused[[0, 2], 0] = 0, [0.9, 0.0, 0.3], [by_all, by_second]
+        seen.last_measured_ns[:], seen.excess[:, 0], seen.refused[[0, 2], 0] = 0, [0.9, 0.0, 0.3], [by_all, by_second]
         return find_fault(seen, uses, np.zeros(3), 5.0, [1, 2], 0, after)
 
     assert not found(after - 1, after).fault

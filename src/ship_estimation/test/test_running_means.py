@@ -38,7 +38,7 @@ def numpy_observed(
 ) -> InnovationMeans:
     largest, size = np.sqrt(0.5 * LIMIT), np.linalg.norm(turn, axis=-1)
     running, excess, refused = means.running.copy(), means.excess.copy(), means.refused.copy()
-    heard_ns, contradicts_ns = means.heard_ns.copy(), means.contradicts_ns.copy()
+    heard_ns, contradicts_ns = means.last_measured_ns.copy(), means.contradicts_ns.copy()
     refused[:, sources] = np.where(accepted, 0, refused[:, sources] + 1)
     now = numpy_averaged(running[:, sources], turn * (largest / np.maximum(size, largest))[..., None])
     chi2 = np.sum(now[..., :3] ** 2, axis=-1) / now[..., 4]

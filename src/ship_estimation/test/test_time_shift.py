@@ -43,4 +43,4 @@ def test_all_stamps_are_shifted_by_the_step_and_nothing_else_changes() -> None:
 
 def test_never_stamp_is_not_shifted() -> None:
     means = replace(no_means(subfilters=1, sources=2), heard_ns=np.array([LONG_AGO_NS, 50]))
-    assert with_shifted_stamps(means, 7).heard_ns.tolist() == [LONG_AGO_NS, 57]
+    assert with_shifted_stamps(means, 7).last_measured_ns.tolist() == [LONG_AGO_NS, 57]

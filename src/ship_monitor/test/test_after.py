@@ -46,7 +46,7 @@ def whole(pictures):
     return picture
 
 
-def heard_at_once(suite, since_ns, until_ns):
+def monitor_after(suite, since_ns, until_ns):
     """Return a monitor that has processed all messages between two times."""
     watch = Watch(Limits())
     for each in suite.messages(since_ns):
@@ -133,7 +133,7 @@ class TestPictures:
         pictures.go_to(at_s)
         shown = whole(pictures)
         time_ns = min(START_NS + round(at_s * NS_PER_S), suite.end_ns)
-        watch = heard_at_once(suite, max(time_ns - round(KEPT_S * NS_PER_S), 0), time_ns)
+        watch = monitor_after(suite, max(time_ns - round(KEPT_S * NS_PER_S), 0), time_ns)
         assert shown == watch.look(time_ns)
         assert pictures.history.ribbons == watch.history.ribbons
         heading = next(angle for angle in shown.angles if angle.name == "heading")

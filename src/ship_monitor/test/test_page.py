@@ -307,7 +307,7 @@ def test_old_data_have_no_ticks_ages_or_counts(browser, source, page, is_linked)
     browser.until(LIVE)
     assert OLD_COLOUR not in [colour(browser, each) for each in GREY]
     if is_linked:
-        source.set(pictures.picture(*pictures.silent(*ANGLES, age_s=19.0)))
+        source.set(pictures.picture(*pictures.angles_timed_out(*ANGLES, age_s=19.0)))
         browser.until("document.documentElement.classList.contains('stale')")
     else:
         source.fails = True

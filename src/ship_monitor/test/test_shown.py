@@ -173,7 +173,7 @@ def test_overall_safety():
 
 
 def test_sources_are_unknown_if_all_outputs_are_old():
-    old = pictures.picture(*pictures.silent(*ANGLES, age_s=19.0))
+    old = pictures.picture(*pictures.angles_timed_out(*ANGLES, age_s=19.0))
     told = shown(old, History(), "LIVE", "")
     assert told["is_stale"]
     assert (told["sources"]["is_known"], told["sources"]["head"]) == (False, "last: 8 of 8 in")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import Look, Pen, plain_text
 from ship_monitor.terminal.screen import View, selectable_names, screen, shown_alert
-from ship_testing.pictures import SHIFTED_SENSOR, SHIFTED_SENSOR_ALERT, SHIFTED_SENSOR_INPUT, NOW_NS, angle, state_with_mounting_shift, out, silent, source
+from ship_testing.pictures import SHIFTED_SENSOR, SHIFTED_SENSOR_ALERT, SHIFTED_SENSOR_INPUT, NOW_NS, angle, state_with_mounting_shift, out, angles_timed_out, source
 from ship_watch.picture import ANGLES, Event, Priority, Safety
 
 VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7")
@@ -95,7 +95,7 @@ def test_details_and_help_show_the_safety_of_all_angles():
 
 def test_nothing_looks_good_without_outputs():
     """After the end of the suite: no ticks, no counts, ages struck through; sources that were OUT stay OUT."""
-    angles = tuple(silent(*ANGLES, age_s=19.0))
+    angles = tuple(angles_timed_out(*ANGLES, age_s=19.0))
     shown = state_with_mounting_shift(angles=angles)
     lines = drawn(shown)
     all_text = [plain_text(line) for line in lines]

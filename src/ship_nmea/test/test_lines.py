@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from ship_bags.nmea.lines import BINARY, HALF, LONGEST_LINE, NOISE, TOO_LONG, heard_texts
+from ship_bags.nmea.lines import BINARY, HALF, LONGEST_LINE, NOISE, TOO_LONG, parse_line
 from ship_bags.nmea.sentences import BAD_CHECKSUM, OUT_OF_RANGE, UNKNOWN, UNPARSED, VOID, NotOfInterest, Sentence
 from ship_nmea.line_splitter import LineSplitter
 from ship_testing.ship_logs import sentence
@@ -15,7 +15,7 @@ HDT, PSXN23 = b"$HEHDT,218.53,T*12", b"$PSXN,23,0.35,-1.74,218.26,0.58*13"
 
 def said(line):
     """Return kind, name or reason of each text in a line."""
-    found = [heard.says for heard in heard_texts(line)]
+    found = [heard.says for heard in parse_line(line)]
     return [
         says.kind if isinstance(says, Sentence) else says.name if isinstance(says, NotOfInterest)
         else says.detail or says.reason for says in found
@@ -118,4 +118,4 @@ def test_noise_never_raises():
         line = bytearray(rng.choice([HDT, PSXN23, b"\\s:x*00\\" + HDT, b"$WIXDR,C,23.3,C,0,P,,B*00"]))
         for _ in range(rng.randint(0, 4)):
             line[rng.randrange(len(line))] = rng.choice(b"$*,\\!\x00\xff059ABCPSXN")
-        assert all(heard.talker == "" or len(heard.talker) == 2 for heard in heard_texts(bytes(line)))
+        assert all(heard.talker == "" or len(heard.talker) == 2 for heard in parse_line(bytes(line)))

@@ -267,13 +267,13 @@ def test_serial_line_is_unplugged_and_plugged_in(listening, tmp_path):
         device.symlink_to(os.ttyname(terminal))
         before = len(node.heard["reference/gyro/imu"])
 
-        def heard(controller=controller, before=before):
+        def has_received(controller=controller, before=before):
             os.write(controller, ended("HEHDT,10.0,T")[:7])
             time.sleep(0.01)
             os.write(controller, ended("HEHDT,10.0,T")[7:])
             return len(node.heard["reference/gyro/imu"]) > before and node.told("gyro")[0] != ERROR
 
-        node.wait_until(heard)
+        node.wait_until(has_received)
         device.unlink()
         os.close(controller)
         os.close(terminal)

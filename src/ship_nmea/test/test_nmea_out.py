@@ -69,7 +69,7 @@ def bridge(tmp_path_factory, ship):
     assert code == 0, (folder / "log.txt").read_text()
 
 
-def heard(ship, bridge, found, tell=lambda: None):
+def read_until(ship, bridge, found, tell=lambda: None):
     """Read the bridge's sentences, from now on, until ``found`` is true."""
     bridge.forget()
 
@@ -97,7 +97,7 @@ def test_attitude_is_sent_with_its_quality(ship, bridge, status, mode, quality):
         stamp = message.header.stamp
         told[f"{stamp.sec % 60:02d}.{round(stamp.nanosec / 1e6):03d}"] = message
 
-    heard(ship, bridge, lambda: shows(bridge, heading_deg) and bridge.last("SXN23"), tell)
+    read_until(ship, bridge, lambda: shows(bridge, heading_deg) and bridge.last("SXN23"), tell)
     assert bridge.last("THS").mode == mode
     assert (bridge.last("SXN20").head_qual, bridge.last("SXN20").rp_qual) == (quality, quality)
     assert bridge.last("ROT").status == "A"
@@ -131,9 +131,9 @@ def is_void(bridge):
     (None, "ship/attitude: no message for"),
 ])  # fmt: skip
 def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
-    heard(ship, bridge, lambda: shows(bridge, 55.0), lambda: ship.tell(55.0))
+    read_until(ship, bridge, lambda: shows(bridge, 55.0), lambda: ship.tell(55.0))
     ship.statuses.clear()
-    heard(ship, bridge, lambda: is_void(bridge), lambda: how and ship.tell(**how))
+    read_until(ship, bridge, lambda: is_void(bridge), lambda: how and ship.tell(**how))
     bridge.forget()
 
     def status_says_it():
@@ -148,14 +148,14 @@ def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
 
 def test_attitude_at_ten_kilohertz_is_sent_at_the_rate_of_the_sink(ship, bridge):
     """The node stays alive, its sentences are recent, and another sink keeps its own rate."""
-    heard(ship, bridge, lambda: shows(bridge, 1.0), lambda: ship.tell(1.0))
+    read_until(ship, bridge, lambda: shows(bridge, 1.0), lambda: ship.tell(1.0))
     began_s, before = time.monotonic(), bridge.file.read_text().count("HDT")
     while time.monotonic() - began_s < 3.0:
         for _ in range(500):
             ship.tell(1.0)
         bridge.forget()
         ship.spin(0.0)
-    heard(ship, bridge, lambda: shows(bridge, 2.0), lambda: ship.tell(2.0))
+    read_until(ship, bridge, lambda: shows(bridge, 2.0), lambda: ship.tell(2.0))
     lasted_s = time.monotonic() - began_s
     assert bridge.file.read_text().count("HDT") - before <= lasted_s * 1.0 + 2
     assert bridge.process.poll() is None

@@ -70,7 +70,7 @@ def test_attitude_round_trip(listening, teller):
         sent.covariance = np.diag([1e-12, 1e-12, 1e-12]).ravel()
         times_ns = set()
 
-        def heard(sent=sent, times_ns=times_ns):
+        def received_messages(sent=sent, times_ns=times_ns):
             """Return the messages of one of these attitudes; a busy machine may lose some on the way to nmea_out."""
             times_ns.add(time.time_ns() // 1_000_000 * 1_000_000)  # PASHR has milliseconds
             sent.header.stamp.sec, sent.header.stamp.nanosec = stamp_fields(max(times_ns))
@@ -78,7 +78,7 @@ def test_attitude_round_trip(listening, teller):
             time.sleep(0.02)
             return [one for one in node.heard["ins/imu"] if ns_from_stamp(one.header.stamp) in times_ns]
 
-        q = node.wait_until(heard)[0].orientation
+        q = node.wait_until(received_messages)[0].orientation
         rotation = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
         error_deg = np.rad2deg(log_rotation(rotation_from_angles(heading, pitch, roll).T @ rotation))
         # Each of three angles is rounded by half of its last digit at most.

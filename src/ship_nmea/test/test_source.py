@@ -8,7 +8,7 @@ import pytest
 
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.nmea.instrument_line import datetime_ns
-from ship_bags.nmea.lines import heard_texts
+from ship_bags.nmea.lines import parse_line
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.parameters import build
 from ship_nmea.instruments.config import NmeaInConfig
@@ -35,7 +35,7 @@ def pashr(moment):
 
 
 def taken(source, line, arrival_ns, now_ns=0, *sender):
-    return [topic for heard in heard_texts(line) for topic, _ in source.take(heard, arrival_ns, now_ns, *sender)]
+    return [topic for heard in parse_line(line) for topic, _ in source.take(heard, arrival_ns, now_ns, *sender)]
 
 
 def test_backward_jump_of_node_time_resets_the_instrument(source):
@@ -84,7 +84,7 @@ def test_attitude_has_the_time_of_the_zda_of_its_burst(source, zda_first):
         lines = [zda(moment), sentence("PSXN,23,1.0,2.0,90.0,0.20").encode()]
         for place, line in enumerate(lines if zda_first else reversed(lines)):
             arrival_ns = datetime_ns(moment) + (place + 1) * NS_PER_S // 10
-            for heard in heard_texts(line):
+            for heard in parse_line(line):
                 stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.take(heard, arrival_ns, 0)]
     assert stamps == [datetime_ns(START) + second * NS_PER_S for second in range(10)]
 
@@ -213,7 +213,7 @@ def test_odd_fields_never_raise(source):
         for _ in range(rng.randint(0, 2)):
             fields[rng.randrange(len(fields))] = rng.choice(ODD)
         line = sentence(",".join([name, *fields])).encode(errors="replace")
-        for heard in heard_texts(line):
+        for heard in parse_line(line):
             for topic, message in sources[role].take(heard, datetime_ns(START) + number, 0):
                 given += 1
                 if topic.endswith("imu"):

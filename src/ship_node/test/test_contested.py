@@ -36,7 +36,7 @@ def test_detection_by_values_ends_after_a_timeout_of_both_streams() -> None:
     for now_s in range(60):
         if now_s < 5:
             see(inputs, 20 * now_s, 20, 0.5)
-        ended_s += [now_s] * len(inputs.end_silent(now_s * 1_000_000_000))
+        ended_s += [now_s] * len(inputs.end_timed_out(now_s * 1_000_000_000))
         assert (inputs.text("ins/imu") != "") is (1 <= now_s < 35)
     assert ended_s == [35]
 

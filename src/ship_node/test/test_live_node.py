@@ -27,7 +27,7 @@ import ship_node.live.node_events as node_events
 from ship_bags.message_store import message_store
 from ship_bags.stamps import ns_from_stamp
 from ship_node.edge.adapter import TICK_PERIOD_NS
-from ship_node.live.node_clock import DEAD_AFTER_NS
+from ship_node.live.node_clock import CLOCK_TIMEOUT_NS
 from ship_node.live.node_events import LARGEST_MESSAGE_BYTES
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, TIMEOUT_S, imu_message
 from ship_testing.relay_adapter import EXPLOSIVE_FRAME
@@ -415,7 +415,7 @@ def test_timeout_of_clock_is_reported_and_timeouts_continue(live_relay):
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     name, set_time = "relay: clock", relay.clock_publisher()
     # As a paused playback does: the same time again and again.
-    end_s = time.monotonic() + DEAD_AFTER_NS * 1e-9 + 1.0
+    end_s = time.monotonic() + CLOCK_TIMEOUT_NS * 1e-9 + 1.0
     while time.monotonic() < end_s:
         set_time(1000.0)
         relay.spin()

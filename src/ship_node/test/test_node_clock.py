@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32
 
-from ship_node.live.node_clock import CLOCK_DEPTH, TickGrid, WaitingClock, queue_clock
+from ship_node.live.node_clock import CLOCK_DEPTH, TickGrid, TimeoutClock, queue_clock
 
 COUNT = 200
 
@@ -98,7 +98,7 @@ def test_restart_skips_missed_ticks():
 
 def test_timeout_clock_counts_only_listening_time() -> None:
     start_ns, steady_ns = 1_700_000_000_000_000_000, 5_000_000_000
-    clock = WaitingClock(lambda: steady_ns)
+    clock = TimeoutClock(lambda: steady_ns)
     assert clock.now_ns(start_ns) == start_ns
     steady_ns += 1_200_000_000
     # No reading for that time: the node stood still.

@@ -22,7 +22,7 @@ from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, repl
 from ship_replay.trials.one_fault import one_fault_lines
 from ship_replay.trials.passage import UNDETECTABLE_CASES, UNREPORTED_CASES, Passage
 from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, draw_faults
-from ship_replay.trials.voyage_told import EXCLUSION, SILENT, Claim, HealthBook, Sign, Told, VoyageSink
+from ship_replay.trials.voyage_told import EXCLUSION, NO_DATA, Claim, HealthBook, Sign, Told, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems
@@ -259,7 +259,7 @@ def test_repeated_own_rejections_precede_later_exclusions():
     # Once is no pattern; and a star in the gate is refused by comparison, which may be the others' fault.
     assert named(ins[0], *aside) == {"star.bow", "star.port"}
     assert named(*STARS_REFUSED, *ins) == {"ins"}
-    assert named(("theodolite/encoder", 10.2, SILENT), *STARS_REFUSED, ("theodolite/encoder", 11.2, SILENT)) == {
+    assert named(("theodolite/encoder", 10.2, NO_DATA), *STARS_REFUSED, ("theodolite/encoder", 11.2, NO_DATA)) == {
         "theodolite/encoder"
     }
     assert named(("star.bow", 10.0, "frame"), ("star.bow", 10.1, "frame"), *aside) == {"star.bow"}
@@ -346,7 +346,7 @@ def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():
     # The same counts again, and refusals that rest on others, say nothing new of the input itself.
     assert reported(book, 3, "ins/imu", 300, {"frame": 2, "excluded": 4}) == []
     assert reported(book, 3, "ins/imu", 290, {"frame": 1}) == [("ins/imu", "frame")]
-    assert reported(book, 4, "ins/imu", 300, {"frame": 2}, level=1) == [("ins/imu", SILENT)]
+    assert reported(book, 4, "ins/imu", 300, {"frame": 2}, level=1) == [("ins/imu", NO_DATA)]
     assert reported(book, 4, "ins/imu", 290, {"frame": 1}) == []
 
 

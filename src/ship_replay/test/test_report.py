@@ -26,7 +26,7 @@ from ship_watch.picture import Event, Safety
 
 @pytest.fixture(scope="module")
 def night_path(tmp_path_factory):
-    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", silent=(20, 25), refused=range(30, 37))
+    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), refused=range(30, 37))
 
 
 def test_every_section_in_its_order_and_nothing_of_the_network(night_path):

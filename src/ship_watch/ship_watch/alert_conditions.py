@@ -37,7 +37,7 @@ _VERBS = {"no stars": "sees ", "no lights": "sees "}
 _LATE = ": late"
 """Ending of the reason of a source whose data arrive too late to be used; the alert's value is then their delay."""
 
-_SILENT = ("no data", "never received", "not reported")
+_NO_DATA_ENDINGS = ("no data", "never received", "not reported")
 """Endings of reasons for which the alert's value is the age of the source."""
 
 _NODE_STATUSES = {
@@ -120,13 +120,13 @@ def _output_conditions(picture: Picture, shown: tuple[FunctionShown, ...], limit
     for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
         members = [one for one in shown if one.output == output and one.safety]
         above = () if output == ATTITUDE else ("attitude.silent", "attitude.degraded")
-        if silent := [one for one in members if one.is_silent or math.isinf(one.angle.age_s)]:
-            never = all(math.isinf(one.angle.age_s) for one in silent)
+        if missing := [one for one in members if one.is_output_missing or math.isinf(one.angle.age_s)]:
+            never = all(math.isinf(one.angle.age_s) for one in missing)
             yield Condition(
                 f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
-                f"{topic} never received" if never else _alert_text(silent, f"no data on {topic}"),
+                f"{topic} never received" if never else _alert_text(missing, f"no data on {topic}"),
                 becomes_alarm=never, may_be_startup=never, is_blind=never,
-                under=above[:1] if never else (), lost=_lost(silent),
+                under=above[:1] if never else (), lost=_lost(missing),
             )
             continue
         members = [one for one in members if not _is_over_for_a_moment(one, limits)]
@@ -195,7 +195,7 @@ def _out(
     cause = f"{shown_name} arrives late" if is_late else f"{shown_name} {_VERBS.get(reason, '')}{reason}"
     text = _alert_text(taken, cause) if lost else f"{shown_name} out: {'arrives late' if is_late else reason}"
     value, unit = (source.residual, "sigma") if math.isfinite(source.residual) else (math.nan, "")
-    if source.reason.endswith(_SILENT):
+    if source.reason.endswith(_NO_DATA_ENDINGS):
         value, unit = source.age_s, "s"
     if is_late:
         delays_s = [one.latency_s for one in picture.inputs if one.topic in source.topics]

@@ -10,14 +10,14 @@ from typing import Any
 
 from ship_watch.picture import Presence, SourceStanding
 
-FRESH_NS = 5_000_000_000
+REPORT_TIMEOUT_NS = 5_000_000_000
 """Maximum age of an overload report for the node to count as overloaded, ns. Reports come once a second, and less often
 if the node hardly runs."""
 
-_NEW_OVERLOAD_NS = 2 * FRESH_NS
+_NEW_OVERLOAD_NS = 2 * REPORT_TIMEOUT_NS
 """Time without a report after which the next report starts a new overload, ns."""
 
-_BEFORE_NS = FRESH_NS
+_BEFORE_NS = REPORT_TIMEOUT_NS
 """Time before the first report within which a source that goes OUT is attributed to the overload, ns."""
 
 _NODES = ("ship_attitude", "star_attitude", "optical_axis")
@@ -90,4 +90,4 @@ class BehindBook:
 
     def _is_behind(self, node: str, now_ns: int) -> bool:
         known = self._nodes.get(node)
-        return known is not None and now_ns - known.reported_ns <= FRESH_NS
+        return known is not None and now_ns - known.reported_ns <= REPORT_TIMEOUT_NS

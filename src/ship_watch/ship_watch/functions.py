@@ -48,7 +48,7 @@ class FunctionShown:
     safety: Safety | None
     angle: AngleShown
     because_of: str
-    is_silent: bool
+    is_output_missing: bool
     over_s: float
     sources: tuple[SourceShown, ...]
 
@@ -180,7 +180,7 @@ def _function_text(function: FunctionShown) -> str:
 def _level(function: FunctionShown) -> int:
     if function.safety is None:
         return 0
-    return 3 if function.is_silent else int(function.safety)
+    return 3 if function.is_output_missing else int(function.safety)
 
 
 def _badness(angle: AngleShown) -> tuple[int, float]:

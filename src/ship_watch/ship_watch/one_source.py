@@ -44,7 +44,7 @@ class SourceFault:
     because_of: str = ""
 
 
-class HeardSource:
+class SourceRecord:
     """Reports and measurement decisions of one source.
 
     Attributes:
@@ -119,11 +119,11 @@ class HeardSource:
         topics = list(self.topics.values())
         if missed := [topic for topic in topics if topic.is_expected]:
             return SourceFault(_with_members("never received", missed, topics))
-        if silent := [topic for topic in topics if topic.is_silent(now_ns)]:
-            since_ns = min(topic.arrived_ns or 0 for topic in silent) + utc_offset_ns
-            if all(topic.is_untold(now_ns) for topic in silent):
+        if timed_out := [topic for topic in topics if topic.is_timed_out(now_ns)]:
+            since_ns = min(topic.arrived_ns or 0 for topic in timed_out) + utc_offset_ns
+            if all(topic.is_untold(now_ns) for topic in timed_out):
                 return SourceFault("not reported", since_ns, ITS_NODE)
-            return SourceFault(_with_members("no data", silent, topics), since_ns)
+            return SourceFault(_with_members("no data", timed_out, topics), since_ns)
         worst: tuple[str, Streak] | None = None
         for key, streak in self.streaks.items():
             streak.reinstate_if_used(now_ns, self.period_ns, self.used - self.used_at_refusal.get(key, 0))

@@ -23,7 +23,7 @@ _ONE_LIGHT, _ENCODER = 1, 2
 _STARS, _STARS_AND_LIGHTS = 3, 4
 
 
-class OutputHeard:
+class OutputRecord:
     """Last message of an output, with its last Integrity.
 
     Args:
@@ -52,7 +52,7 @@ class OutputHeard:
         self._integrity_age_ns = INTEGRITY_AGE_NS
 
     @property
-    def is_heard(self) -> bool:
+    def is_received(self) -> bool:
         """True if the output was received at least once."""
         return self._arrived_ns is not None
 
@@ -114,7 +114,7 @@ class OutputHeard:
         return changes
 
 
-class AttitudeHeard(OutputHeard):
+class AttitudeRecord(OutputRecord):
     """``ship/attitude``: heading, pitch and roll."""
 
     topic: ClassVar[str] = "ship/attitude"
@@ -143,7 +143,7 @@ class AttitudeHeard(OutputHeard):
 
     def star_age_s(self, now_ns: int) -> float:
         """Return the time since the last used star attitude, s; infinite before the first."""
-        return self._star_age_s + (self.age_s(now_ns) if self.is_heard else 0.0)
+        return self._star_age_s + (self.age_s(now_ns) if self.is_received else 0.0)
 
     def ins_age_s(self, reported_s: float, now_ns: int) -> float:
         """Return the time since the last INS sample, s: an attitude from the INS is published at each sample."""
@@ -157,7 +157,7 @@ class AttitudeHeard(OutputHeard):
         return f"no stars for {age_s:.0f} s" if self.status is Status.COASTING else ""
 
 
-class PointingHeard(OutputHeard):
+class PointingRecord(OutputRecord):
     """``theodolite/pointing``: azimuth and elevation of the main axis."""
 
     topic: ClassVar[str] = "theodolite/pointing"
@@ -170,7 +170,7 @@ class PointingHeard(OutputHeard):
     @property
     def by(self) -> str:
         """Method of the pointing, for people: "2 lights", "encoder"; empty before the first."""
-        if not self.is_heard:
+        if not self.is_received:
             return ""
         if self.status is Status.INVALID:
             return "no pointing"

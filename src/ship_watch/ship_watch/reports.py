@@ -13,16 +13,16 @@ from ship_watch.picture import InputShown
 WINDOW_NS = 60_000_000_000
 """Time over which rejections are counted, ns."""
 
-LEAST_SILENCE_NS = 2_000_000_000
+MIN_TIMEOUT_NS = 2_000_000_000
 """Minimum timeout of a topic, ns."""
 
-SILENT_PERIODS = 3.0
+TIMEOUT_PERIODS = 3.0
 """Timeout of a topic in its periods."""
 
-UNKNOWN_PERIOD_NS = 5_000_000_000
+UNKNOWN_RATE_TIMEOUT_NS = 5_000_000_000
 """Timeout of a topic whose rate is not known yet, ns."""
 
-_FORGOTTEN_NS = 10_000_000_000
+_REPORTER_TIMEOUT_NS = 10_000_000_000
 """Time without a report after which a node no longer counts as reporting, ns."""
 
 _MOST_REPORTERS = 16
@@ -41,7 +41,7 @@ class _Reporter:
 
     number: int
     stamp_ns: int
-    heard_ns: int
+    received_ns: int
     received: int
     accepted: int
     rejected: int
@@ -74,9 +74,9 @@ class TopicReports:
         used: number of messages used so far, by the node that has used most of them.
     """
 
-    def __init__(self, topic: str, longest_s: float = 0.0) -> None:
+    def __init__(self, topic: str, timeout_s: float = 0.0) -> None:
         self.topic = topic
-        self._longest_ns = longest_s * 1e9
+        self._configured_timeout_ns = timeout_s * 1e9
         self.arrived_ns: int | None = None
         self.reported_ns: int | None = None
         self.rate_hz = math.nan
@@ -87,7 +87,7 @@ class TopicReports:
         self._level = 0
         self._has_come = False
         self._reporters: list[_Reporter] = []
-        self._silence_ns = self._silence()
+        self._timeout_ns = self._computed_timeout_ns()
         self._nodes = 0
         self._refused: deque[tuple[int, int, int, dict[str, int]]] = deque(maxlen=_MOST_REPORTS)
 
@@ -109,10 +109,10 @@ class TopicReports:
         if report.received:
             self._note_arrival(message, report, before)
         self.used = max(reporter.accepted for reporter in self._reporters)
-        self._silence_ns = self._silence()
+        self._timeout_ns = self._computed_timeout_ns()
         return is_new
 
-    def heard(self, now_ns: int) -> None:
+    def record_arrival(self, now_ns: int) -> None:
         """Record the arrival of a message of the topic, ns."""
         self.arrived_ns = now_ns if self.arrived_ns is None else max(self.arrived_ns, now_ns)
 
@@ -132,7 +132,7 @@ class TopicReports:
             now_ns = self.reported_ns
         return max(0, now_ns - self.arrived_ns) * 1e-9
 
-    def is_silent(self, now_ns: int) -> bool:
+    def is_timed_out(self, now_ns: int) -> bool:
         """True if no message arrived within the timeout.
 
         After a report with new messages, only the next report can show that they have stopped. A late report, as on a
@@ -140,17 +140,17 @@ class TopicReports:
         """
         if self.arrived_ns is None or (self._has_come and not self.is_untold(now_ns)):
             return False
-        return now_ns - self.arrived_ns >= self._silence_ns
+        return now_ns - self.arrived_ns >= self._timeout_ns
 
-    def _silence(self) -> float:
+    def _computed_timeout_ns(self) -> float:
         """Return the timeout of the topic, ns.
 
         A report does not include messages that arrive after it, so that a long report period lengthens the timeout.
         """
         is_unknown = math.isnan(self.period_ns)
         period_ns = 0.0 if is_unknown else self.period_ns
-        least_ns = UNKNOWN_PERIOD_NS if is_unknown else LEAST_SILENCE_NS
-        limit_ns = self._longest_ns or max(least_ns, SILENT_PERIODS * period_ns)
+        least_ns = UNKNOWN_RATE_TIMEOUT_NS if is_unknown else MIN_TIMEOUT_NS
+        limit_ns = self._configured_timeout_ns or max(least_ns, TIMEOUT_PERIODS * period_ns)
         return max(limit_ns, 1.5 * self._report_period_ns + period_ns)
 
     def is_untold(self, now_ns: int) -> bool:
@@ -191,10 +191,10 @@ class TopicReports:
             self.period_ns = 1e9 / float(message.rate_hz)
         since_s = float(message.age_s - message.latency_s)
         if math.isfinite(since_s):
-            self.heard(report.heard_ns - round(max(since_s, 0.0) * 1e9))
-        if before and self._has_come and (self.arrived_ns is None or self.arrived_ns <= before.heard_ns):
+            self.record_arrival(report.received_ns - round(max(since_s, 0.0) * 1e9))
+        if before and self._has_come and (self.arrived_ns is None or self.arrived_ns <= before.received_ns):
             passed_ns = 0.0 if math.isnan(self.period_ns) else come * self.period_ns
-            self.heard(min(report.heard_ns, before.heard_ns + round(passed_ns)))
+            self.record_arrival(min(report.received_ns, before.received_ns + round(passed_ns)))
 
     def _assign(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
         """Replace the report that this one follows; if it may follow several, the oldest.
@@ -209,18 +209,18 @@ class TopicReports:
         )
         if before is None:
             is_new = bool(self._reporters)
-            fresh = [known for known in self._reporters if report.heard_ns - known.heard_ns < _FORGOTTEN_NS]
+            fresh = [known for known in self._reporters if report.received_ns - known.received_ns < _REPORTER_TIMEOUT_NS]
             self._reporters = fresh[-_MOST_REPORTERS:]
             self._nodes += 1
             report.number = self._nodes
             self._reporters.append(report)
             return is_new, None
-        if before.heard_ns < report.heard_ns:
-            self._report_period_ns = min(max(float(report.heard_ns - before.heard_ns), 1e8), 1e10)
+        if before.received_ns < report.received_ns:
+            self._report_period_ns = min(max(float(report.received_ns - before.received_ns), 1e8), 1e10)
         report.number = before.number
         grown = {word: n - before.reasons.get(word, 0) for word, n in report.reasons.items()}
         grown = {word: n for word, n in grown.items() if n > 0}
         if grown:
-            self._refused.append((report.heard_ns, report.number, report.rejected - before.rejected, grown))
+            self._refused.append((report.received_ns, report.number, report.rejected - before.rejected, grown))
         self._reporters[self._reporters.index(before)] = report
         return False, before

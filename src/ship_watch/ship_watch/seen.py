@@ -17,7 +17,7 @@ from ship_watch.history import History, LightPoint, StarsSeen, append
 _REMEMBERED = 8
 """Number of messages that wait for their counterpart."""
 
-_PATIENCE_NS = 3_000_000_000
+_INNOVATION_TIMEOUT_NS = 3_000_000_000
 """Time without an innovation after which lights are shown without residuals, ns."""
 
 _NOWHERE = np.empty(0)
@@ -110,7 +110,7 @@ class LightsSeenBook:
             utc_ns, came_ns, image = self._images[0]
             verdict = told.get(utc_ns)
             later = any(verdict_ns > utc_ns for verdict_ns in told)
-            if verdict is None and not later and now_ns - came_ns < _PATIENCE_NS:
+            if verdict is None and not later and now_ns - came_ns < _INNOVATION_TIMEOUT_NS:
                 return
             self._images.popleft()
             residuals = _by_part(verdict) if verdict is not None else {}

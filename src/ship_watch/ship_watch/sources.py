@@ -12,7 +12,7 @@ from typing import Any
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.limits import Limits
 from ship_watch.names import MOST_NAMES, has_room
-from ship_watch.one_source import HeardSource, SourceFault, standing_off
+from ship_watch.one_source import SourceRecord, SourceFault, standing_off
 from ship_watch.picture import Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
 from ship_watch.streak import Streak
@@ -41,7 +41,7 @@ class SourceBook:
     def __init__(self, limits: Limits) -> None:
         self.has_theodolite, self.beacon_count = False, 0
         self._limits = limits
-        self._sources: dict[str, HeardSource] = {}
+        self._sources: dict[str, SourceRecord] = {}
         self._reports: dict[str, TopicReports] = {}
 
     @property
@@ -82,10 +82,10 @@ class SourceBook:
             self._source_record(name).note_reports()
         return has_started
 
-    def heard(self, topic: str, now_ns: int) -> None:
+    def record_arrival(self, topic: str, now_ns: int) -> None:
         """Record the arrival of a message of an input topic."""
         if topic in self._reports:
-            self._reports[topic].heard(now_ns)
+            self._reports[topic].record_arrival(now_ns)
 
     def note_innovation(self, topic: str, message: Any, now_ns: int) -> str:
         """Record an Innovation received on a topic; return the name of its source, empty if it has none."""
@@ -144,7 +144,7 @@ class SourceBook:
 
     def shown(self, standings: Iterable[SourceStanding], now_ns: int) -> list[SourceShown]:
         """Return the displayed data of all sources, for states from :meth:`source_states`."""
-        return [(self._sources.get(each.name) or HeardSource(each.name)).shown(each, now_ns) for each in standings]
+        return [(self._sources.get(each.name) or SourceRecord(each.name)).shown(each, now_ns) for each in standings]
 
     def _not_configured(self) -> list[str]:
         """Return the usual instruments of a ship for which no node has reported a topic."""
@@ -152,7 +152,7 @@ class SourceBook:
         usual += ["lights", "encoder", "baselines"] if self.has_theodolite else []
         return [name for name in usual if name not in self._sources]
 
-    def _streak(self, source: HeardSource, key: tuple[str, str]) -> Streak:
+    def _streak(self, source: SourceRecord, key: tuple[str, str]) -> Streak:
         streak = source.streaks.get(key)
         if streak is None:
             limits = self._limits.input_limits(source.name)
@@ -165,9 +165,9 @@ class SourceBook:
         is_ins = source == "ship_attitude" and "ship/attitude" not in self._reports and "ins/imu" in self._reports
         return "ins" if is_ins else source
 
-    def _source_record(self, name: str) -> HeardSource:
+    def _source_record(self, name: str) -> SourceRecord:
         if name not in self._sources:
-            self._sources[name] = HeardSource(name)
+            self._sources[name] = SourceRecord(name)
         return self._sources[name]
 
 

@@ -71,7 +71,7 @@ class AngleClaim:
     """
 
     topic: str
-    is_heard: bool
+    is_received: bool
     is_old: bool
     value: float
     accuracy_95: float
@@ -92,7 +92,7 @@ def word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
 
 
 def _word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
-    if not claim.is_heard:
+    if not claim.is_received:
         return Safety.UNSAFE, f"waiting for {claim.topic}"
     fault_text = _fault_text(claim.faulty_source)
     if claim.is_old:

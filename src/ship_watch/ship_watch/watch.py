@@ -24,7 +24,7 @@ from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
 from ship_watch.mounting_shifts import MountingShifts
 from ship_watch.names import has_room
-from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
+from ship_watch.outputs import AttitudeRecord, OutputRecord, PointingRecord
 from ship_watch.picture import (
     ANGLES,
     ITS_NODE,
@@ -94,7 +94,7 @@ class Watch:
     def _forget(self) -> None:
         self._keeper = self._make_keeper()
         self._takers.clear()
-        self._attitude, self._pointing = AttitudeHeard(self.limits), PointingHeard(self.limits)
+        self._attitude, self._pointing = AttitudeRecord(self.limits), PointingRecord(self.limits)
         self._book = SourceBook(self.limits)
         self._behind = BehindBook()
         self._mountings = MountingShifts()
@@ -155,7 +155,7 @@ class Watch:
             return lambda message, _: keeper.note_truth(topic, message)
         return takers.get(last, functools.partial(self._take_seen, topic))
 
-    def _take_output(self, output: OutputHeard, message: Any, now_ns: int) -> None:
+    def _take_output(self, output: OutputRecord, message: Any, now_ns: int) -> None:
         stamp_ns = ns_from_stamp(message.header.stamp)
         if message.status != Status.INVALID and stamp_ns < output.stamp_ns - BACK_NS:
             self._forget()
@@ -165,7 +165,7 @@ class Watch:
         changes = output.note(message, stamp_ns, now_ns)
         for kind, text in changes:
             self._events.tell(kind, output.topic, text, stamp_ns)
-        self._book.heard(output.topic, now_ns)
+        self._book.record_arrival(output.topic, now_ns)
         self._keeper.note_output(output.topic, message, stamp_ns)
 
     def _take_innovation(self, topic: str, message: Any, now_ns: int) -> None:
@@ -181,7 +181,7 @@ class Watch:
         self._mountings.note_alignment(message)
 
     def _take_seen(self, topic: str, message: Any, now_ns: int) -> None:
-        self._book.heard(topic, now_ns)
+        self._book.record_arrival(topic, now_ns)
         if topic.endswith("/solution"):
             self._book.note_solution(source_of_topic(topic), message, now_ns)
         self._keeper.note_seen(topic, message, now_ns)
@@ -235,7 +235,7 @@ class Watch:
             alerts=self._alerts,
             inputs=tuple(reports.shown(now_ns) for reports in self._book.inputs),
             events=tuple(self._events.events),
-            waiting_for="" if self._attitude.is_heard else self._attitude.topic,
+            waiting_for="" if self._attitude.is_received else self._attitude.topic,
         )
         published = self._current_state(now_ns)
         return picture if published is None else published.shown_in(picture, now_ns)
@@ -270,7 +270,7 @@ class Watch:
         words: dict[str, tuple[Safety, str]] = {}
         for name, claim in self._claims(sources, now_ns).items():
             self._over[name].note(claim, now_ns)
-            if self._output(name).is_heard:
+            if self._output(name).is_received:
                 now = angle_word(claim)
                 self._words[name].note(now, now_ns)
                 shown = self._words[name].shown_word(now, now_ns)
@@ -302,7 +302,7 @@ class Watch:
         has_node_stopped = any(source.because_of == ITS_NODE for source in sources)
         ship = first_faulty_source(sources, _SHIP_SOURCES if self._attitude.is_claimed(now_ns) else _SHIP_NEEDS)
         claims = {name: self._claim(name, ship, now_ns) for name in ANGLES[:3]}
-        if self._pointing.is_heard or self._book.has_theodolite:
+        if self._pointing.is_received or self._book.has_theodolite:
             needed = _POINTING_SOURCES if self._pointing.is_claimed(now_ns) else _POINTING_NEEDS
             faulty_source = first_faulty_source(sources, needed) or ship
             claims |= {name: self._claim(name, faulty_source, now_ns) for name in ANGLES[3:]}
@@ -315,7 +315,7 @@ class Watch:
         behind = self._behind.text(now_ns, output is self._pointing, self._book.reads(self._attitude.topic))
         return AngleClaim(
             topic=output.topic,
-            is_heard=output.is_heard,
+            is_received=output.is_received,
             is_old=output.is_old(now_ns),
             value=output.values.get(name, math.nan),
             accuracy_95=output.accuracies_95.get(name, math.nan),
@@ -344,11 +344,11 @@ class Watch:
             age_s=output.age_s(now_ns),
             is_old=claim.is_old,
             stamp_ns=output.stamp_ns,
-            since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if claim.is_heard else 0,
+            since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if claim.is_received else 0,
             because_of=claim.faulty_source.name if claim.faulty_source is not None and word is not Safety.SAFE else "",
             over_s=self._over[name].lasted_s(now_ns),
             now=(now.word, now.reason),
         )
 
-    def _output(self, name: str) -> OutputHeard:
+    def _output(self, name: str) -> OutputRecord:
         return self._attitude if name in ANGLES[:3] else self._pointing

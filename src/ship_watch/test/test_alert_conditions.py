@@ -11,11 +11,11 @@ from ship_testing.pictures import (
     angle,
     late_input,
     lost,
-    never_heard,
+    angles_without_data,
     out,
     over,
     picture,
-    silent,
+    angles_timed_out,
     source,
 )
 from ship_watch.alert_advice import ADVICE, kind_of
@@ -40,13 +40,13 @@ def node(name: str, level: int = 2, **values: str) -> Machine:
 ATTITUDE, ANGLES_OF_POINTING = ("heading", "pitch", "roll"), ("azimuth", "elevation")
 
 CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
-    ("attitude.silent", "alarm"): (picture(*silent(*ATTITUDE)), None),
-    ("attitude.silent", "warning"): (picture(*never_heard(*ATTITUDE, *ANGLES_OF_POINTING)), None),
+    ("attitude.silent", "alarm"): (picture(*angles_timed_out(*ATTITUDE)), None),
+    ("attitude.silent", "warning"): (picture(*angles_without_data(*ATTITUDE, *ANGLES_OF_POINTING)), None),
     ("attitude.degraded", "alarm"): (picture(lost("heading")), None),
     ("attitude.degraded", "warning"): (picture(over("roll")), None),
     ("attitude.degraded", "caution"): (picture(angle("pitch", **UNCHECKED)), None),
-    ("pointing.silent", "alarm"): (picture(*silent(*ANGLES_OF_POINTING)), None),
-    ("pointing.silent", "warning"): (picture(*never_heard(*ANGLES_OF_POINTING)), None),
+    ("pointing.silent", "alarm"): (picture(*angles_timed_out(*ANGLES_OF_POINTING)), None),
+    ("pointing.silent", "warning"): (picture(*angles_without_data(*ANGLES_OF_POINTING)), None),
     ("pointing.degraded", "alarm"): (picture(lost("elevation")), None),
     ("pointing.degraded", "warning"): (picture(over("azimuth")), None),
     ("pointing.degraded", "caution"): (picture(angle("azimuth", **UNCHECKED)), None),
@@ -188,13 +188,13 @@ def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
 def test_ended_node_is_one_situation() -> None:
     """No attitude, no reports of its sources, invalid pointing: one alarm."""
     gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.fore", "star.starboard")]
-    angles = [*silent(*ATTITUDE), lost("azimuth"), lost("elevation")]
+    angles = [*angles_timed_out(*ATTITUDE), lost("azimuth"), lost("elevation")]
     assert list(told(picture(*gone, *angles))) == ["attitude.silent"]
 
 
 def test_suite_with_pointing_only_needs_no_attitude() -> None:
     """A suite with a pointing that never published an attitude has no attitude functions."""
-    shown = picture(*never_heard(*ATTITUDE))
+    shown = picture(*angles_without_data(*ATTITUDE))
     assert told(shown) == {}
     assert [one.safety for one in functions(shown)] == [None, None, Safety.SAFE]
 

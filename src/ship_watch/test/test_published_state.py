@@ -8,7 +8,7 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_geometry.rotations import ARCSEC
-from ship_testing.pictures import NOW_NS, lost, out, over, picture, silent, source
+from ship_testing.pictures import NOW_NS, lost, out, over, picture, angles_timed_out, source
 from ship_watch.picture import Picture, Presence, Safety
 from ship_watch.published_state import (
     LONGEST_AGE_NS,
@@ -26,7 +26,7 @@ PICTURES = {
         out("lights", "needs ship_attitude", because_of="ship_attitude"), lost("heading", "ins"), over("roll"),
         source("star.starboard", mounting_shift=51.0 * ARCSEC), source("gnss", presence=Presence.OFF),
     ),
-    "silent": picture(*silent("heading", "pitch", "roll"), ages_s={"stars": math.inf, "lights": math.nan, "ins": 7.0}),
+    "silent": picture(*angles_timed_out("heading", "pitch", "roll"), ages_s={"stars": math.inf, "lights": math.nan, "ins": 7.0}),
 }
 
 

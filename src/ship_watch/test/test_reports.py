@@ -27,7 +27,7 @@ def at(second: float) -> int:
     return round(second * SECOND)
 
 
-def heard(seconds: int, longest_s: float = 0.0, **of_report: float) -> TopicReports:
+def received_reports(seconds: int, longest_s: float = 0.0, **of_report: float) -> TopicReports:
     reports = TopicReports("star/bow/solution", longest_s)
     for second in range(seconds + 1):
         reports.note(report(second, 5 * second, **of_report), at(second))  # type: ignore[arg-type]
@@ -35,7 +35,7 @@ def heard(seconds: int, longest_s: float = 0.0, **of_report: float) -> TopicRepo
 
 
 def test_age_counts_from_arrival_not_from_the_stamp() -> None:
-    reports = heard(10)
+    reports = received_reports(10)
     # Stamped 0.2 s ago, as messages arrive 0.1 s after their stamps.
     assert reports.age_s(at(10.0)) == pytest.approx(0.1)
     assert reports.age_s(at(10.9)) == pytest.approx(0.1)  # the next report is not due
@@ -49,52 +49,52 @@ def test_stamps_of_another_time_are_no_timeout() -> None:
         message.latency_s = 26_784_000.0
         reports.note(message, at(second))
     assert reports.age_s(at(10.0)) == pytest.approx(0.01, abs=1e-6)
-    assert not reports.is_silent(at(10.9))
+    assert not reports.is_timed_out(at(10.9))
 
 
 def test_timeout_after_two_seconds_or_three_periods() -> None:
-    reports = heard(10)
+    reports = received_reports(10)
     reports.note(report(11, 50, age_s=1.2), at(11))
-    assert not reports.is_silent(at(11.8))
-    assert reports.is_silent(at(11.9))
+    assert not reports.is_timed_out(at(11.8))
+    assert reports.is_timed_out(at(11.9))
     slow = TopicReports("met/pressure")
     for second in range(42):
         slow.note(report(second, 1 + second // 4, age_s=0.1 + second % 4, rate_hz=0.25), at(second))
-    assert not slow.is_silent(at(51.9))
-    assert slow.is_silent(at(52.1))
+    assert not slow.is_timed_out(at(51.9))
+    assert slow.is_timed_out(at(52.1))
 
 
 def test_late_report_is_no_timeout_of_the_topic() -> None:
     """After a report with new messages, a timeout needs the next report, or a long time without one."""
-    reports = heard(10)
-    assert not reports.is_silent(at(12.9))
+    reports = received_reports(10)
+    assert not reports.is_timed_out(at(12.9))
     assert not reports.is_untold(at(12.9))
     reports.note(report(12.9, 64), at(12.9))
-    assert not reports.is_silent(at(15.8))
-    assert reports.is_silent(at(30.0))
+    assert not reports.is_timed_out(at(15.8))
+    assert reports.is_timed_out(at(30.0))
     assert reports.is_untold(at(30.0))
 
 
 def test_timeout_can_be_configured() -> None:
-    reports = heard(10, longest_s=30.0)
-    assert not reports.is_silent(at(20.0))
-    assert reports.is_silent(at(40.0))
+    reports = received_reports(10, longest_s=30.0)
+    assert not reports.is_timed_out(at(20.0))
+    assert reports.is_timed_out(at(40.0))
 
 
 def test_decreasing_mean_rate_does_not_lengthen_the_timeout() -> None:
-    reports = heard(10)
+    reports = received_reports(10)
     for second in range(11, 15):
         reports.note(report(second, 50, age_s=second - 9.8, rate_hz=5.0 * (20 - second) / 20), at(second))
     assert reports.period_ns == pytest.approx(0.2e9)
-    assert reports.is_silent(at(11.9))
+    assert reports.is_timed_out(at(11.9))
 
 
 def test_rejected_messages_count_as_arrived() -> None:
-    reports = heard(10)
+    reports = received_reports(10)
     for second in range(11, 31):
         told = report(second, 5 * second, age_s=second - 9.8, rejected=5 * (second - 10), excluded=5 * (second - 10))
         reports.note(told, at(second))
-        assert not reports.is_silent(at(second + 0.9))
+        assert not reports.is_timed_out(at(second + 0.9))
     assert reports.shown(at(30.5)).refused_60s == 100
     assert reports.shown(at(30.5)).reasons == {"excluded": 100}
     assert reports.shown(at(89.0)).refused_60s == pytest.approx(10, abs=5)  # those of the last two seconds
@@ -113,7 +113,7 @@ def test_two_nodes_on_one_topic_are_no_restarts() -> None:
 
 
 def test_restart_of_a_node_is_reported_once() -> None:
-    reports = heard(10)
+    reports = received_reports(10)
     started = [reports.note(report(second, 5 * (second - 12)), at(second)) for second in range(13, 20)]
     assert started == [True, False, False, False, False, False, False]
     assert reports.shown(at(19.0)).refused_60s == 0
@@ -122,22 +122,22 @@ def test_restart_of_a_node_is_reported_once() -> None:
 def test_timeout_is_longer_before_the_rate_is_known() -> None:
     reports = TopicReports("met/pressure")
     reports.note(report(0, 1, age_s=0.1, rate_hz=math.nan), at(0))
-    assert not reports.is_silent(at(4.9))
-    assert reports.is_silent(at(5.1))
+    assert not reports.is_timed_out(at(4.9))
+    assert reports.is_timed_out(at(5.1))
 
 
 def test_topic_that_was_never_received() -> None:
     reports = TopicReports("gnss/fix")
     reports.note(report(0, 0, age_s=math.nan, rate_hz=math.nan), at(0))
     assert math.isinf(reports.age_s(at(1.0)))
-    assert not reports.is_silent(at(100.0))
+    assert not reports.is_timed_out(at(100.0))
     assert not reports.is_expected
     told = report(6, 0, age_s=math.nan, rate_hz=math.nan)
     told.level = 2
     reports.note(told, at(6))
     assert reports.is_expected
     # The monitor may receive a topic that the node does not, because of another quality of service.
-    reports.heard(at(6.5))
+    reports.record_arrival(at(6.5))
     assert reports.is_expected
     came = report(7, 3, age_s=0.1)
     reports.note(came, at(7))

@@ -19,7 +19,7 @@ KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 1
 FLOAT = replace(KNOCKED, name="baselines", reason="a 81 rejected in a row: not fixed")
 GOOD = AngleClaim(
     topic="ship/attitude",
-    is_heard=True,
+    is_received=True,
     is_old=False,
     value=0.6,
     accuracy_95=4.0,

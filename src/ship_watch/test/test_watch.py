@@ -52,7 +52,7 @@ def health(ns: int, topic: str, received: int, rate_hz: float = 5.0, age_s: floa
     )  # fmt: skip
 
 
-def heard(until_s: float, start_s: float = 0.0, **of_attitude: Any) -> Watch:
+def monitor_after(until_s: float, start_s: float = 0.0, **of_attitude: Any) -> Watch:
     """Return a monitor that has received a good suite for some seconds, at 10 Hz; its time starts at 1000 s."""
     watch = Watch()
     go_on(watch, start_s, until_s, **of_attitude)
@@ -85,7 +85,7 @@ def test_missing_output_is_named_before_the_first_message() -> None:
 
 
 def test_good_suite_is_safe_and_has_its_time() -> None:
-    picture = heard(10.0).look(at(10.3))
+    picture = monitor_after(10.0).look(at(10.3))
     assert [angle.safety for angle in picture.angles] == [Safety.SAFE] * 3
     heading = picture.angles[0]
     assert heading.accuracy_95 == pytest.approx(1.96 * ARCSEC)
@@ -101,7 +101,7 @@ def test_good_suite_is_safe_and_has_its_time() -> None:
 
 
 def test_old_output_is_unsafe() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     assert not watch.look(at(10.9)).angles[0].is_old
     old = watch.look(at(11.0)).angles[0]
     assert old.is_old
@@ -113,14 +113,14 @@ def test_old_output_is_unsafe() -> None:
 
 
 def test_repeated_output_gets_old() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     for tenth in range(1, 21):
         watch.take("ship/attitude", attitude(UTC + 10 * SECOND), at(10.0 + tenth / 10))
     assert watch.look(at(12.0)).angles[0].is_old
 
 
 def test_old_output_recovers_after_five_seconds() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     watch.look(at(12.0))
     go_on(watch, 12.5, 17.0)
     held = watch.look(at(17.0)).angles[0]
@@ -154,7 +154,7 @@ def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every
 
 
 def test_nan_is_unsafe_in_each_angle() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     watch.take("ship/attitude", attitude(UTC + 10_500_000_000, pitch=math.nan), at(10.5))
     words = {angle.name: angle.safety for angle in watch.look(at(10.5)).angles}
     assert words == {"heading": Safety.SAFE, "pitch": Safety.UNSAFE, "roll": Safety.SAFE}
@@ -168,7 +168,7 @@ def pointing(ns: int, covariance: Any) -> SimpleNamespace:
 
 def test_covariance_of_zeros_means_unknown_accuracy() -> None:
     """As in sensor_msgs: "If the covariance is unknown, all elements are 0"."""
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     watch.take("ship/attitude", attitude(UTC + 10_500_000_000, sigma_arcsec=0.0), at(10.5))
     watch.take("theodolite/pointing", pointing(UTC + 10_500_000_000, np.zeros(9)), at(10.5))
     angles = watch.look(at(10.5)).angles
@@ -203,7 +203,7 @@ def test_orientation_not_finite_is_not_compared_with_the_truth(heading: float) -
 
 
 def test_variance_of_zero_means_unknown_accuracy() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     message = attitude(UTC + 10_500_000_000)
     message.covariance[4] = 0.0
     watch.take("ship/attitude", message, at(10.5))
@@ -211,7 +211,7 @@ def test_variance_of_zero_means_unknown_accuracy() -> None:
 
 
 def test_old_or_missing_integrity_is_no_integrity_data() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     for tenth in range(101, 140):
         watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
         told = watch.look(at(tenth / 10)).angles[0]
@@ -222,7 +222,7 @@ def test_old_or_missing_integrity_is_no_integrity_data() -> None:
 
 
 def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     for tenth in range(101, 131):
         ns = UTC + tenth * SECOND // 10
         watch.take("ship/attitude", attitude(ns, status=1, star_age_s=tenth / 10 - 10.0), at(tenth / 10))
@@ -242,7 +242,7 @@ def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -
 
 def test_stars_are_not_the_cause_if_all_messages_stop() -> None:
     """All messages stop, as at the end of a bag: no cause is named for three seconds, then the missing reports."""
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     told = refused(UTC + 10 * SECOND, "star.bow", Reason.NONE)
     told.accepted, told.components, told.residual, told.sigma, told.nis = True, ["up"], [1e-6], [1e-6], 1.0
     watch.take("ship/innovation", told, at(10.0))
@@ -255,7 +255,7 @@ def test_stars_are_not_the_cause_if_all_messages_stop() -> None:
 
 
 def test_excluded_source_is_out_and_in_again() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     watch.take("ship/integrity", integrity(UTC + 10 * SECOND, 2, ("star.bow",)), at(10.05))
     source = watch.look(at(10.1)).sources[0]
     assert (source.name, source.presence, source.reason) == ("star.bow", Presence.OUT, "excluded")
@@ -278,7 +278,7 @@ def test_events_do_not_depend_on_requests() -> None:
 
 
 def test_restart_of_a_bag_resets_the_history() -> None:
-    watch = heard(30.0)
+    watch = monitor_after(30.0)
     for tenth in range(200):
         watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(31.0 + tenth / 10))
     picture = watch.look(at(50.9))
@@ -362,7 +362,7 @@ def solution(ns: int, status: int) -> SimpleNamespace:
 
 @pytest.mark.parametrize(("status", "presence"), [(0, Presence.IN), (1, Presence.IN), (3, Presence.OUT)])
 def test_rejected_stars_keep_a_sensor_with_solutions_in(status: int, presence: Presence) -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     for fifth in range(51, 80):
         ns = UTC + fifth * SECOND // 5
         for _ in range(2):
@@ -376,7 +376,7 @@ def test_rejected_stars_keep_a_sensor_with_solutions_in(status: int, presence: P
 
 
 def test_consequence_keeps_its_cause_until_it_is_in_again() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     for fifth in range(51, 70):
         ns, now = UTC + fifth * SECOND // 5, at(fifth / 5)
         watch.take("input_health", health(ns, "ins/imu", 20 * fifth, 100.0, 0.1), now)
@@ -403,7 +403,7 @@ def test_consequence_keeps_its_cause_until_it_is_in_again() -> None:
 
 
 def test_restart_of_a_node_is_one_event() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     for second in range(11, 15):
         for topic in ("star/bow/solution", "reference/gyro/imu", "star/stern/solution"):
             watch.take("input_health", health(UTC + second * SECOND, topic, 5 * (second - 11)), at(second))
@@ -420,7 +420,7 @@ def alert(state: int, priority: int = 1, raised_s: int = 0) -> SimpleNamespace:
 
 
 def test_alerts_are_sorted_and_survive_a_reset() -> None:
-    watch = heard(1.0)
+    watch = monitor_after(1.0)
     array = SimpleNamespace(header=stamp(UTC), alerts=[alert(3, 0), alert(3, 2), alert(1, 1), alert(1, 2, 5)])
     watch.take("ship/alerts", array, at(1.0))
     shown = watch.look(at(1.1)).alerts or ()
@@ -448,7 +448,7 @@ def test_buffers_are_bounded_by_ten_minutes() -> None:
 
 
 def test_single_stamp_of_another_year_sets_the_time_only_briefly() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     watch.take("input_health", health(UTC + 10**17, "ins/imu", 1000, 100.0, 0.1), at(10.05))
     go_on(watch, 10.1, 17.0)
     assert watch.look(at(17.0)).utc_ns == UTC + 17 * SECOND
@@ -463,7 +463,7 @@ def behind(ns: int, node: str, text: str) -> SimpleNamespace:
 def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
     """`ship_attitude` is INVALID, and measurements are rejected because of messages that it dropped."""
     text = "ship_attitude is 3.2 s behind: the computer is too slow (2 cores, load 12)"
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     for fifth in range(51, 70):
         ns, now = UTC + fifth * SECOND // 5, at(fifth / 5)
         watch.take("input_health", health(ns, "ins/imu", 20 * fifth, 100.0, 0.1), now)
@@ -493,7 +493,7 @@ def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
 
 
 def test_source_out_before_an_overload_keeps_its_own_fault() -> None:
-    watch = heard(10.0)
+    watch = monitor_after(10.0)
     for second in range(10, 18):
         ns = UTC + second * SECOND
         watch.take("ship/integrity", integrity(ns, 2, ("star.bow",)), at(second))
@@ -514,7 +514,7 @@ def published(watch: Watch, seconds: float) -> SimpleNamespace:
 
 def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
     """While the state of another monitor is published, its angles and events replace those of this one."""
-    other, watch = heard(20.0, sigma_arcsec=4.0), heard(20.0)
+    other, watch = monitor_after(20.0, sigma_arcsec=4.0), monitor_after(20.0)
     assert {angle.safety for angle in watch.look(at(20.0)).angles} == {Safety.SAFE}
     watch.take_state(published(other, 20.0), at(20.1))
     shown = watch.look(at(20.3))

@@ -37,10 +37,10 @@ def seen(number: int, time_ns: int, turn_n: Any = (0.0, 0.0, 0.0), **changes: An
     return direction_message(time_ns, turned_n, SIGMA, **changes)
 
 
-def give(adapter: TriangulationAdapter, number: int, message: Any, came_ns: int | None = None) -> list[Any]:
+def give(adapter: TriangulationAdapter, number: int, message: Any, received_ns: int | None = None) -> list[Any]:
     """Pass a message of a theodolite to the adapter; return all that is published."""
-    came_ns = ns_from_stamp(message.header.stamp) + LATENCY_NS if came_ns is None else came_ns
-    return adapter.handle(f"t{number}/theodolite/target_direction", message, came_ns)
+    received_ns = ns_from_stamp(message.header.stamp) + LATENCY_NS if received_ns is None else received_ns
+    return adapter.handle(f"t{number}/theodolite/target_direction", message, received_ns)
 
 
 def places(published: list[Any]) -> list[Any]:

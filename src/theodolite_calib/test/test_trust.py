@@ -18,13 +18,13 @@ FIRST, SECOND = ROWS.beacons[:2]
 AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
-def agreeing(heard_ns: dict[str, int]) -> FaultState:
+def agreeing(received_ns: dict[str, int]) -> FaultState:
     """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
     beacon.
     """
     trust = initial_fault_state(ROWS)
-    seen_ns = trust.innovation_means.heard_ns.copy()
-    for name, time_ns in heard_ns.items():
+    seen_ns = trust.innovation_means.last_measured_ns.copy()
+    for name, time_ns in received_ns.items():
         seen_ns[ROWS.beacons.index(name)] = time_ns
     left_out = {name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
     conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], lasting=True, consistent_since_ns=AGREED_NS)
@@ -61,7 +61,7 @@ def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
     returned = []
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
         trust = REFEREE.restart_timers(trust, (SECOND,), time_ns)
-        heard_ns = trust.innovation_means.heard_ns.copy()
+        heard_ns = trust.innovation_means.last_measured_ns.copy()
         heard_ns[ROWS.beacons.index(SECOND)] = time_ns
         trust = replace(trust, means=replace(trust.innovation_means, heard_ns=heard_ns))
         if ENCODER in trust.exclusions:

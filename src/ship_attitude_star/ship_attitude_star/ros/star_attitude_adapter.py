@@ -51,7 +51,7 @@ _WORDS = {
 }
 
 
-SILENT_NS = 10_000_000_000
+SOLUTION_TIMEOUT_NS = 10_000_000_000
 """Timeout of a solution in the diagnostics, ns."""
 
 
@@ -298,7 +298,7 @@ def _status(id_: str, last: tuple[Solved, int] | None, how: str, waiting_ns: int
     if last is None:
         return DiagnosticStatus(name, Level.OK, f"none yet{how}")
     solved, put_out_ns = last
-    if waiting_ns - put_out_ns > SILENT_NS:
+    if waiting_ns - put_out_ns > SOLUTION_TIMEOUT_NS:
         text = f"none for {(waiting_ns - put_out_ns) * 1e-9:.0f} s, {solved.solution.status.name} before{how}"
         return DiagnosticStatus(name, Level.WARN, text)
     level, text = _WORDS[solved.solution.status]

@@ -52,7 +52,7 @@ from ship_attitude_star.ship_attitude.utc_steps import with_utc_compared, with_u
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
-from ship_estimation.exclusion import HEARD_NS
+from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.ins import InsChange, InsJump
 from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.outcome import Measurement, Status
@@ -96,7 +96,7 @@ class ShipAttitudeCore:
             self.vertical = VerticalTrack(config.gravity, config.sky)
         self.filter = self.filter_class(config, self.vertical)
         self._start: tuple[AlignmentPrior, int] | None = None
-        self._silence_ns = round(config.ins.silence_s * SECOND_NS)
+        self._ins_timeout_ns = round(config.ins.silence_s * SECOND_NS)
         self._max_gap_ns = round(config.ins.max_gap_s * SECOND_NS)
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
         exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
@@ -213,7 +213,7 @@ class ShipAttitudeCore:
         # No sample after a gap, after an INS timeout, or one that may arrive too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
         waits_ns = np.diff(arrivals_ns, prepend=self._ins_arrival_ns)
-        near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._silence_ns, SECOND_NS))
+        near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._ins_timeout_ns, SECOND_NS))
         near &= surely_in_time(block.times_ns, arrivals_ns, self.config.lag_s)
         block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
         if not len(block.times_ns):
@@ -243,7 +243,7 @@ class ShipAttitudeCore:
                 contradiction_texts = [self._contradiction_text(sample.time_ns) for sample in ahead.samples[ahead.committed_count : end]]
             ahead.commit(self._shell.state_now, end, contradiction_texts)
             self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
-            self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._silence_ns)
+            self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
             self._guards.ins.by_rates = ahead.followed.by_rates(end - 1)
 
     def end_ahead(self, ahead: InsAhead) -> AttitudeOutcome | None:
@@ -291,7 +291,7 @@ class ShipAttitudeCore:
                 def by_ins(state: FilterState) -> AttitudeEstimate:
                     return self._estimate_by_newest_ins(state, time_ns)
 
-                self._shell.put_out(outcome, time_ns, arrival_ns, by_ins, self._silence_ns)
+                self._shell.put_out(outcome, time_ns, arrival_ns, by_ins, self._ins_timeout_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
@@ -471,7 +471,7 @@ class ShipAttitudeCore:
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return the sources of which no measurement was accepted recently."""
-        since_ns, used_ns = self._shell.window.newest_ns - HEARD_NS, self.state.used_ns
+        since_ns, used_ns = self._shell.window.newest_ns - MAX_MEASUREMENT_AGE_NS, self.state.used_ns
         return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
 
     def take_over_outputs(self, live: "ShipAttitudeCore") -> None:
@@ -575,7 +575,7 @@ class ShipAttitudeCore:
 
     def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """Without INS samples, publish the attitude by the newest star measurement once, within 1 s of its arrival."""
-        if self._newest_star is None or not self._ins_silent(waiting_ns):
+        if self._newest_star is None or not self._is_ins_timed_out(waiting_ns):
             return
         (measurement, arrival_ns), self._newest_star = self._newest_star, None
         if waiting_ns - arrival_ns > SECOND_NS:
@@ -590,9 +590,9 @@ class ShipAttitudeCore:
 
         self._shell.put_out(outcome, measurement.time_ns, waiting_ns, by_star)
 
-    def _ins_silent(self, waiting_ns: int) -> bool:
+    def _is_ins_timed_out(self, waiting_ns: int) -> bool:
         """True if the last accepted INS sample is older than ``ins.silence_s``."""
-        return self._ins_arrival_ns is None or waiting_ns - self._ins_arrival_ns > self._silence_ns
+        return self._ins_arrival_ns is None or waiting_ns - self._ins_arrival_ns > self._ins_timeout_ns
 
     def _may_carry(self, source: str) -> bool:
         """True for a star sensor that was not in conflict with the INS."""

@@ -15,7 +15,7 @@ from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation import compiled_steps
 from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed
-from ship_estimation.exclusion import HEARD_NS, ExcludedSource
+from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS, ExcludedSource
 from ship_estimation.running_means import InnovationMeans
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
@@ -174,7 +174,7 @@ class FilterState:
     unresolved_fault: Doubt | None = None
     last_innovations: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
     lately: MappingProxyType[str, Lately] = field(default_factory=lambda: MappingProxyType({}))
-    heard_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    received_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -206,8 +206,8 @@ class FilterState:
 
     def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
         """Return the sources, in the given order, that are not excluded and have measured recently."""
-        heard, since_ns = zip(sources, self.innovation_means.heard_ns.tolist(), strict=True), time_ns - HEARD_NS
-        return [name for name, heard_ns in heard if heard_ns >= since_ns and name not in self.excluded]
+        received, since_ns = zip(sources, self.innovation_means.last_measured_ns.tolist(), strict=True), time_ns - MAX_MEASUREMENT_AGE_NS
+        return [name for name, heard_ns in received if heard_ns >= since_ns and name not in self.excluded]
 
     @property
     def covariance(self) -> FloatArray:

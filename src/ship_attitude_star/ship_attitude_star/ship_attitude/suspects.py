@@ -26,7 +26,7 @@ from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, Row
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, shared_rotation, with_entry
 from ship_estimation.common_error import COMMON_ERROR_START_SIGMAS
 from ship_estimation.exclusion import (
-    HEARD_NS,
+    MAX_MEASUREMENT_AGE_NS,
     ExcludedSource,
     Finding,
     agrees_with_all,
@@ -131,8 +131,8 @@ class Suspects:
         seen = observed(
             state.innovation_means, index, innovations.whitened_innovation, accepted, measurement.time_ns, self.subfilters.limit, noise
         )
-        if state.innovation_means.heard_ns[index] < measurement.time_ns - HEARD_NS:
-            state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
+        if state.innovation_means.last_measured_ns[index] < measurement.time_ns - MAX_MEASUREMENT_AGE_NS:
+            state, predicted = (self._with_source_back(one, source, measurement.time_ns) for one in (state, predicted))
         last = Apart(innovations.whitened_innovation[0], innovations.whitening_root[0], measured.predicted_nv)
         last_innovations = with_entry(state.last_innovations, source, last)
         exclusion = state.excluded.get(source)
@@ -164,14 +164,14 @@ class Suspects:
         """
         return self.subfilters.learns[source] if not state.excluded else used[:, None] | self.subfilters.own[source]
 
-    def _heard_again(self, state: FilterState, source: str, time_ns: int) -> FilterState:
+    def _with_source_back(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """Return the state before the first measurement of a source after a timeout; reinstatement timers restart."""
         excluded = dict(state.excluded)
         if source in excluded:
             excluded[source] = replace(excluded[source], agrees_since_ns=None)
-        if distrusted(state) and state.innovation_means.heard_ns.max() < time_ns - HEARD_NS:
+        if distrusted(state) and state.innovation_means.last_measured_ns.max() < time_ns - MAX_MEASUREMENT_AGE_NS:
             excluded[INS] = replace(excluded[INS], agrees_since_ns=time_ns)
-        heard_since_ns = with_entry(state.heard_since_ns, source, time_ns)
+        heard_since_ns = with_entry(state.received_since_ns, source, time_ns)
         return changed(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
@@ -240,7 +240,7 @@ class Suspects:
             return self.ins.contradicted_now(state, time_ns), text
         if INS in wrong and (stepped or not table.contradict_ins([name for name in in_use if name not in wrong])):
             wrong = ()  # A position error rotates all stars equally, as a step of an INS without rates does.
-        if INS in wrong and any(time_ns - state.heard_since_ns[name] < _DRIFT_OBSERVED_NS for name in in_use):
+        if INS in wrong and any(time_ns - state.received_since_ns[name] < _DRIFT_OBSERVED_NS for name in in_use):
             wrong = ()  # After a timeout a few measurements do not isolate whether the INS or a sensor has moved.
         if INS in state.excluded and len(in_use) < LEAST_FOR_PAIRS:
             wrong = ()  # Of two sources each explains the contradiction with the other.
@@ -502,11 +502,11 @@ class Suspects:
         For an error that all stars may share, the ratio is that of all of them together. A single sensor measures a
         rotation about its line of sight poorly, so drift of the INS about the other axes would change its ratio.
         """
-        own, heard_ns = state.excluded[source], time_ns - HEARD_NS
+        own, heard_ns = state.excluded[source], time_ns - MAX_MEASUREMENT_AGE_NS
         names = [source]
         if own.is_shared:
             shared = [name for name, one in state.excluded.items() if one.is_shared and one.since_ns == own.since_ns]
-            names = [name for name in shared if state.innovation_means.heard_ns[self._indices[name]] >= heard_ns]
+            names = [name for name in shared if state.innovation_means.last_measured_ns[self._indices[name]] >= heard_ns]
         along = square = 0.0
         for name in names:
             measured, offset = state.last_innovations[name], state.excluded[name].offset
@@ -555,12 +555,12 @@ class Suspects:
             in_use: sources in use.
             shared: True if the sum of the star corrections exceeds its threshold.
         """
-        heard = [name for name in in_use if name in self.subfilters.stars]
+        received = [name for name in in_use if name in self.subfilters.stars]
         if shared:
-            return tuple(heard)
+            return tuple(received)
         long_refused = state.innovation_means.refused[0] >= self._degraded_after
-        against = [name for name in heard if name in wrong or long_refused[self._sources.index(name)]]
-        return tuple(heard) if heard and len(against) == len(heard) else ()
+        against = [name for name in received if name in wrong or long_refused[self._sources.index(name)]]
+        return tuple(received) if received and len(against) == len(received) else ()
 
     def _mounting_shift(self, state: FilterState, source: str) -> FloatArray | None:
         """Return the standard deviation of a mounting shift that explains a source's last innovation.

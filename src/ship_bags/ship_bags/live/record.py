@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import installed_class
-from ship_bags.live.recorded_graph import DEPTH, REPORTS, HeardParameters, adapted_qos, is_activity, offered_topics, qos_texts
+from ship_bags.live.recorded_graph import DEPTH, REPORTS, ParameterCollector, adapted_qos, is_activity, offered_topics, qos_texts
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.mcap.folder import FolderWriter
 from ship_bags.message_store import use_installed_definition
@@ -71,7 +71,7 @@ class Recorder:
         self._is_simulated_time = bool(node.get_parameter("use_sim_time").value)
         self._clock_watch = ClockWatch()
         self._step_count = 0
-        self._parameters = HeardParameters(node, lambda text: bag.add_attachment(SUITE_ATTACHMENT, text))
+        self._parameters = ParameterCollector(node, lambda text: bag.add_attachment(SUITE_ATTACHMENT, text))
 
     @property
     def unanswered(self) -> list[str]:

@@ -119,7 +119,7 @@ class _Asked:
     answer: Future | None = None
 
 
-class HeardParameters:
+class ParameterCollector:
     """Queries each node once, when it is discovered; the owner of the spinning node calls :meth:`update` periodically.
 
     Attributes:

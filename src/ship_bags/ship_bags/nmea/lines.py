@@ -28,7 +28,7 @@ _CHECKSUM = re.compile(r".*\*[0-9A-Fa-f]{2}", re.DOTALL)
 
 
 @dataclass(frozen=True)
-class HeardText:
+class ParsedText:
     """Text with its parsing result."""
 
     text: str
@@ -42,7 +42,7 @@ class HeardText:
         return self.text[1:3] if self.text.startswith("$") and not self.text.startswith("$P") else ""
 
 
-def heard_texts(line: bytes, needs_checksum: bool = True) -> Iterator[HeardText]:
+def parse_line(line: bytes, needs_checksum: bool = True) -> Iterator[ParsedText]:
     """Yield the texts of a line: one sentence, or several whose line ends were lost.
 
     Args:
@@ -50,21 +50,21 @@ def heard_texts(line: bytes, needs_checksum: bool = True) -> Iterator[HeardText]
         needs_checksum: reject sentences without a checksum; otherwise complete ones are used.
     """
     if len(line) > LONGEST_LINE:
-        yield HeardText(_shown(line), Unusable(TOO_LONG))
+        yield ParsedText(_shown(line), Unusable(TOO_LONG))
         return
     front = _FRONT.match(line)
     before, *sentences = line[front.end() if front else 0 :].strip().split(b"$")
     if not _PRINTABLE.fullmatch(before):
-        yield HeardText(_shown(before), _binary(is_before_sentence=bool(sentences)))
+        yield ParsedText(_shown(before), _binary(is_before_sentence=bool(sentences)))
     elif before:
         text = before.decode("ascii")
-        yield HeardText(text, _without_start(text, is_cut=bool(sentences)))
+        yield ParsedText(text, _without_start(text, is_cut=bool(sentences)))
     for place, body in enumerate(sentences, start=1):
         if not _PRINTABLE.fullmatch(body):
-            yield HeardText(_shown(b"$" + body), _binary(is_before_sentence=place < len(sentences)))
+            yield ParsedText(_shown(b"$" + body), _binary(is_before_sentence=place < len(sentences)))
             continue
         text = f"${body.decode('ascii').rstrip()}"
-        yield HeardText(text, _read(text, needs_checksum))
+        yield ParsedText(text, _read(text, needs_checksum))
 
 
 def _read(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | Unusable:

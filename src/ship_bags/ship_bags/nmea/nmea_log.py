@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, datetime_ns
-from ship_bags.nmea.lines import HALF, HeardText, heard_texts
+from ship_bags.nmea.lines import HALF, ParsedText, parse_line
 from ship_bags.nmea.sentences import NotOfInterest, Unusable
 from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import END_OF_TIME_NS, NS_PER_S
@@ -90,23 +90,23 @@ def _parsed(number: int, content: bytes, rules: LogRules, report: LogReport) -> 
     if receive_ns is None or sentences.lstrip()[:1] in (b"+", b"-"):  # an offset after a space
         report.reject("no receive time", number, content.decode("ascii", errors="backslashreplace"))
         return
-    for heard in heard_texts(sentences, rules.needs_checksum):
-        line = _line(number, receive_ns, heard, rules, report)
+    for parsed in parse_line(sentences, rules.needs_checksum):
+        line = _line(number, receive_ns, parsed, rules, report)
         if line is not None:
             report.used[line.kind] += 1
             yield line
 
 
-def _line(number: int, receive_ns: int, heard: HeardText, rules: LogRules, report: LogReport) -> InstrumentLine | None:
-    says = heard.says
-    if rules.talkers and heard.talker and heard.talker not in rules.talkers:
-        report.unused[f"talker {heard.talker}"] += 1
+def _line(number: int, receive_ns: int, parsed: ParsedText, rules: LogRules, report: LogReport) -> InstrumentLine | None:
+    says = parsed.says
+    if rules.talkers and parsed.talker and parsed.talker not in rules.talkers:
+        report.unused[f"talker {parsed.talker}"] += 1
     elif isinstance(says, NotOfInterest):
         report.unused[says.name] += 1
     elif isinstance(says, Unusable):
-        report.reject(says.detail or says.reason, number, heard.text)
+        report.reject(says.detail or says.reason, number, parsed.text)
     else:
-        return InstrumentLine(number, receive_ns, says.kind, says.content, heard.talker)
+        return InstrumentLine(number, receive_ns, says.kind, says.content, parsed.talker)
     return None
 
 

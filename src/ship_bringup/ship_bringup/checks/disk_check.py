@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_bringup.checks.network_look import HeardTopic
+from ship_bringup.checks.network_look import ObservedTopic
 from ship_node.edge.adapter import Adapter
 from ship_watch.limits import Limits
 
@@ -67,14 +67,14 @@ class DiskState:
     asked: Path | None = None
 
 
-def night_bytes(adapters: Sequence[Adapter], heard: Sequence[HeardTopic]) -> NightBytes:
+def night_bytes(adapters: Sequence[Adapter], observed: Sequence[ObservedTopic]) -> NightBytes:
     """Return the write rates of a suite.
 
     Args:
         adapters: of its nodes.
         heard: inputs as received; for others, typical values are used.
     """
-    streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in heard if each.rate_hz > 0.0}
+    streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in observed if each.rate_hz > 0.0}
     given_inside = {topic.topic for adapter in adapters for topic in adapter.outputs}
     outside = {topic.topic for adapter in adapters for topic in adapter.inputs} - given_inside
     taken = [sum(_stream_bytes(topic.topic, streams) for topic in adapter.inputs) for adapter in adapters]

@@ -70,7 +70,7 @@ def judge_domain(state: NetworkState, own: Collection[str], beside: Collection[s
     for name, count in Counter(state.nodes).items():
         if count > 1:
             yield CheckLine(_CHECK, Result.WARN, f"{count} nodes are called {name}", "give each a name of its own")
-    drivers = {publisher.node for heard in state.heard for publisher in heard.publishers}
+    drivers = {publisher.node for heard in state.inputs for publisher in heard.publishers}
     strangers = sorted(set(state.nodes) - drivers - set(own) - set(beside) - others)
     if strangers:
         advice = "if they are not the ship's: another domain, or DDS security"

@@ -68,7 +68,7 @@ class Publisher:
 
 
 @dataclass(frozen=True)
-class HeardTopic:
+class ObservedTopic:
     """What was received of one input of the suite.
 
     Attributes:
@@ -103,7 +103,7 @@ class NetworkState:
 
     rmw: str = ""
     nodes: tuple[str, ...] = ()
-    heard: tuple[HeardTopic, ...] = ()
+    inputs: tuple[ObservedTopic, ...] = ()
     given: dict[str, tuple[str, ...]] = field(default_factory=dict)
     has_clock: bool = False
     failure: str = ""
@@ -141,7 +141,7 @@ def look_at_network(
             return NetworkState(
                 rmw=get_rmw_implementation_identifier(),
                 nodes=_others(node),
-                heard=tuple(ear.heard() for ear in ears),
+                inputs=tuple(ear.observed_topic() for ear in ears),
                 given={topic: names for topic in outputs if (names := _nodes_of(node, topic))},
                 has_clock=any(node.count_publishers(name) for name in ("/clock", full_name("clock", namespace))),
             )
@@ -149,7 +149,7 @@ def look_at_network(
         return NetworkState(failure=str(problem))
 
 
-def heard_rate_hz(count: int, span_s: float, listened_s: float) -> float:
+def observed_rate_hz(count: int, span_s: float, listened_s: float) -> float:
     """Return messages per second from their mean interval; at most the number divided by the whole time.
 
     Args:
@@ -194,12 +194,12 @@ class _Ear:
         """True if the time from its first message on is over."""
         return time.monotonic() >= self._first_s + self._listen_s
 
-    def heard(self) -> HeardTopic:
+    def observed_topic(self) -> ObservedTopic:
         """Return what was received."""
-        return HeardTopic(
+        return ObservedTopic(
             input=self._topic,
             publishers=_publishers(self._node, self._topic.topic),
-            rate_hz=heard_rate_hz(self._count, self._last_s - self._first_s, self._listen_s),
+            rate_hz=observed_rate_hz(self._count, self._last_s - self._first_s, self._listen_s),
             message_bytes=self._bytes / max(self._count, 1),
             count=self._count,
             age_s=self._age_s(),

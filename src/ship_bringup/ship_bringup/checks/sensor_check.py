@@ -7,7 +7,7 @@ from ship_bags.parameter_yaml import RELIABLE_INPUTS_PARAMETER, read_sections
 from ship_bags.renamed_topics import ship_names
 from ship_bags.topic_names import resolved_topic
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState
+from ship_bringup.checks.network_look import STRONGER, ObservedTopic, NetworkState
 from ship_node.edge.input_record import MAX_AGE_S
 from ship_watch.limits import Limits
 from ship_watch.topics import source_of_topic
@@ -72,53 +72,53 @@ def judge_sensors(
         found = f"nothing could be received: {state.failure}"
         yield CheckLine(_CHECK, Result.FAIL, found, "correct the failures in the other rows, then run preflight again")
         return
-    for heard in state.heard:
-        if not heard.publishers and heard.input.topic in own:
-            found = f"{heard.input.topic}: not received: no publisher before nmea_in runs, which the suite starts"
+    for observed in state.inputs:
+        if not observed.publishers and observed.input.topic in own:
+            found = f"{observed.input.topic}: not received: no publisher before nmea_in runs, which the suite starts"
             # A configured instrument may be switched off.
-            is_needed = heard.input.required or heard.input.named
+            is_needed = observed.input.required or observed.input.named
             advice = f"start {own_command}, then preflight again, and end it before the suite"
             yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
-        result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, {}))
+        result, found, advice = _judged(observed, limits, lags_s, asked.get(observed.input.topic, {}))
         if result is Result.FAIL and state.has_clock and found.endswith(_OLD):
             advice = "a bag is being played, as /clock shows: end its player"
-        yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)
+        yield CheckLine(_CHECK, result, f"{observed.input.topic}: {found}", advice)
 
 
 def _judged(
-    heard: HeardTopic, limits: Limits, lags_s: Mapping[str, float], asked: Mapping[str, str]
+    observed: ObservedTopic, limits: Limits, lags_s: Mapping[str, float], asked: Mapping[str, str]
 ) -> tuple[Result, str, str]:
-    topic = heard.input.topic
-    asked_for = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
-    needed = Result.NOT_CHECKED if heard.input.at_times else asked_for
-    if not heard.publishers:
+    topic = observed.input.topic
+    asked_for = Result.FAIL if observed.input.required or observed.input.named else Result.WARN
+    needed = Result.NOT_CHECKED if observed.input.at_times else asked_for
+    if not observed.publishers:
         return needed, "no publisher", "start its driver, or name its topic in the suite file (topics)"
-    of_type = [each for each in heard.publishers if each.type_name == heard.input.type_name]
-    who = ", ".join(sorted({each.node for each in heard.publishers}))
+    of_type = [each for each in observed.publishers if each.type_name == observed.input.type_name]
+    who = ", ".join(sorted({each.node for each in observed.publishers}))
     if not of_type:
-        other = heard.publishers[0].type_name
-        found = f"{who} publishes {other}, expected {heard.input.type_name}"
+        other = observed.publishers[0].type_name
+        found = f"{who} publishes {other}, expected {observed.input.type_name}"
         return Result.FAIL, found, "change the driver, or name another topic in the suite file (topics)"
     if lacking := [quality for quality in sorted(asked) if any(quality not in each.offers for each in of_type)]:
         settings = " and ".join(dict.fromkeys(asked[quality] for quality in lacking))
         found = f"{who} does not offer {' and '.join(lacking)}, required by {settings}: no message will arrive"
         return Result.FAIL, found, f"let the driver offer it, or leave out {settings}"
-    if not heard.count:
+    if not observed.count:
         return needed, f"{who} publishes it, but no message arrived", "switch the device on; if slow: a longer --listen"
-    found = f"{heard.rate_hz:.3g} Hz from {who}" if heard.count > 1 else f"one message from {who}"
+    found = f"{observed.rate_hz:.3g} Hz from {who}" if observed.count > 1 else f"one message from {who}"
     least_hz = limits.input_limits(source_of_topic(topic)).rate_hz
-    if not heard.rate_hz >= least_hz:
+    if not observed.rate_hz >= least_hz:
         advice = "check the device and the network; for slow ones: a longer --listen"
         return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", advice
-    if heard.age_s is not None:
-        found += f", stamps {_age_words(heard.age_s)}"
-        if not -limits.machine.clock_offset_s <= heard.age_s <= MAX_AGE_S:
+    if observed.age_s is not None:
+        found += f", stamps {_age_words(observed.age_s)}"
+        if not -limits.machine.clock_offset_s <= observed.age_s <= MAX_AGE_S:
             return Result.FAIL, found, "set the clock of the device, or of this computer: nodes reject such stamps"
-        if source_of_topic(topic) not in _NOT_IN_THE_LOG and not heard.age_s <= lags_s.get(topic, MAX_AGE_S):
+        if source_of_topic(topic) not in _NOT_IN_THE_LOG and not observed.age_s <= lags_s.get(topic, MAX_AGE_S):
             return Result.FAIL, f"{found}: later than lag_s", "check transmission delays, or increase lag_s"
-    if len(heard.publishers) > 1:
-        return Result.WARN, f"{found}: {len(heard.publishers)} publishers", "one device, one publisher: end the others"
+    if len(observed.publishers) > 1:
+        return Result.WARN, f"{found}: {len(observed.publishers)} publishers", "one device, one publisher: end the others"
     return Result.OK, found, ""
 
 

@@ -27,7 +27,7 @@ from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
-from ship_bringup.security.rights import companions_of, heard_by_nmea, suite_rights
+from ship_bringup.security.rights import companions_of, nmea_in_topics, suite_rights
 from ship_bringup.suite.plan import without_saved_file
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.nodes import ADAPTERS
@@ -180,7 +180,7 @@ def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
 
 
 def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    night, box = night_bytes(suite.chain.adapters, network.heard), suite.options.box
+    night, box = night_bytes(suite.chain.adapters, network.inputs), suite.options.box
     disk_path = suite.limits.machine.disk_path
     must_be_there = "machine.disk_path" if disk_path else ""
     states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), night.record, must_be_there)]
@@ -209,12 +209,12 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
     asked = asked_qualities(options.file, lags_s, options.namespace, options.reliable_inputs)
-    yield from judge_sensors(network, suite.limits, lags_s, asked, heard_by_nmea(suite.companions), _nmea_in(suite))
+    yield from judge_sensors(network, suite.limits, lags_s, asked, nmea_in_topics(suite.companions), _nmea_in(suite))
 
 
 def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
     """Check the load at the received rates; nothing if none was received."""
-    rates_hz = {heard.input.topic: heard.rate_hz for heard in network.heard if heard.rate_hz > 0.0}
+    rates_hz = {observed.input.topic: observed.rate_hz for observed in network.inputs if observed.rate_hz > 0.0}
     if not rates_hz:
         return
     found = node_loads(suite.chain.adapters, rates_hz, measured_slowness())

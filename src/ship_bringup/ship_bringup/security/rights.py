@@ -109,7 +109,7 @@ def companions_of(suite_path: Path, namespace: str) -> dict[str, Any]:
     return found
 
 
-def heard_by_nmea(companions: Mapping[str, Any]) -> dict[str, str]:
+def nmea_in_topics(companions: Mapping[str, Any]) -> dict[str, str]:
     """Return relative topic → type of the topics of a suite's ``nmea_in``; empty if it has none."""
     config = companions.get("nmea_in")
     given: dict[str, str] = {}
@@ -148,7 +148,7 @@ class _SuiteRights:
         self._clock = frozenset({full_name("clock", namespace), _CLOCK}) if played else frozenset()
         self._played, self._companions, self._ship_names = played, companions, ship_names
         given = {topic.topic: topic.type_name for topic in chain.outputs}
-        self._types = {**heard_by_nmea(companions), **self._from_outside, **given}
+        self._types = {**nmea_in_topics(companions), **self._from_outside, **given}
         self._types |= {ALERTS_TOPIC: MESSAGES + "AlertArray", STATE_TOPIC: STATE_TYPE}
         self._types |= {DIAGNOSTICS_TOPIC: DIAGNOSTICS_TYPE}
         if played:
@@ -208,24 +208,24 @@ class _SuiteRights:
     def _of_companions(self) -> Iterator[Rights]:
         diagnostics = {DIAGNOSTICS_TOPIC}
         if "nmea_out" in self._companions:
-            heard = self._inputs(["ship/attitude", ALERTS_TOPIC]) | self._clock
+            subscribed = self._inputs(["ship/attitude", ALERTS_TOPIC]) | self._clock
             acknowledge = {f"{self._alerts}/acknowledge"}
-            yield replace(self._tool("nmea_out", heard, acknowledge, diagnostics), is_needed=True)
+            yield replace(self._tool("nmea_out", subscribed, acknowledge, diagnostics), is_needed=True)
         if "nmea_in" in self._companions:
-            given = {*heard_by_nmea(self._companions), *diagnostics}
+            given = {*nmea_in_topics(self._companions), *diagnostics}
             yield replace(self._tool("nmea_in", self._clock, (), self._topics(given)), is_needed=True)
 
     def _of_sensors(self) -> Iterator[Rights]:
         """Yield an enclave for each device; the node of its driver is expected to have the device's name."""
         # An instrument read by nmea_in has no driver: a certificate for one could only be misused.
-        driven = set(self._from_outside) - set(heard_by_nmea(self._companions))
+        driven = set(self._from_outside) - set(nmea_in_topics(self._companions))
         for device in sorted({device_of(topic) for topic in driven}):
             topics = self._inputs(topic for topic in driven if device_of(topic) == device)
             node = self._full(device)
             enclave = self._full(f"{SENSORS}/{device}")
             # A node of rclcpp also subscribes to /parameter_events, and does not start without it.
-            heard = self._clock | {"/parameter_events"}
-            yield Rights(enclave, topics | _OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, heard, _own_services(node))
+            subscribed = self._clock | {"/parameter_events"}
+            yield Rights(enclave, topics | _OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, subscribed, _own_services(node))
 
     def _tool(
         self,

@@ -51,11 +51,11 @@ class FrozenCheck:
             for process in kept.processes:
                 if process.pid not in pids:
                     continue
-                silence = process.silence
-                if silence.is_reported and not silence.is_ended:
+                heartbeat_age = process.heartbeat_age
+                if heartbeat_age.is_reported and not heartbeat_age.is_ended:
                     name = _name(kept, process)
-                    self._say(f"{name} works again after {silence.time_s:.0f} s without a heartbeat")
-                silence.restart(has_beaten=True)
+                    self._say(f"{name} works again after {heartbeat_age.time_s:.0f} s without a heartbeat")
+                heartbeat_age.restart(has_beaten=True)
                 if process is kept.process:
                     kept.has_run = True
 
@@ -67,22 +67,22 @@ class FrozenCheck:
         step_s, self._looked_s = now_s - self._looked_s, now_s
         for kept in programs:
             for process in kept.processes if kept.program.role is not Role.PLAYER else ():
-                process.silence.add(step_s)
+                process.heartbeat_age.add(step_s)
                 self._judge(kept, process)
 
     def _judge(self, kept: KeptProgram, process: Process) -> None:
-        silence, name = process.silence, _name(kept, process)
-        limit_s = self._restart_s if silence.has_beaten else max(_LONGEST_START_S, self._restart_s)
-        if silence.time_s >= limit_s and not silence.is_ended:
-            silence.is_ended = True
-            self._say(f"{name} sent no heartbeat for {silence.time_s:.0f} s: killed")
+        heartbeat_age, name = process.heartbeat_age, _name(kept, process)
+        limit_s = self._restart_s if heartbeat_age.has_beaten else max(_LONGEST_START_S, self._restart_s)
+        if heartbeat_age.time_s >= limit_s and not heartbeat_age.is_ended:
+            heartbeat_age.is_ended = True
+            self._say(f"{name} sent no heartbeat for {heartbeat_age.time_s:.0f} s: killed")
             process.kill()
             if process is kept.reserve:
                 kept.reserve, kept.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
-        elif silence.has_beaten and silence.time_s >= self._report_s and not silence.is_reported:
-            silence.is_reported = True
-            how = f"no heartbeat for {silence.time_s:.0f} s, stopped or in a callback that does not return"
-            left_s = max(0.0, self._restart_s - silence.time_s)
+        elif heartbeat_age.has_beaten and heartbeat_age.time_s >= self._report_s and not heartbeat_age.is_reported:
+            heartbeat_age.is_reported = True
+            how = f"no heartbeat for {heartbeat_age.time_s:.0f} s, stopped or in a callback that does not return"
+            left_s = max(0.0, self._restart_s - heartbeat_age.time_s)
             self._say(f"{name} is frozen: {how}; it is killed and started again in {left_s:.0f} s")
 
 

@@ -16,7 +16,7 @@ from typing import IO
 
 from ship_bags.live.heartbeat import HEARTBEAT_SOCKET
 from ship_bringup.suite.dds_ports import UDP_ALONE
-from ship_bringup.suite.signs_of_life import Silence
+from ship_bringup.suite.signs_of_life import HeartbeatAge
 from ship_node.live.start import WAITS
 
 _LONGEST_LINE = 65536
@@ -73,7 +73,7 @@ class Process:
             raise
         self.began_s = time.monotonic()
         self.has_said_all = False
-        self.silence = Silence(self.pid)
+        self.heartbeat_age = HeartbeatAge(self.pid)
         self._rest = b""
         os.set_blocking(self.output.fileno(), False)
 
@@ -95,7 +95,7 @@ class Process:
     def begin(self) -> None:
         """Let a waiting process begin; one that has died meanwhile is ignored."""
         self.began_s = time.monotonic()
-        self.silence.restart(has_beaten=False)
+        self.heartbeat_age.restart(has_beaten=False)
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.write(b"\n")

@@ -41,7 +41,7 @@ class HeartbeatSocket:
         self._sender.close()
 
 
-class Silence:
+class HeartbeatAge:
     """Time since the last heartbeat of a process.
 
     Attributes:

@@ -27,7 +27,7 @@ LOOK_S = 0.2
 """Maximum time for reading the ten minutes in one update, s."""
 
 
-class _Heard:
+class _Replay:
     """A monitor that reads a recorded suite from a start time on."""
 
     def __init__(self, suite: RecordedSuite, limits: Limits, since_ns: int) -> None:
@@ -65,8 +65,8 @@ class RecordedPictures:
         self._last_look_s = time.monotonic()
         self._controls = TimeControls((suite.end_ns - suite.start_ns) / NS_PER_S, " · ".join(suite.notes), self._move)
         self._tell_moved: Callable[[], None] = lambda: None
-        self._shown: _Heard | None = None
-        self._whole: _Heard | None = None
+        self._shown: _Replay | None = None
+        self._whole: _Replay | None = None
 
     @property
     def label(self) -> str:
@@ -86,7 +86,7 @@ class RecordedPictures:
     @property
     def history(self) -> History:
         """Data of the plots: of the last minute until the ten minutes are read."""
-        return self._heard().watch.history
+        return self._current_replay().watch.history
 
     @property
     def is_whole(self) -> bool:
@@ -111,7 +111,7 @@ class RecordedPictures:
         self._play(now_s - self._last_look_s)
         self._last_look_s = now_s
         is_new = self._shown is None
-        shown = self._heard()
+        shown = self._current_replay()
         shown.hear(self._time_ns)
         # A new time is displayed before the ten minutes are read.
         if not is_new and self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + LOOK_S):
@@ -129,15 +129,15 @@ class RecordedPictures:
         self.go_to(since_start_s)
         self._tell_moved()
 
-    def _heard(self) -> _Heard:
+    def _current_replay(self) -> _Replay:
         """Return the replay for the displayed time, a new one after a change of the time."""
         if self._shown is None:
             kept_ns = self._time_ns - round(KEPT_S * NS_PER_S)
             quick_ns = self._time_ns - QUICK_NS
-            self._shown = _Heard(self._suite, self._limits, quick_ns)
+            self._shown = _Replay(self._suite, self._limits, quick_ns)
             self._shown.hear(self._time_ns)
             if quick_ns > self._suite.start_ns:
-                self._whole = _Heard(self._suite, self._limits, kept_ns)
+                self._whole = _Replay(self._suite, self._limits, kept_ns)
         return self._shown
 
     def _play(self, passed_s: float) -> None:

@@ -34,7 +34,7 @@ MOST_CLIENTS = 32
 _PING_S = 30.0
 """Timeout of a client's answer to a ping, s."""
 
-_END_S = 1.0
+_CLOSE_TIMEOUT_S = 1.0
 """Timeout of the closing handshakes at the end, s."""
 
 
@@ -200,7 +200,7 @@ class FoxgloveServer:
         """Close all connections; further calls do nothing."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._end.set)
-            self._thread.join(2.0 * _END_S)
+            self._thread.join(2.0 * _CLOSE_TIMEOUT_S)
 
     def _run(self, sockets: list[Any], hosts: OwnHosts) -> None:
         asyncio.set_event_loop(self._loop)
@@ -216,11 +216,11 @@ class FoxgloveServer:
         server.stop()
         for client in list(self._viewers.clients):
             client.close(1001, "monitor has ended")
-        deadline_s = time.monotonic() + _END_S
+        deadline_s = time.monotonic() + _CLOSE_TIMEOUT_S
         while self._viewers.clients and time.monotonic() < deadline_s:
             await asyncio.sleep(0.01)
         for client in list(self._viewers.clients):
             client.abort()
         await server.close_all_connections()
         if left := asyncio.all_tasks() - {asyncio.current_task()}:
-            await asyncio.wait(left, timeout=_END_S)
+            await asyncio.wait(left, timeout=_CLOSE_TIMEOUT_S)

@@ -29,7 +29,7 @@ _RELAYED_BETWEEN = 4
 """Number of forwarding steps for each reading of topics: twenty a second."""
 
 _PICTURE_NS = 200_000_000
-_END_S = 5.0
+_CLOSE_TIMEOUT_S = 5.0
 
 
 class LiveWatch:
@@ -146,7 +146,7 @@ class LiveWatch:
     def close(self) -> None:
         """Leave the network."""
         self._is_over.set()
-        self._thread.join(_END_S)
+        self._thread.join(_CLOSE_TIMEOUT_S)
         self._reader.close()
 
 

@@ -74,7 +74,7 @@ class Taken:
 
 
 @dataclass
-class _Heard:
+class _SubscribedTopic:
     """A subscribed topic and its relative name."""
 
     subscription: RawSubscription
@@ -132,7 +132,7 @@ class TopicReader:
             return Taken(False, tuple(kept), alerts_ended)
         # Outputs follow the step of /clock a moment later: the same step is not counted twice.
         self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
-        latched = {heard.relative for heard in self._heard.values() if heard.subscription.is_latched}
+        latched = {subscribed.relative for subscribed in self._subscriptions.values() if subscribed.subscription.is_latched}
         kept = (each for each in kept if each.arrival_ns >= jump_ns or each.topic in latched)
         return Taken(True, tuple(kept), alerts_ended)
 
@@ -191,7 +191,7 @@ class TopicReader:
             raise BadInput(
                 f"'{self.namespace}' is not a namespace of ROS; expected letters, digits, _ and /"
             ) from problem
-        self._heard: dict[str, _Heard] = {}
+        self._subscriptions: dict[str, _SubscribedTopic] = {}
         self._present: set[str] = set()
         self._unusable: set[tuple[str, str]] = set()
         self._elsewhere: tuple[str, ...] = ()
@@ -235,18 +235,18 @@ class TopicReader:
         is_there = types.get(own) == [_CLOCK_TYPE] and self._node.count_publishers(own) > 0
         topic = own if is_there else CLOCK_TOPIC
         former = CLOCK_TOPIC if is_there else own
-        if former != topic and former in self._heard:
-            self._heard.pop(former).subscription.close()
+        if former != topic and former in self._subscriptions:
+            self._subscriptions.pop(former).subscription.close()
             self._latest_ns.pop(CLOCK_TOPIC, None)
         return topic
 
     def _subscribe(self, topic: str, relative: str, type_name: str, depth: int, is_latched: bool) -> None:
-        heard = self._heard.get(topic)
-        if heard is not None:
-            if (heard.subscription.type_name, heard.subscription.is_latched) == (type_name, is_latched):
+        subscribed = self._subscriptions.get(topic)
+        if subscribed is not None:
+            if (subscribed.subscription.type_name, subscribed.subscription.is_latched) == (type_name, is_latched):
                 return
-            heard.subscription.close()
-            del self._heard[topic]
+            subscribed.subscription.close()
+            del self._subscriptions[topic]
         if (topic, type_name) in self._unusable:
             return
         try:
@@ -255,23 +255,23 @@ class TopicReader:
             self._unusable.add((topic, type_name))
             self._node.get_logger().warning(f"topic '{topic}' is not shown: {problem}")
             return
-        self._heard[topic] = _Heard(subscription, relative)
+        self._subscriptions[topic] = _SubscribedTopic(subscription, relative)
 
     def _fetched(self, now_ns: int) -> Iterator[Arrived]:
         """Yield the waiting messages, decoded; those that cannot be decoded (other definition) are skipped."""
         clock_offset_ns = time.time_ns() - now_ns
-        for heard in self._heard.values():
-            for data, received_ns in heard.subscription.fetched():
+        for subscribed in self._subscriptions.values():
+            for data, received_ns in subscribed.subscription.fetched():
                 # The middleware gives the time of the system's clock, which may have been set since the last fetch.
                 arrival_ns = min(max(received_ns - clock_offset_ns, self._last_take_ns), now_ns)
                 try:
-                    message = deserialize_message(data, heard.subscription.kind)
+                    message = deserialize_message(data, subscribed.subscription.kind)
                 except Exception as problem:
                     self._node.get_logger().warning(
-                        f"topic '{heard.relative}' is not read: {problem}", throttle_duration_sec=10.0
+                        f"topic '{subscribed.relative}' is not read: {problem}", throttle_duration_sec=10.0
                     )
                     continue
-                yield Arrived(heard.relative, message, arrival_ns)
+                yield Arrived(subscribed.relative, message, arrival_ns)
 
     def _jump_ns(self, arrived: Arrived) -> int | None:
         """Return the arrival of a message whose time went back (/clock or a valid output), ns; None for others."""

@@ -16,7 +16,7 @@ from ship_bags.errors import BadInput
 MOST_CONNECTIONS = 256
 """Maximum number of open connections, without websockets. Further ones are closed."""
 
-REQUEST_S = 10.0
+REQUEST_TIMEOUT_S = 10.0
 """Timeout for sending a request, s."""
 
 MOST_BODY_BYTES = 65_536
@@ -35,8 +35,8 @@ class BoundedServer(HTTPServer):
         """Initialise the server; called by the constructor with its arguments."""
         super().initialize(
             application,
-            idle_connection_timeout=REQUEST_S,
-            body_timeout=REQUEST_S,
+            idle_connection_timeout=REQUEST_TIMEOUT_S,
+            body_timeout=REQUEST_TIMEOUT_S,
             max_body_size=MOST_BODY_BYTES,
             max_buffer_size=2 * MOST_MESSAGE_BYTES,
         )

@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterator, Sequence
 
 from ship_bags.errors import BadInput
-from ship_bags.nmea.lines import REQUIRED, heard_texts
+from ship_bags.nmea.lines import REQUIRED, parse_line
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaInConfig
 from ship_nmea.instruments.links import LinkReader, link_of
 from ship_nmea.instruments.source import Source
@@ -109,6 +109,6 @@ class NmeaIn:
     def _publish_line(self, place: str, arrival_ns: int, line: bytes, sender: str) -> None:
         now_ns = time.monotonic_ns()
         for source in self._sources[place]:
-            for heard in heard_texts(line, source.config.checksum == REQUIRED):
-                for topic, message in source.take(heard, arrival_ns, now_ns, sender):
+            for received in parse_line(line, source.config.checksum == REQUIRED):
+                for topic, message in source.take(received, arrival_ns, now_ns, sender):
                     self._publishers[topic].publish(message)

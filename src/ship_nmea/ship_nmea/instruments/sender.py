@@ -6,7 +6,7 @@ ahead, the other's attitudes would be late. So the first sender with usable data
 
 from ship_bags.stamps import NS_PER_S
 
-HELD_NS = 10 * NS_PER_S
+SENDER_TIMEOUT_NS = 10 * NS_PER_S
 """Time without data after which another sender may replace the selected one, ns."""
 
 NOT_LISTED = "sender that is not in 'from'"
@@ -38,7 +38,7 @@ class SenderRule:
         identity = self._identity(sender)
         if self._addresses and sender and identity not in self._addresses:
             return NOT_LISTED
-        if self.held and now_ns - self._last_ns > HELD_NS:
+        if self.held and now_ns - self._last_ns > SENDER_TIMEOUT_NS:
             self.held = ""
         if self.held and identity != self.held:
             return NOT_HELD

@@ -9,7 +9,7 @@ from typing import Any
 from ship_bags.message_factory import MessageFactory
 from ship_bags.nmea.instrument import WEATHER, Instrument, InstrumentRole
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, clock_problem
-from ship_bags.nmea.lines import HeardText
+from ship_bags.nmea.lines import ParsedText
 from ship_bags.nmea.nmea_attitude import NOT_LATER
 from ship_bags.nmea.sentences import NotOfInterest, Unusable, number
 from ship_bags.nmea.talkers import TalkerComparison
@@ -93,7 +93,7 @@ class Source:
         self._sender = SenderRule(config.from_)
         self._lock = threading.Lock()
         self._arrival_ns = self._stamp_ns = 0
-        self._heard_ns = self._given_ns = self._told_ns = now_ns
+        self._received_ns = self._given_ns = self._told_ns = now_ns
         self._given: Counter[str] = Counter()
         self._heave_m: float | None = None
         self._given_before = 0
@@ -104,7 +104,7 @@ class Source:
         # An INS must give attitudes; a weather station any of its quantities.
         self._wanted = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
-    def take(self, heard: HeardText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:
+    def take(self, received: ParsedText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:
         """Return the messages of the next text, each with its topic; they are counted as published.
 
         Args:
@@ -115,21 +115,21 @@ class Source:
         """
         with self._lock:
             self._report.lines += 1
-            self._report.now_ns = self._heard_ns = now_ns
+            self._report.now_ns = self._received_ns = now_ns
             if refusal := self._sender.refusal(sender, now_ns):
-                self._report.reject_sender(refusal, sender, heard.text)
+                self._report.reject_sender(refusal, sender, received.text)
                 return []
-            messages = self._taken(heard, arrival_ns, now_ns)
+            messages = self._taken(received, arrival_ns, now_ns)
             if any(topic in self._wanted for topic, _ in messages):
                 self._sender.hold(sender, now_ns)
             return messages
 
-    def _taken(self, heard: HeardText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
+    def _taken(self, received: ParsedText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
         report = self._report
         if arrival_ns < self._arrival_ns - _BACK_NS:
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         self._arrival_ns = arrival_ns
-        line = self._line(heard, arrival_ns)
+        line = self._line(received, arrival_ns)
         not_later = report.rejected[NOT_LATER]
         messages = [] if line is None else [(topic, message) for _, topic, message in self._instrument.take(line)]
         was_ahead = self._stamp_ns > arrival_ns and now_ns - self._given_ns > _PUT_RIGHT_NS
@@ -145,21 +145,21 @@ class Source:
                 self._clock_problem, self._clock_problem_ns = problem, now_ns
         return messages
 
-    def _line(self, heard: HeardText, arrival_ns: int) -> InstrumentLine | None:
-        says, report = heard.says, self._report
-        if self.config.talkers and heard.talker and heard.talker not in self.config.talkers:
-            report.set_aside_talker(heard.talker)
+    def _line(self, received: ParsedText, arrival_ns: int) -> InstrumentLine | None:
+        says, report = received.says, self._report
+        if self.config.talkers and received.talker and received.talker not in self.config.talkers:
+            report.set_aside_talker(received.talker)
         elif isinstance(says, NotOfInterest):
             report.set_aside(says.name)
         elif isinstance(says, Unusable):
-            report.reject(says.detail or says.reason, report.lines, heard.text)
+            report.reject(says.detail or says.reason, report.lines, received.text)
         elif arrival_ns == 0:
-            report.reject(NO_TIME, report.lines, heard.text)
+            report.reject(NO_TIME, report.lines, received.text)
         else:
             report.used[says.kind] += 1
             heave_m = number(getattr(says.content, "heave", None))
             self._heave_m = self._heave_m if heave_m is None else heave_m
-            line = InstrumentLine(report.lines, arrival_ns, says.kind, says.content, heard.talker)
+            line = InstrumentLine(report.lines, arrival_ns, says.kind, says.content, received.talker)
             self._talkers.add(line)
             return line
         return None
@@ -207,8 +207,8 @@ class Source:
         wrong = "; ".join(f"{reason} {report.rejected[reason]}, as {report.last[reason]}" for reason in sorted(recent))
         if problem:
             return Level.ERROR, f"{self.config.place}: {problem}; retried"
-        if not now_ns - self._heard_ns <= limit_ns:
-            return Level.ERROR, f"{self.config.place}: no line for {(now_ns - self._heard_ns) / NS_PER_S:.0f} s"
+        if not now_ns - self._received_ns <= limit_ns:
+            return Level.ERROR, f"{self.config.place}: no line for {(now_ns - self._received_ns) / NS_PER_S:.0f} s"
         if not now_ns - self._given_ns <= limit_ns:
             others = f", of other talkers {_names(report.talkers)}" if report.talkers else ""
             why = wrong or f"received: {_names(report.unused, report.used) or 'no usable sentences'}{others}"

@@ -26,7 +26,7 @@ ALERTS = InputTopic("ship/alerts", "ship_msgs/msg/AlertArray", required=False, d
 ACKNOWLEDGE_SERVICE = "alerts/acknowledge"
 
 _COMMANDS_PERIOD_S = 0.05
-_MOST_HEARD = 100
+_MAX_RECEIVED = 100
 _MOST_ASKED = 50
 _ANSWERED_WITHIN_NS = 3 * NS_PER_S
 
@@ -52,7 +52,7 @@ class BridgeAlerts:
         self._shell = shell
         self._config: NmeaOutConfig = shell.config
         self._sinks: Mapping[str, Sink] = {}
-        self._heard: deque[tuple[str, str, str]] = deque(maxlen=_MOST_HEARD)
+        self._received: deque[tuple[str, str, str]] = deque(maxlen=_MAX_RECEIVED)
         self._asked: deque[_Asked] = deque()
         self._counts: Counter[str] = Counter()
         self._ledger = AlertLedger()
@@ -72,11 +72,11 @@ class BridgeAlerts:
         """True if alerts are sent to any sink."""
         return any(self._with(name) for name in ALERT_SENTENCES)
 
-    def hear(self, name: str, text: str, address: str) -> None:
+    def receive_line(self, name: str, text: str, address: str) -> None:
         """Queue a line received by the named sink; called in the thread of that sink."""
-        if len(self._heard) == _MOST_HEARD:
+        if len(self._received) == _MAX_RECEIVED:
             self._counts["dropped"] += 1
-        self._heard.append((name, text, address))
+        self._received.append((name, text, address))
 
     def status(self) -> DiagnosticStatus:
         """Return what was sent, and what was not."""
@@ -113,8 +113,8 @@ class BridgeAlerts:
         _put(beat, self._with(HBT))
 
     def _answer_commands(self) -> None:
-        for _ in range(len(self._heard)):
-            name, text, address = self._heard.popleft()
+        for _ in range(len(self._received)):
+            name, text, address = self._received.popleft()
             self._take_line(self._sinks[name], text, address)
         now_ns = time.monotonic_ns()
         for _ in range(len(self._asked)):

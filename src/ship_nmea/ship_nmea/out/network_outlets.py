@@ -6,7 +6,7 @@ import time
 
 from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.out.config import SinkConfig
-from ship_nmea.out.outlet import RECEIVE_BYTES, Heard, Outlet, command_texts
+from ship_nmea.out.outlet import RECEIVE_BYTES, LineReceiver, Outlet, command_texts
 
 MOST_CLIENTS, MOST_OF_A_HOST = 32, 8
 """Maximum number of clients, and of clients of one host, so that it cannot shut out the others."""
@@ -76,7 +76,7 @@ class _Client:
 class TcpOutlet(Outlet):
     """A server; each client receives what it can take, and one that takes nothing is disconnected."""
 
-    def __init__(self, config: SinkConfig, hear: Heard) -> None:
+    def __init__(self, config: SinkConfig, hear: LineReceiver) -> None:
         super().__init__(config, hear)
         self._server: socket.socket | None = None
         self._clients: list[_Client] = []

@@ -76,7 +76,7 @@ class NmeaOut:
         self._came_ns = 0
         self._alerts = BridgeAlerts(shell)
         self._sinks = [
-            Sink(name, config, partial(self._alerts.hear, name)) for name, config in self._config.sinks.items()
+            Sink(name, config, partial(self._alerts.receive_line, name)) for name, config in self._config.sinks.items()
         ]
         try:
             shell.require_one_open([sink.refusal for sink in self._sinks if sink.refusal], len(self._sinks))

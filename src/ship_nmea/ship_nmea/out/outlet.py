@@ -15,7 +15,7 @@ from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 RECEIVE_BYTES = 4096
 """Maximum number of bytes per read."""
 
-Heard = Callable[[str, str], None]
+LineReceiver = Callable[[str, str], None]
 """Receives a line and the address that it came from, which is empty for a serial line."""
 
 
@@ -31,7 +31,7 @@ class Outlet(ABC):
         hear: called with each received line and its sender's address.
     """
 
-    def __init__(self, config: SinkConfig, hear: Heard) -> None:
+    def __init__(self, config: SinkConfig, hear: LineReceiver) -> None:
         self._config, self._hear = config, hear
         self.lost_ns: int | None = None
         where = {

@@ -15,7 +15,7 @@ from ship_nmea.opening import permanent_error, error_text
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet
 from ship_nmea.out.network_outlets import TcpOutlet, UdpOutlet
-from ship_nmea.out.outlet import Heard, Outlet
+from ship_nmea.out.outlet import LineReceiver, Outlet
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 MOST_WAITING = 200
@@ -58,7 +58,7 @@ class Sink:
         refusal: error of the first opening if only the user can clear it; otherwise None.
     """
 
-    def __init__(self, name: str, config: SinkConfig, hear: Heard) -> None:
+    def __init__(self, name: str, config: SinkConfig, hear: LineReceiver) -> None:
         self.name, self.config = name, config
         self.refusal: BadInput | None = None
         self._outlet: Outlet = _OUTLETS[config.kind](config, hear)

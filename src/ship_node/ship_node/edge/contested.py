@@ -17,7 +17,7 @@ from ship_geometry.time_scales import SECOND_NS
 _ROTATION = np.sqrt(2.0)
 """Distance of two rotation matrices (all nine elements) per radian of a small angle between them."""
 
-_SILENT_NS = 30 * SECOND_NS
+_TIMEOUT_NS = 30 * SECOND_NS
 """Timeout after which the two streams found by their values count as one again, ns."""
 
 
@@ -93,7 +93,7 @@ class ContestedInputs:
         # For each topic with two streams: stamp of its newest value, and timeout-clock time at which that was found.
         self._newest: dict[str, tuple[int | None, int]] = {}
 
-    def end_silent(self, waiting_ns: int) -> list[str]:
+    def end_timed_out(self, waiting_ns: int) -> list[str]:
         """End pairs of streams without values since the timeout; return their topics.
 
         Args:
@@ -101,14 +101,14 @@ class ContestedInputs:
         """
         two = {topic: streams.newest_ns for topic, streams in self._streams.items() if streams.distance}
         self._newest = {topic: self._newest.get(topic, (None, 0)) for topic in two}
-        silent = []
+        timed_out = []
         for topic, newest_ns in two.items():
             if newest_ns != self._newest[topic][0]:
                 self._newest[topic] = newest_ns, waiting_ns
-            elif waiting_ns - self._newest[topic][1] > _SILENT_NS:
+            elif waiting_ns - self._newest[topic][1] > _TIMEOUT_NS:
                 self._streams[topic] = InterleavedStreams(self._continuous[topic].least)
-                silent.append(topic)
-        return silent
+                timed_out.append(topic)
+        return timed_out
 
     def name(self, topic: str, text: str) -> None:
         """Set the text of a topic with two publishers by the middleware's information; an empty text ends it.

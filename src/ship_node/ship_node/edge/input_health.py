@@ -17,11 +17,11 @@ WATCHDOG_NS = 5_000_000_000
 REFUSAL_SHOWN_NS = 2_000_000_000
 """Time for which a single rejection is shown, ns."""
 
-SILENT_PERIODS = 3.0
-SILENCE_ERROR_NS = 1_000_000_000
+TIMEOUT_PERIODS = 3.0
+TIMEOUT_ERROR_NS = 1_000_000_000
 """Timeout of a required topic after which the level is ERROR, ns."""
 
-LEAST_SILENCE_NS = 100_000_000
+MIN_TIMEOUT_NS = 100_000_000
 """Minimum timeout, ns: the evaluation runs once per tick."""
 
 REFUSALS_WARN = 5
@@ -159,7 +159,7 @@ class InputHealthBook(InputRecords):
             *self._judge_connection(record, waiting_ns),
             *([(Level.ERROR, self._age_text(latency_s))] if record.is_too_old else []),
             *_judge_refusals(record, waiting_ns),
-            *_judge_silence(record, waiting_ns),
+            *_timeout_issues(record, waiting_ns),
         ]
         if record.received == 0:
             verdicts.append((Level.OK, "no message yet"))
@@ -234,13 +234,13 @@ def _latency_text(latency_s: float) -> str:
     return "nan s" if math.isnan(latency_s) else duration_text(round(latency_s * 1e9))
 
 
-def _judge_silence(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
+def _timeout_issues(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     """Return the issue of a timeout."""
     if record.last_arrival_ns is None or record.input.at_times:
         return []
-    silence_ns = waiting_ns - record.last_arrival_ns
-    expected_ns = max(LEAST_SILENCE_NS, SILENT_PERIODS * record.mean_period_ns)
-    if silence_ns <= (WATCHDOG_NS if math.isnan(record.mean_period_ns) else expected_ns):
+    elapsed_ns = waiting_ns - record.last_arrival_ns
+    expected_ns = max(MIN_TIMEOUT_NS, TIMEOUT_PERIODS * record.mean_period_ns)
+    if elapsed_ns <= (WATCHDOG_NS if math.isnan(record.mean_period_ns) else expected_ns):
         return []
-    level = Level.ERROR if record.input.required and silence_ns > SILENCE_ERROR_NS else Level.WARN
-    return [(level, f"no data for {silence_ns * 1e-9:.1f} s")]
+    level = Level.ERROR if record.input.required and elapsed_ns > TIMEOUT_ERROR_NS else Level.WARN
+    return [(level, f"no data for {elapsed_ns * 1e-9:.1f} s")]

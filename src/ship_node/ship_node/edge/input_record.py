@@ -158,8 +158,8 @@ class InputRecord:
         if self.last_arrival_ns is None or not self._intervals_ns:
             return math.nan
         since_ns = waiting_ns - self.last_arrival_ns
-        silence_ns = since_ns if since_ns > max(self._intervals_ns) else 0
-        span_ns = sum(self._intervals_ns) + silence_ns
+        gap_ns = since_ns if since_ns > max(self._intervals_ns) else 0
+        span_ns = sum(self._intervals_ns) + gap_ns
         return len(self._intervals_ns) * 1e9 / span_ns if span_ns > 0 else math.nan
 
     @property

@@ -51,7 +51,7 @@ class RecoveringAdapter(BlockAdapter):
 
     def __init__(self, config: Any, *rest: Any) -> None:
         self.recovery = EstimatorRecovery(config.recovery)
-        self._arrived_ns: dict[str, int] = {}
+        self._last_usable_ns: dict[str, int] = {}
         self._looked_ns: int | None = None
         self._adopted_ns: int | None = None
         super().__init__(config, *rest)
@@ -60,7 +60,7 @@ class RecoveringAdapter(BlockAdapter):
 
     @property
     @abstractmethod
-    def there_for_s(self) -> Mapping[str, float]:
+    def source_timeouts_s(self) -> Mapping[str, float]:
         """Prefix of source names → maximum age of the last usable message for the source to be present, s."""
 
     def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
@@ -110,19 +110,19 @@ class RecoveringAdapter(BlockAdapter):
         """See :class:`ReportingAdapter`; a usable message shows that its source is present."""
         refusal = None if outcome is None else outcome.refusal
         if outcome is not None and (refusal is None or refusal.reason in SHOWS_SOURCE):
-            self._arrived_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
+            self._last_usable_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
         return super().told(feed, reading, outcome, receive_ns, waiting_ns)
 
     def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:
         """See :class:`BatchAdapter`."""
-        self._arrived_ns[self.feeds[pending.topic].source] = int(pending.receive_ns[-1])
+        self._last_usable_ns[self.feeds[pending.topic].source] = int(pending.receive_ns[-1])
         return super().end_ahead(pending)
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :class:`ReportingAdapter`; a compared measurement shows that its source is present."""
         for decision in outcome.decisions:
             if decision.reason in SHOWS_SOURCE:
-                self._arrived_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
+                self._last_usable_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
         failed = self._note_decisions(outcome.decisions, now_ns)
         return failed + super().report_outcome(outcome, now_ns, waiting_ns)
 
@@ -197,8 +197,8 @@ class RecoveringAdapter(BlockAdapter):
         """Return the sources with a recent usable message."""
         return frozenset(
             source
-            for source, arrived_ns in self._arrived_ns.items()
-            for kind, most_s in self.there_for_s.items()
+            for source, arrived_ns in self._last_usable_ns.items()
+            for kind, most_s in self.source_timeouts_s.items()
             if source.startswith(kind) and waiting_ns - arrived_ns <= most_s * 1e9
         )
 
@@ -245,7 +245,7 @@ class RecoveringAdapter(BlockAdapter):
 
     def _forget_trouble(self) -> None:
         self.recovery.reset()
-        self._arrived_ns.clear()
+        self._last_usable_ns.clear()
         self._looked_ns = None
         self._bind()
 

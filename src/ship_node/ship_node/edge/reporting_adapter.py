@@ -316,7 +316,7 @@ class ReportingAdapter(ABC):
         self._save_by_itself(waiting_ns)
         if self.slow_due_ns is None or waiting_ns >= self.slow_due_ns:
             self.slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
-            for topic in self._contested.end_silent(waiting_ns):
+            for topic in self._contested.end_timed_out(waiting_ns):
                 self._pass_on_contested(topic)
             try:
                 published += self._slow_topics(now_ns, waiting_ns)

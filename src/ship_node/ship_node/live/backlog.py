@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Mapping
 
 from ship_node.edge.overload import Overload
-from ship_node.live.node_clock import WaitingClock
+from ship_node.live.node_clock import TimeoutClock
 
 LONG_WAIT_NS = 1_000_000_000
 """Waiting time that is long, ns.
@@ -61,7 +61,7 @@ class Backlog:
     def restart(self) -> None:
         """Reset the working time: the clock of waiting times went back."""
         self._running_ns = 0
-        self._worked = WaitingClock(lambda: self._running_ns)
+        self._worked = TimeoutClock(lambda: self._running_ns)
         self._last_short_ns: int | None = None
 
     def judge(self, waited_ns: int, running_ns: int) -> Change:

@@ -13,10 +13,10 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-DEAD_AFTER_NS = 2_000_000_000
+CLOCK_TIMEOUT_NS = 2_000_000_000
 """Timeout of /clock, ns: a player publishes it many times a second, also while paused."""
 
-_START_NS = 5_000_000_000
+_FIRST_CLOCK_TIMEOUT_NS = 5_000_000_000
 """Timeout of the first /clock, ns: its publisher must still be discovered."""
 
 LEAST_STEP_NS = 100_000_000
@@ -49,9 +49,9 @@ class NodeClock:
         self.stepped_ns = 0
         self._ahead_ns: int | None = None
         self._on_event = on_event
-        self._waiting = WaitingClock(steady_ns)
-        self._listening = WaitingClock(steady_ns)
-        self._heard_ns, self._was_heard = self._listening.now_ns(0), False
+        self._waiting = TimeoutClock(steady_ns)
+        self._listening = TimeoutClock(steady_ns)
+        self._last_clock_ns, self._has_clock = self._listening.now_ns(0), False
         self._stood_still_before_ns = 0
         queue_clock(node, self._hear)
 
@@ -92,41 +92,41 @@ class NodeClock:
 
     def is_dead(self) -> bool:
         """Return True if /clock is used, has arrived and has timed out."""
-        return self._was_heard and self._silence_ns() >= DEAD_AFTER_NS
+        return self._has_clock and self._since_clock_ns() >= CLOCK_TIMEOUT_NS
 
     def status(self) -> DiagnosticStatus:
         """Return the status of the clock."""
         if not self.is_simulated():
             return DiagnosticStatus("clock", Level.OK, "running")
-        silence_ns = self._silence_ns()
-        for_s = f"{silence_ns * 1e-9:.0f} s"
+        since_clock_ns = self._since_clock_ns()
+        for_s = f"{since_clock_ns * 1e-9:.0f} s"
         if self.now_ns() == 0:
-            level = Level.ERROR if silence_ns >= _START_NS else Level.OK
+            level = Level.ERROR if since_clock_ns >= _FIRST_CLOCK_TIMEOUT_NS else Level.OK
             return DiagnosticStatus("clock", level, f"use_sim_time is set, but no /clock for {for_s}")
-        if silence_ns >= DEAD_AFTER_NS:
+        if since_clock_ns >= CLOCK_TIMEOUT_NS:
             text = f"no /clock for {for_s}: node time is frozen"
             return DiagnosticStatus("clock", Level.ERROR, text)
         return DiagnosticStatus("clock", Level.OK, "running with /clock")
 
-    def _silence_ns(self) -> int:
+    def _since_clock_ns(self) -> int:
         """Return the listening time since the last /clock, ns."""
-        return self._listening.now_ns(0) - self._heard_ns
+        return self._listening.now_ns(0) - self._last_clock_ns
 
     def _stood_still_ns(self) -> int:
         """Return the time that the timeout clock ran while the node time was frozen, in whole ticks, ns."""
-        silence_ns = self._silence_ns()
-        ticks = silence_ns // TICK_PERIOD_NS if silence_ns >= DEAD_AFTER_NS else 0
+        silence_ns = self._since_clock_ns()
+        ticks = silence_ns // TICK_PERIOD_NS if silence_ns >= CLOCK_TIMEOUT_NS else 0
         return self._stood_still_before_ns + ticks * TICK_PERIOD_NS
 
     def _hear(self) -> None:
-        if self._was_heard:
+        if self._has_clock:
             self._stood_still_before_ns = self._stood_still_ns()
-        self._was_heard = True
-        self._heard_ns = self._listening.now_ns(0)
+        self._has_clock = True
+        self._last_clock_ns = self._listening.now_ns(0)
         self._on_event()
 
 
-class WaitingClock:
+class TimeoutClock:
     """Timeout clock without ``use_sim_time``: the time in which the node was listening.
 
     It runs by a steady clock, independent of the system's time. It starts at the node time, so that both are similar in
@@ -175,7 +175,7 @@ class TickGrid:
         self._newest = now_ns // self._period_ns
 
 
-def queue_clock(node: "Node", heard: Callable[[], None] = lambda: None) -> None:
+def queue_clock(node: "Node", on_clock: Callable[[], None] = lambda: None) -> None:
     """Queue every message of /clock until the node processes it; without ``use_sim_time`` do nothing.
 
     rclpy keeps the newest only. In a node that is behind for a moment (a fast bag, a busy computer), time then runs
@@ -196,7 +196,7 @@ def queue_clock(node: "Node", heard: Callable[[], None] = lambda: None) -> None:
 
     def take(message: Clock) -> None:
         time_source.clock_callback(message)
-        heard()
+        on_clock()
 
     node.destroy_subscription(time_source._clock_sub)
     time_source._clock_sub = node.create_subscription(

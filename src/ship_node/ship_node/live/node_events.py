@@ -18,7 +18,7 @@ from rclpy.subscription import Subscription
 from ship_bags.live.heartbeat import heartbeat
 from ship_bags.stamps import stamp_of_bytes
 from ship_node.edge.messages_out import DiagnosticStatus, Level
-from ship_node.live.node_clock import WaitingClock
+from ship_node.live.node_clock import TimeoutClock
 from ship_node.live.node_report import Guard
 
 MOST_EVENTS = 1000
@@ -68,7 +68,7 @@ class NodeEvents:
         self._dropped_count = 0
         self._dropped_ns = 0
         # A standstill of the node must not count as time in the queue.
-        self._listening = WaitingClock(steady_ns)
+        self._listening = TimeoutClock(steady_ns)
         self._pulse_ns = self._listening.now_ns(0)
 
     def start(self, node: Node) -> None:

@@ -11,10 +11,10 @@ from typing import Any
 UNNUMBERED = 2**64 - 1
 """Number of every message if the middleware counts none, as CycloneDDS: publishers are then unknown."""
 
-LEAST_SILENCE_NS = 1_000_000_000
+MIN_TIMEOUT_NS = 1_000_000_000
 """Minimum timeout of a publisher, ns."""
 
-_SILENT_PERIODS = 3
+_TIMEOUT_PERIODS = 3
 """Timeout of a publisher in units of its longest interval between two messages."""
 
 _FORGOTTEN_NS = 10_000_000_000
@@ -40,9 +40,9 @@ class _Sender:
     last_ns: int
     longest_ns: int = 0
 
-    def is_silent(self, now_ns: int) -> bool:
+    def is_timed_out(self, now_ns: int) -> bool:
         """Return True if the publisher has timed out."""
-        return now_ns - self.last_ns > max(LEAST_SILENCE_NS, _SILENT_PERIODS * self.longest_ns)
+        return now_ns - self.last_ns > max(MIN_TIMEOUT_NS, _TIMEOUT_PERIODS * self.longest_ns)
 
 
 class Senders:
@@ -85,7 +85,7 @@ class Senders:
 
     def are_two(self, now_ns: int) -> bool:
         """Return True if two publishers send: each has continued after the other, and neither has timed out."""
-        return self._returns >= _RETURNS and sum(not sender.is_silent(now_ns) for sender in self._senders) >= 2
+        return self._returns >= _RETURNS and sum(not sender.is_timed_out(now_ns) for sender in self._senders) >= 2
 
     def end(self) -> None:
         """Keep only the latest publisher: the middleware lists no other one."""

@@ -59,7 +59,7 @@ class StarPair(NamedTuple):
 
 
 @dataclass
-class PairsHeard:
+class StarComparisons:
     """Comparisons of a session.
 
     Attributes:
@@ -118,11 +118,11 @@ class NoiseSession:
 
 
 def noise_session(
-    name: str, config: ShipAttitudeConfig, core: ShipAttitudeCore, heard: PairsHeard, problems: list[str]
+    name: str, config: ShipAttitudeConfig, core: ShipAttitudeCore, comparisons: StarComparisons, problems: list[str]
 ) -> NoiseSession:
     """Return the session of a core that has processed a whole bag."""
-    pairs = sorted(heard.found.values(), key=lambda pair: (pair.time_ns, pair.source))
-    return NoiseSession(name, config, core.filter.model, pairs, dict(core.state.common_n), len(heard.refused), problems)
+    pairs = sorted(comparisons.found.values(), key=lambda pair: (pair.time_ns, pair.source))
+    return NoiseSession(name, config, core.filter.model, pairs, dict(core.state.common_n), len(comparisons.refused), problems)
 
 
 def run_session(
@@ -142,7 +142,7 @@ def run_session(
     Raises:
         BadInput: the bag or the configuration cannot be used, or no star measurement was used.
     """
-    heard, listening = PairsHeard(), []
+    comparisons, listening = StarComparisons(), []
 
     class Listening(ShipAttitudeAdapter):
         def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
@@ -158,7 +158,7 @@ def run_session(
                 yield feed
 
         def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
-            heard.take(self.core, outcome.decisions)
+            comparisons.take(self.core, outcome.decisions)
             return []
 
     with read_bag(bag_path) as bag:
@@ -174,10 +174,10 @@ def run_session(
             run.take(names[record.topic], record)
         unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
         problems = [*left_out, *bag.problems, *unread]
-        if not heard.found:
-            counts = f"{len(heard.refused)} received, all rejected" if heard.refused else "none received"
+        if not comparisons.found:
+            counts = f"{len(comparisons.refused)} received, all rejected" if comparisons.refused else "none received"
             raise BadInput(f"no star measurement was used ({counts}): the INS error is not observable", file=bag.path)
-        return noise_session(bag_path.name, adapter.configured, adapter.core, heard, problems)
+        return noise_session(bag_path.name, adapter.configured, adapter.core, comparisons, problems)
 
 
 def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:

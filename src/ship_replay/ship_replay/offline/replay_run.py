@@ -20,7 +20,7 @@ from ship_replay.offline.status_course import STATUS_TOPICS, StatusCourse
 from ship_replay.offline.truth_errors import TruthErrors
 from ship_watch.orientations import ORIENTATIONS
 
-_LONGEST_SILENCE_NS = 600 * NS_PER_S
+_MAX_TICK_GAP_NS = 600 * NS_PER_S
 """Maximum time after a message for which ticks are generated, ns.
 
 By then every timeout of the nodes has expired. The limit avoids hours of ticks after a wrong log time, from a damaged
@@ -161,7 +161,7 @@ class ReplayRun:
         last_ns, self.last_time_ns = self.last_time_ns, time_ns
         if last_ns is None:
             return range(0)
-        end_ns = min(time_ns, last_ns + _LONGEST_SILENCE_NS)
+        end_ns = min(time_ns, last_ns + _MAX_TICK_GAP_NS)
         return range((last_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS, end_ns + 1, TICK_PERIOD_NS)
 
     def _publish(self, published: list[Published], time_ns: int) -> None:

@@ -179,7 +179,7 @@ class _Reading:
         self._night, self._watch = night, Watch(night.limits, _FewKept)
         night.alerts_are_recorded = alerts_are_recorded
         self._book = AlertBook(night.limits.alerts, (), night.start_ns)
-        self._heard: dict[tuple[str, int], AlertShown] = {}
+        self._last_alerts: dict[tuple[str, int], AlertShown] = {}
         self._history = self._watch.history
         self._last_event: Event | None = None
         self._last_point_ns: dict[str, int] = {}
@@ -296,15 +296,15 @@ class _Reading:
 
     def _note_recorded(self, picture: Picture) -> None:
         """Record the changes of published alerts."""
-        heard = {(alert.id, alert.instance): alert for alert in picture.alerts or ()}
-        for key, alert in heard.items():
-            if key not in self._heard or self._heard[key].state != alert.state:
+        alerts = {(alert.id, alert.instance): alert for alert in picture.alerts or ()}
+        for key, alert in alerts.items():
+            if key not in self._last_alerts or self._last_alerts[key].state != alert.state:
                 what = AlertState(alert.state).name.lower().replace("_", " ")
                 self._night.alerts.append(AlertTold(alert.changed_ns, what, alert))
         self._night.alerts += [
-            AlertTold(picture.utc_ns, "over", alert) for key, alert in self._heard.items() if key not in heard
+            AlertTold(picture.utc_ns, "over", alert) for key, alert in self._last_alerts.items() if key not in alerts
         ]
-        self._heard = heard
+        self._last_alerts = alerts
 
 
 def _grave(changes: Iterable[AlertChange]) -> list[AlertChange]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.exclusion import HEARD_NS
+from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
 from ship_replay.trials.voyage_told import Told
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
@@ -130,7 +130,7 @@ class Passage:
             return False
         by_stars = [arrivals_ns for topic, arrivals_ns in self.arrivals_ns.items() if topic.startswith(_STARS)]
         stars_ns = np.concatenate(by_stars)
-        return not ((stars_ns >= first_ns - HEARD_NS) & (stars_ns < first_ns)).any()
+        return not ((stars_ns >= first_ns - MAX_MEASUREMENT_AGE_NS) & (stars_ns < first_ns)).any()
 
     def _period_s(self, topic: str) -> float:
         """Return the median period of a topic, s."""

@@ -18,7 +18,7 @@ from ship_replay.offline.exclusion_history import INTEGRITY
 from ship_watch.orientations import ORIENTATIONS, Orientation
 
 EXCLUSION = "excluded from the estimate"
-SILENT = "silent"
+NO_DATA = "silent"
 
 _IN_COMPARISON = frozenset(
     reason.word
@@ -197,6 +197,6 @@ class HealthBook:
         self._before[topic, place] = received, counts
         new = sorted(counts - before)
         if received == had_received and report.level >= _WARN:
-            new.append(SILENT)
+            new.append(NO_DATA)
         signs = [Sign(topic, log_time_ns, stamp_ns, reason) for reason in new]
         return [sign for sign in signs if sign.is_by_itself]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.exclusion import HEARD_NS, ExcludedSource, Finding, find_fault, evaluate_reinstatement
+from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS, ExcludedSource, Finding, find_fault, evaluate_reinstatement
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import IntegrityConfig
@@ -173,16 +173,16 @@ class FaultDetector:
             names: beacons of this sighting.
             time_ns: time of the sighting.
         """
-        heard_ns, silent_ns = fault_state.innovation_means.heard_ns, time_ns - HEARD_NS
-        quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._subfilters.beacons.index(name)] < silent_ns}
-        if not quiet or not (fault_state.exclusions or fault_state.conflict):
+        received_ns, silent_ns = fault_state.innovation_means.last_measured_ns, time_ns - MAX_MEASUREMENT_AGE_NS
+        timed_out: Set[str] = {BEACON + name for name in names if received_ns[self._subfilters.beacons.index(name)] < silent_ns}
+        if not timed_out or not (fault_state.exclusions or fault_state.conflict):
             return fault_state
         conflict = fault_state.conflict
-        if heard_ns.max() < silent_ns:
-            quiet = quiet | CHAIN
+        if received_ns.max() < silent_ns:
+            timed_out = timed_out | CHAIN
             conflict = None if conflict is None else replace(conflict, agrees_since_ns=None)
         exclusions = dict(fault_state.exclusions)
-        for name in quiet & exclusions.keys():
+        for name in timed_out & exclusions.keys():
             exclusion = replace(exclusions[name].exclusion, agrees_since_ns=None)
             exclusions[name] = replace(exclusions[name], exclusion=exclusion)
         return replace(fault_state, left_out=exclusions, conflict=conflict)
@@ -231,7 +231,7 @@ class FaultDetector:
         used = [
             row
             for row, id_ in enumerate(self._subfilters.beacons)
-            if BEACON + id_ not in fault_state.excluded and fault_state.innovation_means.heard_ns[row] >= time_ns - HEARD_NS
+            if BEACON + id_ not in fault_state.excluded and fault_state.innovation_means.last_measured_ns[row] >= time_ns - MAX_MEASUREMENT_AGE_NS
         ]
         if len(used) < 2:
             return False
@@ -245,11 +245,11 @@ class FaultDetector:
 
     def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
         """True if beacons drift within their limit and are consistent without the ship's attitude."""
-        heard = fault_state.innovation_means.heard_ns >= time_ns - HEARD_NS
-        if fault_state.excluded or fault_state.conflict is not None or not np.any(fault_state.innovation_means.excess[0, heard] > _DRIFT_INDICATION_RATIO):
+        is_recent = fault_state.innovation_means.last_measured_ns >= time_ns - MAX_MEASUREMENT_AGE_NS
+        if fault_state.excluded or fault_state.conflict is not None or not np.any(fault_state.innovation_means.excess[0, is_recent] > _DRIFT_INDICATION_RATIO):
             return False
         row = 1 + self._subfilters.sources.index(SHIP)
-        return bool(np.all(fault_state.innovation_means.excess[row, heard] <= CONSISTENT_RATIO) and np.all(fault_state.innovation_means.refused[row, heard] == 0))
+        return bool(np.all(fault_state.innovation_means.excess[row, is_recent] <= CONSISTENT_RATIO) and np.all(fault_state.innovation_means.refused[row, is_recent] == 0))
 
     def without(self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None) -> FaultState:
         """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""

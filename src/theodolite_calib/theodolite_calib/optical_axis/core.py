@@ -17,7 +17,7 @@ from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.estimator_shell import EstimatorShell, Model
-from ship_estimation.exclusion import HEARD_NS
+from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.refusals import Contradictions, Reason, Refusal
@@ -312,8 +312,8 @@ class OpticalAxisCore:
         outcome = PointingOutcome()
         self._shell.tick(now_ns, outcome)
         self._point_by_stars(outcome, waiting_ns)
-        silent = _is_silent(self._encoder_arrival_ns, waiting_ns)
-        missing = "no usable reading of the encoders" if silent else f"no attitude on {self.config.ship.source}"
+        is_timed_out = _is_timed_out(self._encoder_arrival_ns, waiting_ns)
+        missing = "no usable reading of the encoders" if is_timed_out else f"no attitude on {self.config.ship.source}"
         self._shell.say_invalid(outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing))
         self._answer_targets(outcome, waiting_ns)
         return outcome
@@ -419,8 +419,8 @@ class OpticalAxisCore:
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was accepted recently."""
-        means, since_ns = self.state.fault_state.innovation_means, self._shell.window.newest_ns - HEARD_NS
-        used = (means.heard_ns >= since_ns) & (means.refused[0] == 0)
+        means, since_ns = self.state.fault_state.innovation_means, self._shell.window.newest_ns - MAX_MEASUREMENT_AGE_NS
+        used = (means.last_measured_ns >= since_ns) & (means.refused[0] == 0)
         lights = [BEACON + id_ for id_ in self.filter.subfilters.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
@@ -602,13 +602,13 @@ class OpticalAxisCore:
     def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         """Publish the pointing from the newest stars if ship or encoders have timed out and the stars are recent."""
         needed = {self.config.ship.source: self._ship_arrival_ns, "the encoders": self._encoder_arrival_ns}
-        silent = [name for name, arrival_ns in needed.items() if _is_silent(arrival_ns, waiting_ns)]
-        if self._newest_stars is None or not silent:
+        timed_out = [name for name, arrival_ns in needed.items() if _is_timed_out(arrival_ns, waiting_ns)]
+        if self._newest_stars is None or not timed_out:
             return
         (exposure, arrival_ns), self._newest_stars = self._newest_stars, None
         if waiting_ns - arrival_ns > SECOND_NS:
             return
-        text = f"by stars alone: no data from {' and '.join(silent)}"
+        text = f"by stars alone: no data from {' and '.join(timed_out)}"
 
         def by_stars(state: CalibrationState) -> PointingEstimate | None:
             assert self._sky is not None
@@ -634,7 +634,7 @@ class OpticalAxisCore:
         return self._shell.contradictions.text(self._shell.contradictions.at(time_ns))
 
 
-def _is_silent(arrival_ns: int | None, waiting_ns: int) -> bool:
+def _is_timed_out(arrival_ns: int | None, waiting_ns: int) -> bool:
     """True if an input has timed out: none received, or the last one more than a second ago."""
     return arrival_ns is None or waiting_ns - arrival_ns > SECOND_NS
 

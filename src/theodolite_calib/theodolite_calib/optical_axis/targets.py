@@ -99,8 +99,8 @@ class TargetAnswers:
         if not len(self._waiting):
             return
         patience_ns = max(SECOND_NS, round(self._config.lag_s * SECOND_NS))
-        for sample, came_ns in self._waiting.waiting():
-            given_up = waiting_ns is not None and waiting_ns - came_ns > patience_ns
+        for sample, received_ns in self._waiting.waiting():
+            given_up = waiting_ns is not None and waiting_ns - received_ns > patience_ns
             if given_up or sample.time_ns < oldest_ns or self._is_covered(sample):
                 self._waiting.answered(sample)
                 self._answer(sample, outcome, state())

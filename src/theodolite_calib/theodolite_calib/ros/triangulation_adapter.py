@@ -22,7 +22,7 @@ from theodolite_calib.target.placing import PlaceEstimate, PlacingOutcome, Trian
 POSITION_TOPIC, INNOVATION_TOPIC = "target/position", "target/innovation"
 ORIGIN_FRAME = "triangulation_origin"
 
-_SILENT_NS = 10_000_000_000
+_STALE_NS = 10_000_000_000
 """Age of the last position above which it is no longer reported as current, ns."""
 
 _LEVELS = {
@@ -86,7 +86,7 @@ class TriangulationAdapter(ReportingAdapter):
         last: PlaceEstimate | None = self.latest
         if last is None or self._told_ns is None:
             return DiagnosticStatus("position", Level.OK, "none yet", values)
-        if waiting_ns - self._told_ns > _SILENT_NS:
+        if waiting_ns - self._told_ns > _STALE_NS:
             # No theodolite may have a target in view.
             text = f"none for {(waiting_ns - self._told_ns) * 1e-9:.0f} s, {last.status.name} before"
             return DiagnosticStatus("position", Level.OK, text, values)
