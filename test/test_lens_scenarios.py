@@ -50,9 +50,9 @@ def at_the_end(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_more_sightings_are_rejected_than_by_chance(name):
-    assert {run.sightings + run.refused for run in voyages(name)} == {60}
+    assert {run.sightings + run.rejected_count for run in voyages(name)} == {60}
     # A gate of 99.99 % refuses one of 720 sightings in one run of fourteen, three once in twenty thousand.
-    assert sum(run.refused for run in voyages(name)) < 3
+    assert sum(run.rejected_count for run in voyages(name)) < 3
 
 
 def test_a_surveyed_lens_gives_a_consistent_pointing():

@@ -53,7 +53,7 @@ def test_a_step_of_the_ship_attitude_is_detected_by_its_rates(seed, arcsec_n, un
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nothing_is_rejected_without_faults(seed):
     found = claims(clean_session(seed))
-    assert found.refused == 0
+    assert found.rejected_count == 0
     assert set(found.status[found.time_s > 5.0]) == {Status.VALID}
     assert found.worst(Status.VALID, from_s=0.0) < 4.0
     assert found.time_s[-1] > FAULT_S

@@ -45,8 +45,8 @@ def replayed(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dic
     write_bag(scenario, seed, folder / "in.mcap", b"")
     summary = replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS)
     assert summary.problems == []
-    topics = {*summary.refused, *summary.noted}
-    return folder / "out.mcap", {t: summary.refused.get(t, {}) | summary.noted.get(t, {}) for t in topics}
+    topics = {*summary.rejected, *summary.noted}
+    return folder / "out.mcap", {t: summary.rejected.get(t, {}) | summary.noted.get(t, {}) for t in topics}
 
 
 def worst_valid_sigmas(path: Path) -> float:

@@ -18,7 +18,7 @@ from ship_attitude_star.sky.surroundings import Surroundings
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_replay.commands.replay import main as replay
 from ship_replay.trials.monte_carlo import final_error
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -63,11 +63,11 @@ def test_clocks_and_installation_of_two_systems_are_estimated(tmp_path: Path, ti
     assert heading <= 0.039
 
 
-def refused(given: Iterable[SkyInput]) -> list[Refusal | None]:
+def rejection_reasons(given: Iterable[SkyInput]) -> list[Rejection | None]:
     """Return the rejections of consecutive fixes or weather readings."""
     surroundings, told = Surroundings(SkyConfig()), []
     for one in given:
-        told.append(surroundings.refusal(one))
+        told.append(surroundings.rejection(one))
         surroundings.insert(one)
     return told
 
@@ -76,7 +76,7 @@ def test_the_position_of_a_sailing_ship_is_not_rejected(tmp_path: Path) -> None:
     with read_bag(imported(tmp_path, "instrument")) as bag:
         records = list(bag.records(topics=["gnss/fix"]))
     fixes = [position_fix(record.decode(), SkyConfig(), record.log_time_ns).value for record in records]
-    assert refused(fixes) == [None] * 715
+    assert rejection_reasons(fixes) == [None] * 715
 
 
 def test_the_weather_is_not_rejected() -> None:
@@ -88,7 +88,7 @@ def test_the_weather_is_not_rejected() -> None:
             time_ns = round(datetime.fromisoformat(when.replace("Z", "+00:00")).timestamp() * 1e9)
             readings.append(AirReading("temperature", time_ns, float(fields[3])))
             readings.append(AirReading("pressure", time_ns, float(fields[-1])))
-    assert refused(readings) == [None] * 2 * 1667
+    assert rejection_reasons(readings) == [None] * 2 * 1667
 
 
 def test_errors_fit_their_covariance_on_recorded_motion(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from ship_testing.adapter_runs import (
     changed_copy,
     flooded,
     in_order,
-    without_refused,
+    without_rejected,
 )
 from ship_testing.every_input import NODES, clean_run, topics, voyage
 from ship_testing.message_values import type_name_of
@@ -193,7 +193,7 @@ def test_messages_at_a_too_high_rate_have_no_effect(node: str, topic: str) -> No
     run = voyage(node).run(arrivals)
     overflow = run.innovations(Reason.OVERFLOW)
     assert run.reasons(topic)["overflow"] == len(overflow) > 30
-    assert run.results() == voyage(node).run(without_refused(arrivals, topic, overflow)).results()
+    assert run.results() == voyage(node).run(without_rejected(arrivals, topic, overflow)).results()
 
 
 @pytest.mark.parametrize("count", [1, 4, 8])

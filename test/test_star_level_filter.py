@@ -17,7 +17,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.sky.sky_watch import ApparentStars, SkyMoment, SkyWatch
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import elevation_of, lifted
 from ship_geometry.rotations import FloatArray, log_rotation
@@ -198,9 +198,9 @@ class _Airless(SkyMoment):
 class SkyWithoutRefraction(SkyWatch):
     """Sky without refraction."""
 
-    def at(self, time_ns: int) -> SkyMoment | Refusal:
+    def at(self, time_ns: int) -> SkyMoment | Rejection:
         moment = super().at(time_ns)
-        return moment if isinstance(moment, Refusal) else _Airless(**vars(moment))
+        return moment if isinstance(moment, Rejection) else _Airless(**vars(moment))
 
 
 class _Still(RefreshedSky):

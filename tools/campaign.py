@@ -101,7 +101,7 @@ def _judged(console: Console, name: str, results: list[FinalError]) -> bool:
             _three(np.sqrt(np.mean(angles**2, axis=0)) / ARCSEC),
             _three(ratio),
             f"{nees:.2f}",
-            str(sum(result.refused for result in results)),
+            str(sum(result.rejected_count for result in results)),
             "in band" if honest else "OUTSIDE",
         )
     )

@@ -151,7 +151,7 @@ def flooded(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: i
     return in_order([*arrivals, *more])
 
 
-def without_refused(arrivals: Arrivals, topic: str, told: Iterable[Any]) -> Arrivals:
+def without_rejected(arrivals: Arrivals, topic: str, told: Iterable[Any]) -> Arrivals:
     """Return the arrivals of a topic, all of different stamps, without those that innovations report as rejected."""
     refused_ns = {stamp_of(message) for message in told}
     return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in refused_ns)
@@ -192,7 +192,7 @@ def assert_a_flood_costs_little(
     assert run.reasons(topic)["overflow"] == len(overflow) > 0.4 * received
     lasts_s = (arrivals[-1].receive_ns - arrivals[0].receive_ns) / SECOND_NS + 3.0
     assert steps[0] < 2 * (received - len(overflow) + other_measurements) + MOST_REPEATS_PER_S * lasts_s
-    assert drive(without_refused(flood, topic, overflow)).results() == run.results()
+    assert drive(without_rejected(flood, topic, overflow)).results() == run.results()
 
 
 def hand_over(

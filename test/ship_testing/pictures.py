@@ -92,7 +92,7 @@ def source(name: str, **changes: Any) -> SourceShown:
         verdict=verdict,
         age_s=_AGES.get(name, 0.5),
         rate_hz=2.0,
-        refused=0,
+        rejected_in_a_row=0,
         topics=(f"{name.replace('.', '/')}/topic",),
     )
     return replace(well, **changes)

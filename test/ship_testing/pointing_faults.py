@@ -165,7 +165,7 @@ class Claims:
     levels: FloatArray
     estimates: list[PointingEstimate]
     core: OpticalAxisCore
-    refused: int
+    rejected_count: int
     start_ns: int
     named: set[str]
 
@@ -248,8 +248,8 @@ def claims(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: 
     told.give(run, arrivals[before:], rows)
     core, outcomes, levels = told.core, told.outcomes, told.levels
     decisions = [decision for outcome in outcomes for decision in outcome.decisions]
-    refused = sum(outcome.refusal is not None for outcome in outcomes)
-    refused += sum(not decision.accepted for decision in decisions)
+    rejected_count = sum(outcome.rejection is not None for outcome in outcomes)
+    rejected_count += sum(not decision.accepted for decision in decisions)
     estimates = [found for outcome in outcomes for found in outcome.estimates]
     kept = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
     compared = [_errors(found, truth.mount.rotation_nm[rows[found.time_ns]]) for found in kept]
@@ -262,7 +262,7 @@ def claims(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: 
         levels=np.array([levels[found.time_ns] for found in kept]),
         estimates=kept,
         core=core,
-        refused=refused,
+        rejected_count=rejected_count,
         start_ns=run.start_ns,
         named={source for decision in decisions for source in decision.excluded},
     )

@@ -13,7 +13,7 @@ SIGMA_ENU = np.diag([2.0, 3.0, 4.0]) * ARCSEC
 """Of a ship with heading North: pitch 2″, roll 3″, heading 4″; 95 % are 3.9″, 5.9″ and 7.8″."""
 
 
-def write_night(path, seconds=40, with_truth=True, gap_s=(0, 0), refused=()):
+def write_night(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):
     """Write attitudes at 10 Hz with 1″ of heading error, a gap between two times; rejections of star.fore at times."""
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", "ship_attitude:\n  ros__parameters: {}\n")
@@ -27,7 +27,7 @@ def write_night(path, seconds=40, with_truth=True, gap_s=(0, 0), refused=()):
                 estimate.covariance = (np.diag([4.0, 2.0, 3.0]) ** 2 * ARCSEC**2).ravel()
                 bag.write("ship/attitude", estimate, stamp_ns)
             if tick % 10 == 0:
-                accepted = tick // 10 not in refused
+                accepted = tick // 10 not in rejected
                 reason = 0 if accepted else int(Reason.GATE)
                 told = innovation(stamp_ns, "star.fore", [ARCSEC, 0.0, 0.0], [ARCSEC] * 3, 1.0, accepted, reason)
                 bag.write("ship/innovation", told, stamp_ns)

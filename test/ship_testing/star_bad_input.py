@@ -75,7 +75,7 @@ def without_star(row: int) -> Change:
 
     return change
 
-STARS_REFUSED = [
+REJECTED_STARS = [
     ("pixel NaN", star(3, u=np.nan), Reason.NON_FINITE, "pixel (nan"),
     ("pixel nonsense", star(3, v=1e12), Reason.UNITS, "1e+12"),
     ("sigma negative", star(3, sigma_px=-1.0), Reason.BAD_COVARIANCE, "sigma_px -1"),

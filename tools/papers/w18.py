@@ -94,12 +94,12 @@ class SuiteError:
 
     error_arcsec: float
     sigma_arcsec: float
-    refused: int
+    rejected_count: int
 
     @property
     def cells(self) -> tuple[str, ...]:
         """Return the cells of a table row."""
-        return f"{self.error_arcsec:.2f}″", f"{self.sigma_arcsec:.2f}″", str(self.refused)
+        return f"{self.error_arcsec:.2f}″", f"{self.sigma_arcsec:.2f}″", str(self.rejected_count)
 
 
 @cache
@@ -108,7 +108,7 @@ def suite_error_arcsec(scenario: str, seeds: range) -> SuiteError:
     voyages = [pointing_errors(load_scenario(ROOT / "bags" / "scenarios" / f"{scenario}.yaml"), seed) for seed in seeds]
     ends = np.array([[voyage.on_sky[-1], voyage.sigma_on_sky[-1]] for voyage in voyages]) / ARCSEC
     error_arcsec, sigma_arcsec = np.sqrt(np.mean(ends**2, axis=0))
-    return SuiteError(float(error_arcsec), float(sigma_arcsec), sum(voyage.refused for voyage in voyages))
+    return SuiteError(float(error_arcsec), float(sigma_arcsec), sum(voyage.rejected_count for voyage in voyages))
 
 
 def summary(sizes: FloatArray) -> tuple[float, float, float]:

@@ -154,7 +154,7 @@ def test_the_solver_of_solutions_has_the_same_limit(watch: SkyWatch) -> None:
         _, stars, _ = visible_stars(exposure_of(watch, "fore", 2), watch, prior)
         solution, against = solve_with_fallback(stars, prior)
         assert (solution.status, against) == (status, False)
-    assert solution.refusal.reason is Reason.UNIDENTIFIED
+    assert solution.rejection.reason is Reason.UNIDENTIFIED
 
 
 def test_successive_unidentified_exposures_inflate_the_covariance(watch: SkyWatch) -> None:
@@ -168,7 +168,7 @@ def test_successive_unidentified_exposures_inflate_the_covariance(watch: SkyWatc
         exposure = without_identity(exposure_of(watch, "fore", 8, np.random.default_rng(step), time_ns))
         state, decision = ship_filter.step(state, exposure, ins_track(time_ns, error_n), watch)
         reasons.append(decision.reason)
-        runs.append(state.refusals["star.fore"])
+        runs.append(state.consecutive_rejections["star.fore"])
         if step == 1:
             assert state.covariance.tobytes() == before.tobytes()
     assert reasons[:3] == [Reason.UNIDENTIFIED] * 3

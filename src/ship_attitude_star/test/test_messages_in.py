@@ -10,7 +10,7 @@ from ship_attitude_star.ros.surroundings_in import humidity, position_fix, press
 from ship_attitude_star.sky.config import SkyConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 
 FACTORY = RosidlFactory()
 STAMP_NS = 1_404_906_607_800_000_000
@@ -82,10 +82,10 @@ FIXES = [
 
 @pytest.mark.parametrize(("changes", "reason", "text"), [f[1:] for f in FIXES], ids=[f[0] for f in FIXES])
 def test_a_bad_fix_is_refused(changes: dict[str, Any], reason: str, text: str) -> None:
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(MessageRejected) as caught:
         position_fix(fix(**changes), SkyConfig(), NOW_NS)
-    assert caught.value.refusal.reason.word == reason
-    assert text in caught.value.refusal.text
+    assert caught.value.rejection.reason.word == reason
+    assert text in caught.value.rejection.text
 
 
 AIR: dict[Callable[..., Any], tuple[str, str]] = {
@@ -141,12 +141,12 @@ def test_weather_is_converted_from_its_units(
 def test_bad_weather_is_refused(
     converter: Callable[..., Any], value: float, variance: float, reason: str, text: str
 ) -> None:
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(MessageRejected) as caught:
         converter(air(converter, value, variance), NOW_NS)
-    assert caught.value.refusal.reason.word == reason
-    assert text in caught.value.refusal.text
+    assert caught.value.rejection.reason.word == reason
+    assert text in caught.value.rejection.text
 
 
 def test_weather_without_a_stamp_is_refused() -> None:
-    with pytest.raises(Refused, match="bad_stamp"):
+    with pytest.raises(MessageRejected, match="bad_stamp"):
         humidity(air(humidity, 0.5, stamp_ns=0), NOW_NS)

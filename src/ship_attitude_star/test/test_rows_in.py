@@ -12,7 +12,7 @@ from ship_attitude_star.ship_attitude.config import StarSensorConfig
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters import build
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.messages_in import ReadMessage, Refused
+from ship_node.edge.messages_in import ReadMessage, MessageRejected
 from ship_testing.rows_read import rows
 
 TYPE, FRAME = "ship_msgs/msg/StarHorizonAttitude", "star_bow"
@@ -102,7 +102,7 @@ def test_messages_rejected_singly_are_not_read_as_a_block() -> None:
         one = message(1, **changed)
         try:
             messages_in.star_measurement(one, "bow", config, receive_ns)
-        except Refused:
+        except MessageRejected:
             refused += 1
             assert rows_in.star_attitudes(rows(TYPE, [one]), np.array([receive_ns]), "bow", config) == [None]
     assert refused > len(ODD) // 2

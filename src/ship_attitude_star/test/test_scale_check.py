@@ -51,7 +51,7 @@ def test_a_wrong_focal_length_is_named_with_the_value_that_fits(watch, scale, na
         seen = exposure(watch, scale, rng)
         seen = seen if named else without_identity(seen)
         _, solved = solve_exposure(seen, (), prior(rng, 30.0 * ARCSEC), watch)
-        refusal = solved.solution.refusal
+        refusal = solved.solution.rejection
         assert refusal is not None
         assert refusal.reason is Reason.MISIDENTIFIED
         found = TEXT.match(refusal.text)

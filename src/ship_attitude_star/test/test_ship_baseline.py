@@ -22,7 +22,7 @@ from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, wrap_pi
 from ship_msgs.msg import RtkBaseline
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 
 START_NS = 1_700_000_000_000_000_000
 BASELINE_D = np.array([8.0, 0.4, -1.5])
@@ -218,9 +218,9 @@ def solution_message(**changes: Any) -> RtkBaseline:
 def test_an_unusable_message_is_rejected_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
     config = configured().ship_baseline
     assert baseline(solution_message(), START_NS, config).covariance_known
-    with pytest.raises(Refused) as refused:
+    with pytest.raises(MessageRejected) as refused:
         baseline(solution_message(**changes), START_NS, config)
-    assert refused.value.refusal.reason is reason
+    assert refused.value.rejection.reason is reason
 
 
 def test_a_covariance_of_zeros_is_the_configured_one() -> None:

@@ -30,7 +30,7 @@ from ship_testing.adapter_runs import (
 )
 from ship_testing.ship_observations import SENSORS, config, sail
 from ship_testing.small_voyage import INS, Run, ins_message
-from ship_testing.star_bad_input import DROPPED, SOURCE, STARS_REFUSED, Change, star, without_star
+from ship_testing.star_bad_input import DROPPED, SOURCE, REJECTED_STARS, Change, star, without_star
 from ship_testing.star_voyage import (
     FIX,
     FORE,
@@ -116,7 +116,7 @@ def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Chang
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("change", "reason"), [s[1:3] for s in STARS_REFUSED], ids=[s[0] for s in STARS_REFUSED])
+@pytest.mark.parametrize(("change", "reason"), [s[1:3] for s in REJECTED_STARS], ids=[s[0] for s in REJECTED_STARS])
 def test_a_bad_star_alone_is_refused(change: Change, reason: Reason) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
     run, lacking = sail(replaced(voyage(), index, change)), sail(replaced(voyage(), index, without_star(3)))

@@ -50,7 +50,7 @@ def test_repeated_fixes_and_readings_are_rejected() -> None:
         PositionFix(TIME_NS, POSITION, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])),
         AirReading("pressure", TIME_NS, 1000.0, PRESSURE_SIGMA_HPA),
     ):
-        assert watch.surroundings.refusal(given).reason is Reason.DUPLICATE
+        assert watch.surroundings.rejection(given).reason is Reason.DUPLICATE
         assert watch.surroundings.insert(given) is None
 
 

@@ -25,7 +25,7 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.parameters import ParameterError
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
@@ -320,7 +320,7 @@ def test_below_the_refraction_model_the_stated_covariance_is_used(elevation_deg:
 
 def test_without_a_fix_shared_errors_cannot_be_separated() -> None:
     refusal = in_horizon(read(one_solution()), installed_sky(ship(POOR_FIX).sky))
-    assert isinstance(refusal, Refusal)
+    assert isinstance(refusal, Rejection)
     assert refusal.reason is Reason.NO_FIX
 
 

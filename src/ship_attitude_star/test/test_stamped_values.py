@@ -35,7 +35,7 @@ def told(*stamped: tuple[float, float], sigma: float = 0.0) -> tuple[StampedValu
     """Return the values after all have arrived, and the times of those rejected."""
     values, refused = StampedValues[Reading](LIMITS), []
     for since_s, value in stamped:
-        if values.refusal(ns(since_s), Reading(value, sigma)) is not None:
+        if values.rejection(ns(since_s), Reading(value, sigma)) is not None:
             refused.append(since_s)
         values.insert(ns(since_s), Reading(value, sigma))
     return values, refused
@@ -59,7 +59,7 @@ def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
     values, refused = told(*STEADY, (5.0, 100.0), (6.0, 101.0))
     assert refused == [5.0, 6.0]
     assert accepted_values(values)[-1] == (ns(4), 0.0, False)
-    refusal = values.refusal(ns(7), Reading(102.0))
+    refusal = values.rejection(ns(7), Reading(102.0))
     assert refusal.reason is Reason.JUMP
     assert refusal.text == (
         "102 m from the last accepted value, 3.0 s before it, limit 16 m; "
@@ -78,7 +78,7 @@ def test_values_consistent_with_a_jump_have_no_time_dependent_limit() -> None:
     # 30 is within 10 + 2·t of zero from 10 s on, but it was reached by a jump.
     values, refused = told(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
     assert refused == [float(t) for t in range(5, 60)]
-    refusal = values.refusal(ns(60), Reading(30.0))
+    refusal = values.rejection(ns(60), Reading(30.0))
     assert "consistent with other values that had jumped" in refusal.text
     # A value that has returned to within one step is accepted: 12 within a second.
     assert told(*STEADY, (5.0, 22.0), (6.0, 12.1), (7.0, 12.0))[1] == [5.0, 6.0]
@@ -128,7 +128,7 @@ def test_a_good_source_is_not_rejected() -> None:
     rng = np.random.default_rng(20260301)
     values, refused = StampedValues[Reading](JumpLimits(0.0, 0.0, 60.0, "m")), 0
     for number, value in enumerate(rng.standard_normal(36_000).tolist()):
-        refused += values.refusal(ns(number), Reading(value, 1.0)) is not None
+        refused += values.rejection(ns(number), Reading(value, 1.0)) is not None
         values.insert(ns(number), Reading(value, 1.0))
         values.drop_before(ns(number - 3))
     assert refused == 0
@@ -201,10 +201,10 @@ def test_a_long_jump_takes_limited_memory_and_older_values_are_late() -> None:
         values.insert(ns(2 + number), Reading(500.0))
         values.drop_before(ns(number - 2), keep=2)
     assert len(values._stamps) < 110
-    assert values.refusal(ns(500), Reading(500.0)).reason is Reason.LATE
+    assert values.rejection(ns(500), Reading(500.0)).reason is Reason.LATE
     assert values.insert(ns(500), Reading(500.0)) is None
-    assert values.refusal(ns(1002), Reading(500.0)).reason is Reason.JUMP
-    assert values.refusal(ns(1002), Reading(0.0)) is None
+    assert values.rejection(ns(1002), Reading(500.0)).reason is Reason.JUMP
+    assert values.rejection(ns(1002), Reading(0.0)) is None
 
 
 SETTLES = JumpLimits(at_once=10.0, per_s=2.0, confirmation_s=60.0, unit="m", settled_by=4)
@@ -214,7 +214,7 @@ def settling(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
     """Return the times of the rejected values, and after each value whether provisional values are in conflict."""
     values, refused, disputed = StampedValues[Reading](SETTLES), [], []
     for since_s, value in stamped:
-        if values.refusal(ns(since_s), Reading(value)) is not None:
+        if values.rejection(ns(since_s), Reading(value)) is not None:
             refused.append(since_s)
         values.insert(ns(since_s), Reading(value))
         disputed.append(values.has_conflict_at(ns(since_s)))

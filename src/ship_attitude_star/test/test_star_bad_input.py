@@ -33,7 +33,7 @@ from ship_testing.star_bad_input import (
     DROPPED,
     FORE_SOLUTION,
     SOURCE,
-    STARS_REFUSED,
+    REJECTED_STARS,
     Change,
     ahead,
     put,
@@ -106,7 +106,7 @@ def innovations(run: Run, reason: Reason) -> list[Any]:
 
 
 @pytest.mark.parametrize(
-    ("change", "reason", "text"), [s[1:] for s in STARS_REFUSED], ids=[s[0] for s in STARS_REFUSED]
+    ("change", "reason", "text"), [s[1:] for s in REJECTED_STARS], ids=[s[0] for s in REJECTED_STARS]
 )
 def test_a_bad_star_alone_is_refused(change: Change, reason: Reason, text: str) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)

@@ -13,7 +13,7 @@ from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 
 FACTORY = RosidlFactory()
 STAMP_NS = 1_404_906_607_800_000_000
@@ -95,10 +95,10 @@ def test_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None
 def test_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> None:
     message = observations(star())
     message.exposure_s = exposure_s
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(MessageRejected) as caught:
         converted(message)
-    assert caught.value.refusal.reason.word == reason
-    assert "exposure_s" in caught.value.refusal.text
+    assert caught.value.rejection.reason.word == reason
+    assert "exposure_s" in caught.value.rejection.text
 
 
 def test_a_star_without_number_has_the_given_position_or_none() -> None:
@@ -196,7 +196,7 @@ WHOLE = [
 
 @pytest.mark.parametrize(("message", "reason", "text"), [w[1:] for w in WHOLE], ids=[w[0] for w in WHOLE])
 def test_a_bad_exposure_is_refused(message: Any, reason: str, text: str) -> None:
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(MessageRejected) as caught:
         converted(message)
-    assert caught.value.refusal.reason.word == reason
-    assert text in caught.value.refusal.text
+    assert caught.value.rejection.reason.word == reason
+    assert text in caught.value.rejection.text

@@ -215,7 +215,7 @@ def test_a_prior_detects_swapped_identities_of_two_stars():
     assert solve_stars(scene.stars).status is SolutionStatus.UNVERIFIED
     refused = solve_stars(scene.stars, prior)
     assert refused.status is SolutionStatus.INVALID
-    assert refused.refusal.reason is Reason.TOO_FEW_STARS
+    assert refused.rejection.reason is Reason.TOO_FEW_STARS
 
 
 @pytest.mark.parametrize("count", [0, 1])
@@ -223,7 +223,7 @@ def test_too_few_stars_are_refused(count):
     scene = draw_scene(np.random.default_rng(18), (count, 0))
     solution = solve_stars(scene.stars)
     assert solution.status is SolutionStatus.INVALID
-    assert solution.refusal.reason is Reason.TOO_FEW_STARS
+    assert solution.rejection.reason is Reason.TOO_FEW_STARS
     assert np.isnan(solution.covariance_n).all()
 
 
@@ -244,7 +244,7 @@ def test_stars_in_one_direction_are_refused_with_the_reason():
     )
     solution = solve_stars(stars)
     assert solution.status is SolutionStatus.INVALID
-    assert "the rotation about it is undetermined" in solution.refusal.text
+    assert "the rotation about it is undetermined" in solution.rejection.text
 
 
 def with_optics(scene: Scene, rng: np.random.Generator) -> tuple[SightedStars, np.ndarray]:

@@ -116,9 +116,9 @@ def test_a_first_reading_and_one_after_a_gap_are_used_from_their_stamps() -> Non
 def test_a_repeated_stamp_is_rejected() -> None:
     track = Readings(CONFIG)
     track.insert(AirReading("humidity", ns(0), 0.5))
-    assert track.refusal(AirReading("humidity", ns(0), 0.5, None)).reason is Reason.DUPLICATE
-    assert track.refusal(AirReading("humidity", ns(0), 0.6, None)).reason is Reason.CONFLICT
-    assert track.refusal(AirReading("pressure", ns(0), 1000.0, None)) is None
+    assert track.rejection(AirReading("humidity", ns(0), 0.5, None)).reason is Reason.DUPLICATE
+    assert track.rejection(AirReading("humidity", ns(0), 0.6, None)).reason is Reason.CONFLICT
+    assert track.rejection(AirReading("pressure", ns(0), 1000.0, None)) is None
 
 
 def test_dropped_readings_are_not_needed() -> None:
@@ -134,7 +134,7 @@ def told(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Read
     """Return the rejected readings, by their time, and the air after them."""
     track, refused = Readings(CONFIG), []
     for since_s, value in readings:
-        refusal = track.refusal(AirReading(quantity, ns(since_s), value))
+        refusal = track.rejection(AirReading(quantity, ns(since_s), value))
         if refusal is not None:
             assert refusal.reason is Reason.JUMP
             refused.append(since_s)
@@ -150,7 +150,7 @@ def test_a_pressure_jump_is_rejected_and_the_last_reading_kept_with_a_larger_err
     assert track.air(ns(38)).weather.pressure_hpa == 1010.0
     # The variance has grown from 0.5² towards 15² for 20 s of 3600 s.
     assert track.air(ns(38)).pressure_sigma_hpa**2 == pytest.approx(0.25 + (225.0 - 0.25) * 20.0 / 3600.0)
-    assert track.refusal(AirReading("pressure", ns(40), 1010.3)) is None
+    assert track.rejection(AirReading("pressure", ns(40), 1010.3)) is None
 
 
 def test_a_temperature_jump_is_rejected() -> None:

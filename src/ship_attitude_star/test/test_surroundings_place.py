@@ -9,7 +9,7 @@ from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.place_by_fixes import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, Place
 from ship_attitude_star.sky.surroundings import Surroundings
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.geodetic import GeodeticPosition
 from ship_testing.horizon_vectors import vector_between
 
@@ -36,17 +36,17 @@ def track(*fixes: tuple[float, GeodeticPosition], covariance_m2=SIGMA_M, **confi
 class Fixes(Surroundings):
     """Surroundings for requests of the position only."""
 
-    def place(self, time_ns: int) -> Place | Refusal:
+    def place(self, time_ns: int) -> Place | Rejection:
         found = self.at(time_ns)
-        return found if isinstance(found, Refusal) else found[0]
+        return found if isinstance(found, Rejection) else found[0]
 
 
 def ns(since_s: float) -> int:
     return START_NS + round(since_s * SECOND_NS)
 
 
-def bits(place: Place | Refusal) -> bytes:
-    if isinstance(place, Refusal):
+def bits(place: Place | Rejection) -> bytes:
+    if isinstance(place, Rejection):
         return place.reason.name.encode()
     position = place.observer.position
     where = np.array([position.latitude, position.longitude, position.height_m, place.age_s])
@@ -251,9 +251,9 @@ def test_cached_results_equal_recomputed_ones_for_late_inputs(seed: int) -> None
 
 def test_a_repeated_stamp_is_rejected() -> None:
     fixes = track((0, at(50.0, 10.0)))
-    assert fixes.refusal(PositionFix(ns(0), at(50.0, 10.0), SIGMA_M)).reason is Reason.DUPLICATE
-    assert fixes.refusal(PositionFix(ns(0), at(50.0, 10.1), SIGMA_M)).reason is Reason.CONFLICT
-    assert fixes.refusal(PositionFix(ns(1), at(50.0, 10.0001), SIGMA_M)) is None
+    assert fixes.rejection(PositionFix(ns(0), at(50.0, 10.0), SIGMA_M)).reason is Reason.DUPLICATE
+    assert fixes.rejection(PositionFix(ns(0), at(50.0, 10.1), SIGMA_M)).reason is Reason.CONFLICT
+    assert fixes.rejection(PositionFix(ns(1), at(50.0, 10.0001), SIGMA_M)) is None
 
 
 def test_dropped_fixes_are_not_needed() -> None:
@@ -276,7 +276,7 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
     fixes = track(*(sailing(t) for t in range(10)))
     for t in range(10, 30):
         wrong = PositionFix(ns(t), sailing(t, off_m)[1], SIGMA_M)
-        refusal = fixes.refusal(wrong)
+        refusal = fixes.rejection(wrong)
         assert refusal is not None
         assert (refusal.reason, "from the last accepted value" in refusal.text) == (Reason.JUMP, True)
         assert fixes.insert(wrong) is None
@@ -287,7 +287,7 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
     north_m2 = 4.0 + (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 20.0 * 25.0) ** 2
     assert fixes.place(ns(29)).covariance_m2[0, 0] == pytest.approx(north_m2, rel=1e-3)
     back = PositionFix(ns(30), sailing(30)[1], SIGMA_M)
-    assert fixes.refusal(back) is None
+    assert fixes.rejection(back) is None
     assert fixes.insert(back) == ns(30.5) - 1
 
 
@@ -307,7 +307,7 @@ def test_changes_within_the_limits_are_accepted() -> None:
         told, sky = [], Fixes(SkyConfig(**config))
         for since_s, position, *sigma_m in fixes:
             fix = PositionFix(ns(since_s), position, np.eye(3) * (sigma_m[0] if sigma_m else 3.0) ** 2)
-            told.append(sky.refusal(fix))
+            told.append(sky.rejection(fix))
             sky.insert(fix)
         return [refusal for refusal in told if refusal is not None]
 

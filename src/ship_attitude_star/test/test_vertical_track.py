@@ -131,8 +131,8 @@ def test_a_message_is_used_until_its_maximum_age() -> None:
     np.testing.assert_allclose(track.at(ns(20)).covariance, ARCSEC**2 * np.eye(2))
     assert track.at(ns(80)).given is None
     assert "max_age_s = 60" in track.told(ns(80))
-    assert track.refusal(told(10.0, 3.0)).reason is Reason.DUPLICATE
-    assert track.refusal(told(10.0, 4.0)).reason is Reason.CONFLICT
+    assert track.rejection(told(10.0, 3.0)).reason is Reason.DUPLICATE
+    assert track.rejection(told(10.0, 4.0)).reason is Reason.CONFLICT
 
 
 def test_order_of_arrival_does_not_matter() -> None:

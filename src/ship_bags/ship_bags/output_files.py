@@ -108,7 +108,7 @@ def open_new(path: Path) -> BinaryIO:
         _hold(number)
         if os.fstat(number).st_nlink == 0:
             # Another program has removed this part as a leftover of a killed program.
-            raise _refusal(errno.EBUSY, path)
+            raise _os_error(errno.EBUSY, path)
         return os.fdopen(number, "wb")
     except OSError:
         os.close(number)
@@ -234,13 +234,13 @@ def _take_away(path: Path) -> None:
     """
     mode = os.lstat(path).st_mode
     if not stat.S_ISREG(mode):
-        raise _refusal(errno.ELOOP if stat.S_ISLNK(mode) else errno.EEXIST, path)
+        raise _os_error(errno.ELOOP if stat.S_ISLNK(mode) else errno.EEXIST, path)
     number = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         _hold(number)
         os.unlink(path)
     except BlockingIOError as problem:
-        raise _refusal(errno.EBUSY, path) from problem
+        raise _os_error(errno.EBUSY, path) from problem
     finally:
         os.close(number)
 
@@ -260,7 +260,7 @@ def _hold(number: int) -> None:
         return
 
 
-def _refusal(number: int, path: Path) -> OSError:
+def _os_error(number: int, path: Path) -> OSError:
     return OSError(number, f"{path.name}: {_REASONS[number]}", str(path))
 
 

@@ -260,7 +260,7 @@ def _entries(name: str, node: yaml.Node, what: str) -> Iterator[tuple[str, int, 
 
 
 def _value(name: str, node: yaml.Node, parameter: str) -> Any:
-    def refused(what: str) -> BadInput:
+    def value_error(what: str) -> BadInput:
         line = node.start_mark.line + 1
         return BadInput(f"parameter '{parameter}' {what}", file=name, line=line, parameters=(parameter,))
 
@@ -268,23 +268,23 @@ def _value(name: str, node: yaml.Node, parameter: str) -> Any:
         elements = [_value(name, element, parameter) for element in node.value]
         kinds = sorted({type(element).__name__ for element in elements})
         if len(kinds) > 1:
-            raise refused(f"mixes {' and '.join(kinds)}: all elements of a list must be of one type")
+            raise value_error(f"mixes {' and '.join(kinds)}: all elements of a list must be of one type")
         if kinds == ["list"]:
-            raise refused("is a list of lists: expected a plain list")
+            raise value_error("is a list of lists: expected a plain list")
         return elements
     if not isinstance(node, yaml.ScalarNode):
-        raise refused("is a list of groups: expected a plain list")
+        raise value_error("is a list of groups: expected a plain list")
     if node.style in ("'", '"', "|", ">"):
         return node.value
     if _is_null(node):
-        raise refused("has no value")
+        raise value_error("has no value")
     text = node.value
     if _BOOLEAN.fullmatch(text):
         return text.lower() in ("yes", "true", "on")
     if _INTEGER.fullmatch(text):
         value = _integer(text)
         if value is None:
-            raise refused(f"is a number of {len(text.lstrip('+-0x'))} digits: expected one of 64 bits")
+            raise value_error(f"is a number of {len(text.lstrip('+-0x'))} digits: expected one of 64 bits")
         return value
     if _FLOAT.fullmatch(text):
         return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))

@@ -21,10 +21,10 @@ def check_regular(path: Path) -> None:
         return
     if not stat.S_ISREG(mode):
         reason = errno.EISDIR if stat.S_ISDIR(mode) else errno.ESPIPE
-        raise OSError(reason, open_refusal(reason), str(path))
+        raise OSError(reason, open_error_text(reason), str(path))
 
 
-def open_refusal(number: int) -> str:
+def open_error_text(number: int) -> str:
     """Return the text of an error at opening a file, by its error number."""
     if number == errno.EISDIR:
         return "it is a folder: expected a file"

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.outcome import Estimate, Judged, Measurement, Outcome
-from ship_estimation.refusals import Contradictions, Reason, Refusal, failure, same_stamp
+from ship_estimation.refusals import Contradictions, Reason, Rejection, failure, same_stamp
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
@@ -58,12 +58,12 @@ class LagWindow:
         self._lag_s, self._lag_ns = lag_s, round(lag_s * SECOND_NS)
         self.newest_ns, self.oldest_ns = 0, -self._lag_ns
 
-    def late(self, time_ns: int) -> Refusal | None:
+    def late(self, time_ns: int) -> Rejection | None:
         """Return the rejection of data with this stamp if they are late; None otherwise."""
         if time_ns >= self.oldest_ns:
             return None
         late_s = (self.newest_ns - time_ns) / SECOND_NS
-        return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._lag_s:g}")
+        return Rejection(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._lag_s:g}")
 
     def advance_to(self, time_ns: int) -> None:
         """Advance the window to data of this stamp."""
@@ -307,7 +307,7 @@ class Model(Generic[State, Measured, Judged, Jump]):
 
     step: Callable[[State, Measured, bool], tuple[State, Judged] | None]
     inflate: Callable[[State, Jump], State]
-    failed: Callable[[Measured, Refusal], Judged]
+    failed: Callable[[Measured, Rejection], Judged]
     until_ns: Callable[[Judged], int]
     forget_before: Callable[[int], None]
     decided: Callable[[Judged], None] | None = None
@@ -320,7 +320,7 @@ class _Opening(Generic[Jump]):
 
     time_ns: int
     jump: Jump
-    failed: Refusal | None = None
+    failed: Rejection | None = None
 
 
 class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
@@ -370,12 +370,12 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         key = measurement.time_ns, measurement.source
         known, taken = self._log.get(key), True
         if known is not None and not isinstance(known, _Opening):
-            taken, outcome.refusal = same_stamp(known, measurement)
-            self.contradictions.note(measurement.source, measurement.time_ns, outcome.refusal)
+            taken, outcome.rejection = same_stamp(known, measurement)
+            self.contradictions.note(measurement.source, measurement.time_ns, outcome.rejection)
         if taken and not self._may_overtake(key):
             bound = f"{MOST_OVERTAKEN_PER_S} such pairs a second are accepted"
             text = f"too many measurements arrive after later ones of their source: {bound}"
-            taken, outcome.refusal = False, Refusal(Reason.OVERFLOW, text)
+            taken, outcome.rejection = False, Rejection(Reason.OVERFLOW, text)
         if taken:
             self._log.insert(key, measurement)
             self._advance(measurement.time_ns, outcome)
@@ -390,8 +390,8 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """
         known, taken = track.get(sample.time_ns), True
         if known is not None:
-            taken, outcome.refusal = same_stamp(known, sample)
-            self.contradictions.note(source, sample.time_ns, outcome.refusal)
+            taken, outcome.rejection = same_stamp(known, sample)
+            self.contradictions.note(source, sample.time_ns, outcome.rejection)
         if taken:
             changed_after_ns = track.insert(sample)
             if changed_after_ns is not None:
@@ -409,7 +409,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.window.advance_to(time_ns)
         self._close()
 
-    def add_refused(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
+    def add_rejected(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
         """Record a conflict for a rejected sample that is not late if the track has another one of its stamp."""
         known = track.get(sample.time_ns)
         if known is not None and self.window.late(sample.time_ns) is None:

@@ -134,11 +134,11 @@ def find_fault(
         return _NO_FAULT
     heard = means.last_measured_ns >= now_ns - MAX_MEASUREMENT_AGE_NS
     counts = uses & heard
-    contradicted = np.where(means.refused >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
+    contradicted = np.where(means.rejection_counts >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
     # A subfilter explains a fault if it is consistent with all its sources, each measured since the fault began.
     began_ns = np.max(means.contradicts_ns, initial=LONG_AGO_NS, where=heard)
-    well = (means.excess <= CONSISTENT_RATIO) & (means.refused == 0) & (means.last_measured_ns >= began_ns)
+    well = (means.excess <= CONSISTENT_RATIO) & (means.rejection_counts == 0) & (means.last_measured_ns >= began_ns)
     explains = np.all(well | ~counts, axis=-1)
     asked = larger_subfilters if larger_subfilters and not np.any(worst[candidates] <= 1.0) else candidates
     explaining = sorted((row for row in asked if explains[row]), key=lambda row: worst[row])
@@ -149,7 +149,7 @@ def find_fault(
         return Finding(fault=True, subfilter=best, explaining_subfilters=tuple(explaining))
     row = None
     # After a rejection the main filter has used less than the subfilters; the separations do not compare them then.
-    if agrees and len(explaining) > 1 and not (means.refused[0] * counts[0]).any():
+    if agrees and len(explaining) > 1 and not (means.rejection_counts[0] * counts[0]).any():
         both = [*explaining, *(row for row in larger_subfilters if explains[row])]
         row = _farthest(both, separations, threshold) or _farthest(explaining, separations, threshold)
     return Finding(fault=True, subfilter=row, explaining_subfilters=tuple(explaining))
@@ -163,14 +163,14 @@ def agrees_with_all(means: InnovationMeans, degraded_after: int) -> bool:
         >>> agrees_with_all(no_means(rows=3, sources=2), degraded_after=3)
         True
     """
-    by_source = zip(means.excess[0].tolist(), means.refused[0].tolist(), strict=True)
+    by_source = zip(means.excess[0].tolist(), means.rejection_counts[0].tolist(), strict=True)
     return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN is inconsistent
 
 
 def _first_row_agrees(means: InnovationMeans, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
     """True if the main filter is consistent with all sources that it uses and that were measured since a stamp."""
     by_source = zip(
-        means.excess[0].tolist(), means.refused[0].tolist(), means.last_measured_ns.tolist(), uses.tolist(), strict=True
+        means.excess[0].tolist(), means.rejection_counts[0].tolist(), means.last_measured_ns.tolist(), uses.tolist(), strict=True
     )
     # NaN is inconsistent.
     return all(
@@ -216,7 +216,7 @@ def evaluate_reinstatement(
         >>> judge_return(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
-    agrees = means.excess[0, source] <= CONSISTENT_RATIO and means.refused[0, source] == 0  # NaN is inconsistent
+    agrees = means.excess[0, source] <= CONSISTENT_RATIO and means.rejection_counts[0, source] == 0  # NaN is inconsistent
     if excluded.offset is not None:
         measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
         share_left = excluded.share_left + (measured_share - excluded.share_left) * 2.0 / (_MEAN_OVER + 1.0)

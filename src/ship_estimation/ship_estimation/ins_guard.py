@@ -17,14 +17,14 @@ from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, move
 from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StampArray
 from ship_estimation.rate_guard import RateGuard, Rates
 from ship_estimation.rate_slopes import SlopeWatch
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_estimation.step_watch import StepWatch
 from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
 
-_STUCK = Refusal(Reason.STUCK, "orientation is constant while other sources rotate")
+_STUCK = Rejection(Reason.STUCK, "orientation is constant while other sources rotate")
 
 
 class JudgedIns(NamedTuple):
@@ -40,7 +40,7 @@ class JudgedIns(NamedTuple):
     """
 
     sample: AttitudeSample
-    refusal: Refusal | None = None
+    rejection: Rejection | None = None
     jumps: tuple[InsJump, ...] = ()
     rates_wrong_after_ns: int | None = None
     noise: ExtraNoise | None = None
@@ -172,7 +172,7 @@ class InsGuard:
         self._leads.told_rad = told_rad
         previous = self._previous
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
-            judged = JudgedIns(sample, self._late_refusal(sample, used.last_before(sample.time_ns - 1)))
+            judged = JudgedIns(sample, self._late_rejection(sample, used.last_before(sample.time_ns - 1)))
         else:
             judged = self._with_noise(self._judge_next(sample, previous, motion_references))
         if self._rates.usable or sample.rate_d is None:
@@ -347,14 +347,14 @@ class InsGuard:
             # are accepted, provided that each of them continued the motion before it.
             fits = smooth and not measured
         verdict = self._jumps.judge(sample.time_ns, fits, step.fits)
-        if verdict is JumpVerdict.REFUSED:
-            if self._jumps.refused == 1:
+        if verdict is JumpVerdict.REJECTED:
+            if self._jumps.rejected_count == 1:
                 self._jumps_with = sample
                 self._previous = seen._replace(before=moved_back(sample, taken))
             wrong_after_ns = self._judge_rates(previous, seen)
             if wrong_after_ns is not None and measured:
                 self._unresolved_jump = InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad)
-            return JudgedIns(sample, _gate_refusal(match), (), wrong_after_ns)
+            return JudgedIns(sample, _gate_rejection(match), (), wrong_after_ns)
         return self._taken_after_all(taken, previous, seen, match, step is match, verdict is JumpVerdict.JUMPED)
 
     def _taken_after_all(
@@ -383,7 +383,7 @@ class InsGuard:
             elif one:
                 self._leads.by_rates.learn(match.difference)
         if self._rates.rates is Rates.WRONG_UNITS:
-            refusal = self._units_refusal()
+            refusal = self._units_rejection()
         return JudgedIns(seen.sample, refusal, jumps, wrong_after_ns)
 
     def _accepted_jump(self, match: Match) -> InsJump:
@@ -427,16 +427,16 @@ class InsGuard:
         crept = self._slopes.detect(learnt.drift_n, learnt.seconds, learnt.turning)
         return () if crept is None else (InsJump(sample.time_ns - 1, crept.turn_n, crept.sigma_rad, is_drift=True),)
 
-    def _late_refusal(self, sample: AttitudeSample, before: AttitudeSample | None) -> Refusal | None:
+    def _late_rejection(self, sample: AttitudeSample, before: AttitudeSample | None) -> Rejection | None:
         """Return the rejection of a sample that arrives after later ones, by the accepted one before it in time."""
         if self._stuck.is_frozen(sample.rotation_nd):
             return _STUCK
         if self._rates.rates is Rates.WRONG_UNITS:
-            return self._units_refusal()
+            return self._units_rejection()
         if before is None:
             return None
         match = self._leads.match_by_two_rates(before, sample, self._rates.rates is Rates.MEASURED)
-        return None if match.fits else _gate_refusal(match)
+        return None if match.fits else _gate_rejection(match)
 
     def _judge_rates(self, previous: SeenSample, seen: SeenSample) -> int | None:
         """Check the rates if the attitude is plausible; return the stamp after which they are wrong, or None."""
@@ -480,19 +480,19 @@ class InsGuard:
         if self._rates.usable and one:
             self._leads.by_rates.learn(self._leads.match_by_rates(taken, seen).difference)
 
-    def _units_refusal(self) -> Refusal:
+    def _units_rejection(self) -> Rejection:
         text = f"angular velocity turns {self._rates.slope:.3g} times as fast as the orientation: degrees for radians?"
-        return Refusal(Reason.UNITS, f"{text} ins/imu must be in rad/s")
+        return Rejection(Reason.UNITS, f"{text} ins/imu must be in rad/s")
 
 
-def _gate_refusal(match: Match) -> Refusal:
+def _gate_rejection(match: Match) -> Rejection:
     """Return the rejection of a sample that differs from its prediction."""
     off, bound = math.degrees(size(match.difference)), math.degrees(match.bound_rad)
     text = f"orientation is {off:.3g}° from its prediction by earlier samples: more than {bound:.3g}°"
-    return Refusal(Reason.GATE, text)
+    return Rejection(Reason.GATE, text)
 
 
-def _stepped(jumps: tuple[InsJump, ...]) -> Refusal | None:
+def _stepped(jumps: tuple[InsJump, ...]) -> Rejection | None:
     """Return the rejection that reports a step or drift found by means; None without one.
 
     The samples since the step were accepted; the step is reported with the sample at which it was detected.
@@ -500,4 +500,4 @@ def _stepped(jumps: tuple[InsJump, ...]) -> Refusal | None:
     if not jumps:
         return None
     off_arcsec, how = size(jumps[-1].jump_n) / ARCSEC, "drifted" if jumps[-1].is_drift else "stepped"
-    return Refusal(Reason.GATE, f"orientation has {how} by {off_arcsec:.3g} arcsec against its own rates")
+    return Rejection(Reason.GATE, f"orientation has {how} by {off_arcsec:.3g} arcsec against its own rates")

@@ -11,7 +11,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import FloatArray
 
 
@@ -84,7 +84,7 @@ class Decision(Generic[Measured]):
     nis: float = float("nan")
     gate: float = float("nan")
     text: str = ""
-    rejected_parts: tuple[tuple[str, Refusal], ...] = ()
+    rejected_parts: tuple[tuple[str, Rejection], ...] = ()
     revised: bool = False
     covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     noise: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
@@ -106,7 +106,7 @@ class Outcome(Generic[Judged, Estimate]):
         failures: by stamp, outputs that could not be computed because the software failed.
     """
 
-    refusal: Refusal | None = None
+    rejection: Rejection | None = None
     decisions: list[Judged] = field(default_factory=list)
     estimates: list[Estimate] = field(default_factory=list)
-    failures: list[tuple[int, Refusal]] = field(default_factory=list)
+    failures: list[tuple[int, Rejection]] = field(default_factory=list)

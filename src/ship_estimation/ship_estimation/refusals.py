@@ -94,7 +94,7 @@ class Reason(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class Refusal:
+class Rejection:
     """Rejection of an input: reason and text; the text is shortened to :data:`LONGEST_TEXT`."""
 
     reason: Reason
@@ -104,7 +104,7 @@ class Refusal:
         object.__setattr__(self, "text", shortened(self.text))
 
 
-def failure(error: Exception) -> Refusal:
+def failure(error: Exception) -> Rejection:
     """Return the rejection of an input because of an exception in this software.
 
     It is reported as a defect of the software; other inputs are processed as usual.
@@ -113,10 +113,10 @@ def failure(error: Exception) -> Refusal:
         >>> failure(ZeroDivisionError("division by zero"))
         Refusal(reason=<Reason.FAILED: 29>, text='ZeroDivisionError: division by zero (nowhere)')
     """
-    return Refusal(Reason.FAILED, f"{type(error).__name__}: {shortened(str(error))} ({_place_of(error)})")
+    return Rejection(Reason.FAILED, f"{type(error).__name__}: {shortened(str(error))} ({_place_of(error)})")
 
 
-def singular_covariance() -> Refusal:
+def singular_covariance() -> Rejection:
     """Return the rejection of a measurement whose innovation covariance is singular.
 
     Example:
@@ -124,7 +124,7 @@ def singular_covariance() -> Refusal:
         'bad_covariance'
     """
     text = "the covariance of the residual cannot be inverted: it is singular, or not positive definite"
-    return Refusal(Reason.BAD_COVARIANCE, text)
+    return Rejection(Reason.BAD_COVARIANCE, text)
 
 
 def _place_of(error: Exception) -> str:
@@ -143,7 +143,7 @@ class Content(Protocol):
         ...
 
 
-def same_stamp(known: Content, new: Content) -> tuple[bool, Refusal]:
+def same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
     """Return, for two inputs with the same stamp, True if the new one replaces the known one, and the rejection.
 
     The input whose bytes sort first is kept, so that the order of arrival does not matter.
@@ -160,9 +160,9 @@ def same_stamp(known: Content, new: Content) -> tuple[bool, Refusal]:
     """
     known_bytes, new_bytes = known.content(), new.content()
     if known_bytes == new_bytes:
-        return False, Refusal(Reason.DUPLICATE, "the same stamp and the same content again")
+        return False, Rejection(Reason.DUPLICATE, "the same stamp and the same content again")
     text = "the same stamp with other content: the one whose bytes sort first is kept"
-    return new_bytes < known_bytes, Refusal(Reason.CONFLICT, text)
+    return new_bytes < known_bytes, Rejection(Reason.CONFLICT, text)
 
 
 class Contradictions:
@@ -222,9 +222,9 @@ class Contradictions:
         else:
             self.contested.pop(source, None)
 
-    def note(self, source: str, time_ns: int, refusal: Refusal | None) -> None:
+    def note(self, source: str, time_ns: int, rejection: Rejection | None) -> None:
         """Record the rejection of an input with this stamp if its reason is CONFLICT."""
-        if refusal is not None and refusal.reason is Reason.CONFLICT:
+        if rejection is not None and rejection.reason is Reason.CONFLICT:
             latest_ns = self.latest_ns.get(source, time_ns)
             since_ns = self.since_ns.get(source, time_ns)
             # A conflict long after the last one, or long before the first, starts a new series.

@@ -64,7 +64,7 @@ class InnovationMeans:
 
     running: FloatArray
     excess: FloatArray
-    refused: NDArray[np.int64]
+    rejection_counts: NDArray[np.int64]
     last_measured_ns: NDArray[np.int64]
     contradicts_ns: NDArray[np.int64]
 
@@ -79,7 +79,7 @@ def no_means(subfilters: int, sources: int) -> InnovationMeans:
     return InnovationMeans(
         running=np.zeros((subfilters, sources, len(WINDOW_LENGTHS), 5)),
         excess=np.zeros((subfilters, sources)),
-        refused=np.zeros((subfilters, sources), dtype=np.int64),
+        rejection_counts=np.zeros((subfilters, sources), dtype=np.int64),
         last_measured_ns=np.full(sources, LONG_AGO_NS),
         contradicts_ns=np.full(sources, LONG_AGO_NS),
     )
@@ -134,7 +134,7 @@ def observed(
     after = compiled_means.observed(
         means.running,
         means.excess,
-        means.refused,
+        means.rejection_counts,
         means.last_measured_ns,
         means.contradicts_ns,
         tuple(source),
@@ -152,7 +152,7 @@ def observed(
     if after is not None:
         return InnovationMeans(*after)
     # A NaN does not enter the means; it counts as a rejection.
-    refused = means.refused.copy()
+    refused = means.rejection_counts.copy()
     refused[:, list(source)] += 1
     return replace(means, refused=refused)
 

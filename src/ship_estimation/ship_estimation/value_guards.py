@@ -318,8 +318,8 @@ class Continuation:
 class JumpVerdict(enum.Enum):
     """Decision about a value."""
 
-    TAKEN = "taken"
-    REFUSED = "refused"
+    ACCEPTED = "taken"
+    REJECTED = "refused"
     JUMPED = "jumped"
 
 
@@ -340,7 +340,7 @@ class JumpGuard:
 
     def __init__(self, samples: int = JUMP_SAMPLES) -> None:
         self.samples = samples
-        self.refused = 0
+        self.rejected_count = 0
         self.since_ns = 0
 
     def judge(self, time_ns: int, continues: bool, is_consistent: bool) -> JumpVerdict:
@@ -352,12 +352,12 @@ class JumpGuard:
             is_consistent: True if it matches the prediction from the value before it, accepted or not.
         """
         if continues:
-            self.refused = 0
-            return JumpVerdict.TAKEN
-        if self.refused >= self.samples and is_consistent:
-            self.refused = 0
+            self.rejected_count = 0
+            return JumpVerdict.ACCEPTED
+        if self.rejected_count >= self.samples and is_consistent:
+            self.rejected_count = 0
             return JumpVerdict.JUMPED
-        self.refused = self.refused + 1 if is_consistent else 1
-        if self.refused == 1:
+        self.rejected_count = self.rejected_count + 1 if is_consistent else 1
+        if self.rejected_count == 1:
             self.since_ns = time_ns
-        return JumpVerdict.REFUSED
+        return JumpVerdict.REJECTED

@@ -18,7 +18,7 @@ from ship_estimation.estimator_shell import (
     Model,
 )
 from ship_estimation.outcome import Decision, Outcome
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample, VectorTrack
 
@@ -84,7 +84,7 @@ class Estimator:
 
     def add(self, toy: Toy) -> ToyOutcome:
         outcome = ToyOutcome(self.shell.window.late(toy.time_ns))
-        if outcome.refusal is None:
+        if outcome.rejection is None:
             self.shell.add(toy, outcome)
         return outcome
 
@@ -112,7 +112,7 @@ def test_late_measurement_is_rejected_with_its_lag() -> None:
     window.advance_to(4 * SECOND_NS)
     assert window.late(3 * SECOND_NS) is None
     late = window.late(3 * SECOND_NS - MS)
-    assert late == Refusal(Reason.LATE, "2.001 s behind the newest data: more than lag_s = 2")
+    assert late == Rejection(Reason.LATE, "2.001 s behind the newest data: more than lag_s = 2")
 
 
 def test_duplicate_is_rejected_and_of_conflicting_ones_the_first_in_byte_order_is_kept() -> None:
@@ -120,7 +120,7 @@ def test_duplicate_is_rejected_and_of_conflicting_ones_the_first_in_byte_order_i
     states = []
     for order in ((first, second), (second, first), (first, first, second), (second, first, second)):
         estimator = Estimator()
-        reasons = [outcome.refusal and outcome.refusal.reason for outcome in map(estimator.add, order)]
+        reasons = [outcome.rejection and outcome.rejection.reason for outcome in map(estimator.add, order)]
         assert reasons[0] is None
         expected = [Reason.DUPLICATE if same == order[0] else Reason.CONFLICT for same in order[1:]]
         assert reasons[1:2] == expected[:1]
@@ -358,7 +358,7 @@ def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
     assert not estimator.shell.follows(5 * MS)
     estimator.shell.reset(START, clock_jumped=True)
     assert estimator.shell.follows(5 * MS)
-    assert estimator.add(toy(10)).refusal is None
+    assert estimator.add(toy(10)).rejection is None
 
 
 def test_invalid_is_due_at_once_before_the_first_output() -> None:
@@ -377,8 +377,8 @@ def test_the_window_closes_behind_the_lag_and_the_reach() -> None:
     # 8 samples, and those of the last second, are always kept.
     assert len(estimator.track) <= 35
     late = estimator.add(toy(5000))
-    assert late.refusal is not None
-    assert late.refusal.reason is Reason.LATE
+    assert late.rejection is not None
+    assert late.rejection.reason is Reason.LATE
 
 
 def flood(rng: np.random.Generator, count: int, seconds: float) -> list[Toy]:
@@ -400,10 +400,10 @@ def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
             outcome = estimator.add(one)
             at_once.append(len(estimator.decided) - steps)
             if one is late:
-                reasons.append(outcome.refusal and outcome.refusal.reason)
-                texts.append(outcome.refusal.text if outcome.refusal else "")
+                reasons.append(outcome.rejection and outcome.rejection.reason)
+                texts.append(outcome.rejection.text if outcome.rejection else "")
             else:
-                assert outcome.refusal is None
+                assert outcome.rejection is None
     taken, late = reasons.count(None), reasons.count(Reason.LATE)
     assert late < 20
     assert reasons.count(Reason.OVERFLOW) == 3000 - taken - late > 1800
@@ -418,8 +418,8 @@ def test_overflow_does_not_change_the_state() -> None:
     estimator, without = Estimator(), Estimator()
     for number, late in enumerate(flood(np.random.default_rng(8), 1000, 10.0)):
         outcome = estimator.add(late)
-        if outcome.refusal is None or outcome.refusal.reason is not Reason.OVERFLOW:
-            assert without.add(late).refusal == outcome.refusal
+        if outcome.rejection is None or outcome.rejection.reason is not Reason.OVERFLOW:
+            assert without.add(late).rejection == outcome.rejection
         assert estimator.shell.state == without.shell.state, number
     told, told_without = ([(d.measurement, d.accepted) for d in e.decided] for e in (estimator, without))
     assert told == told_without

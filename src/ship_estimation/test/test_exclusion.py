@@ -173,7 +173,7 @@ def test_separation_isolates_nothing_after_a_rejection():
     seen.last_measured_ns[:] = 0
     apart = np.array([0.0, 2000.0, 4.0])
     assert find_fault(seen, uses, apart, 5.0, [1, 2], 0).subfilter == 1
-    seen.refused[0, 1] = 1
+    seen.rejection_counts[0, 1] = 1
     found = find_fault(seen, uses, apart, 5.0, [1, 2], 0)
     assert (found.fault, found.subfilter) == (True, None)
     # Rejections of a source that the main filter does not use have no effect.
@@ -203,7 +203,7 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
 
     def found(by_all, by_second):
         seen = no_means(3, 2)
-        seen.last_measured_ns[:], seen.excess[:, 0], seen.refused[[0, 2], 0] = 0, [0.9, 0.0, 0.3], [by_all, by_second]
+        seen.last_measured_ns[:], seen.excess[:, 0], seen.rejection_counts[[0, 2], 0] = 0, [0.9, 0.0, 0.3], [by_all, by_second]
         return find_fault(seen, uses, np.zeros(3), 5.0, [1, 2], 0, after)
 
     assert not found(after - 1, after).fault

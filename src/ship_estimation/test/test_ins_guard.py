@@ -23,7 +23,7 @@ def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:
     guard, results, jumps = InsGuard(GuardedInsConfig()), [], 0
     for sample in samples:
         result = guard.judge(sample, NOTHING_LATE, {})
-        results.append("" if result.refusal is None else result.refusal.reason.name)
+        results.append("" if result.rejection is None else result.rejection.reason.name)
         jumps += bool(result.jumps)
     return results, guard, jumps
 
@@ -80,9 +80,9 @@ def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
     ]
     guard = InsGuard(GuardedInsConfig())
     found = [guard.judge(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *lying]]
-    reasons = {result.refusal.reason.name for result in found if result.refusal is not None}
+    reasons = {result.rejection.reason.name for result in found if result.rejection is not None}
     assert reasons == {"GATE", "STUCK"}
-    taken = next(n for n in range(1080, 1500) if found[n].refusal is None)
+    taken = next(n for n in range(1080, 1500) if found[n].rejection is None)
     assert found[taken].jumps, "from here on the attitude is degrees wrong"
     assert not any(result.jumps for result in [*found[:taken], *found[taken + 1 :]])
 
@@ -96,7 +96,7 @@ def _turned_east(arcsec: float) -> np.ndarray:
 def test_wrong_rates_are_detected_early(rate_hz: float, factor: float) -> None:
     guard, samples = InsGuard(GuardedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
     results = [guard.judge(sample, NOTHING_LATE, {}) for sample in samples]
-    assert all(result.refusal is None for result in results)
+    assert all(result.rejection is None for result in results)
     dropped = [n for n, result in enumerate(results) if result.rates_wrong_after_ns is not None]
     assert len(dropped) == 1
     assert dropped[0] <= max(0.3 * rate_hz, 3)
@@ -117,7 +117,7 @@ def test_wrong_unit_is_identified_and_right_rates_are_confirmed_again(factor: fl
     assert 5.0 <= results.index("UNITS") / 50.0 <= 6.5
     assert set(results[results.index("UNITS") :]) == {"UNITS"}
     back = [guard.judge(sample, NOTHING_LATE, {}) for sample in right[1000:]]
-    refused = [n for n, result in enumerate(back) if result.refusal is not None]
+    refused = [n for n, result in enumerate(back) if result.rejection is not None]
     assert max(refused) < 2.5 * 50.0
     assert guard.rates is Rates.MEASURED
     assert back[-1].sample.rate_d is not None
@@ -129,7 +129,7 @@ def test_rates_at_rest_are_not_checked() -> None:
     _, guard, _ = judged(still)
     assert guard.rates is Rates.UNPROVEN
     # At the start of the swell, attitude and motion jump.
-    assert [guard.judge(sample, NOTHING_LATE, {}).refusal for sample in moving][8:] == [None] * (len(moving) - 8)
+    assert [guard.judge(sample, NOTHING_LATE, {}).rejection for sample in moving][8:] == [None] * (len(moving) - 8)
     assert guard.rates is Rates.NOT_MEASURED
 
 
@@ -168,7 +168,7 @@ def test_changed_noise_applies_at_once() -> None:
         for sample in samples[:500]:
             guard.judge(sample, NOTHING_LATE, {})
         guard.reconfigure(GuardedInsConfig(white_sigma_arcsec=sigma_arcsec))
-        later = [guard.judge(sample, NOTHING_LATE, {}).refusal for sample in samples[500:]]
+        later = [guard.judge(sample, NOTHING_LATE, {}).rejection for sample in samples[500:]]
         assert {"" if refusal is None else refusal.reason.name for refusal in later} == refused
         assert Counter(refusal is None for refusal in later)[False] <= 1
 
@@ -217,8 +217,8 @@ def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_
         if judged_one.jumps:
             told.append(creeping_s)
             assert judged_one.jumps[0].is_drift
-            assert judged_one.refusal is not None
-            assert "crept" in judged_one.refusal.text
+            assert judged_one.rejection is not None
+            assert "crept" in judged_one.rejection.text
     assert bool(told) == (per_min_arcsec > 0.0)
     assert not told or 0.0 < told[0] < 7.0
 

@@ -37,7 +37,7 @@ def told(samples: Iterable[AttitudeSample], **config: Any) -> Told:
     found = Told([], {}, InsGuard(GuardedInsConfig(**config)))
     for number, sample in enumerate(samples):
         judged = found.guard.judge(sample, NOTHING_LATE, {})
-        if judged.refusal is not None:
+        if judged.rejection is not None:
             found.refused.append(number)
         if judged.jumps:
             found.jumps[number] = judged.jumps
@@ -253,6 +253,6 @@ def test_changed_rate_noise_applies_at_once() -> None:
     for number, sample in enumerate(samples):
         if number == 100:
             guard.reconfigure(GuardedInsConfig(rate_sigma_arcsec_per_s=60.0))
-        if guard.judge(sample, NOTHING_LATE, {}).refusal is not None:
+        if guard.judge(sample, NOTHING_LATE, {}).rejection is not None:
             refused.append(number)
     assert refused[0] == first

@@ -37,7 +37,7 @@ def numpy_observed(
     means: InnovationMeans, sources: list[int], turn: np.ndarray, accepted: np.ndarray, time_ns: int, noise: np.ndarray | None
 ) -> InnovationMeans:
     largest, size = np.sqrt(0.5 * LIMIT), np.linalg.norm(turn, axis=-1)
-    running, excess, refused = means.running.copy(), means.excess.copy(), means.refused.copy()
+    running, excess, refused = means.running.copy(), means.excess.copy(), means.rejection_counts.copy()
     heard_ns, contradicts_ns = means.last_measured_ns.copy(), means.contradicts_ns.copy()
     refused[:, sources] = np.where(accepted, 0, refused[:, sources] + 1)
     now = numpy_averaged(running[:, sources], turn * (largest / np.maximum(size, largest))[..., None])
@@ -88,8 +88,8 @@ def test_nan_innovation_counts_as_a_rejection_without_a_mean(wrong: float) -> No
     found = observed(means, 1, turn, np.ones(ROWS, dtype=bool), 5, LIMIT)
     refused = np.zeros((ROWS, SOURCES))
     refused[:, 1] = 1
-    np.testing.assert_array_equal(found.refused, refused)
-    equal(replace(found, refused=means.refused), means)
+    np.testing.assert_array_equal(found.rejection_counts, refused)
+    equal(replace(found, refused=means.rejection_counts), means)
 
 
 def test_invalid_noise_part_is_inconsistent() -> None:

@@ -96,7 +96,7 @@ def test_frozen_value_that_returns_to_the_bit_is_still_stuck() -> None:
     assert guard.observe((start_ms + 1050) * MS, rolled(MOVING[-1]), ARCSEC, told(start_ms + 1050, 3.0))
 
 
-TAKEN, REFUSED, JUMPED = JumpVerdict.TAKEN, JumpVerdict.REFUSED, JumpVerdict.JUMPED
+TAKEN, REFUSED, JUMPED = JumpVerdict.ACCEPTED, JumpVerdict.REJECTED, JumpVerdict.JUMPED
 NEXT = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
 
 
@@ -116,7 +116,7 @@ def test_value_that_continues_the_last_accepted_one_resets_the_count() -> None:
     cases = ((False, False), (False, True), (True, False), (False, False))
     judged = [guard.judge(n, *case) for n, case in enumerate(cases)]
     assert judged == [REFUSED, REFUSED, TAKEN, REFUSED]
-    assert (guard.refused, guard.since_ns) == (1, 3)
+    assert (guard.rejected_count, guard.since_ns) == (1, 3)
 
 
 def bound_rad(continuation: Continuation, step: Step) -> float:

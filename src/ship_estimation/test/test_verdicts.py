@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.innovations import LEAST_COUNT
 from ship_estimation.kalman import StateModel, block
 from ship_estimation.outcome import Decision
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_estimation.verdicts import WINDOW_S, InnovationDiagnosis, VerdictBook, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -57,7 +57,7 @@ def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
     covariance = stated + PREDICTED_SIGMA**2 * np.ones_like(stated)
     predicted = PREDICTED_SIGMA * np.random.default_rng([78, k]).standard_normal()
     residual = noise[kept].ravel() * STAR_SIGMA + predicted
-    left_out = tuple((STARS[2 * row], Refusal(Reason.MISIDENTIFIED, "far")) for row in np.flatnonzero(~kept))
+    left_out = tuple((STARS[2 * row], Rejection(Reason.MISIDENTIFIED, "far")) for row in np.flatnonzero(~kept))
     if not names:
         return Decision(VectorSample(k * PERIOD_NS, noise), Reason.MISIDENTIFIED, rejected_parts=left_out)
     nis = float(residual @ np.linalg.solve(covariance, residual))

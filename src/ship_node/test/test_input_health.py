@@ -4,7 +4,7 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import duration_text
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_out import Level
 from ship_node.edge.topics import InputTopic
@@ -39,7 +39,7 @@ def reject(book, count, reason, *, start_ns=START_NS, period_ns=10 * MS):
     for i in range(count):
         receive_ns = start_ns + i * period_ns
         book.arrived(IMU, receive_ns)
-        book.rejected(IMU, Refusal(reason, f"text {i}"), receive_ns)
+        book.rejected(IMU, Rejection(reason, f"text {i}"), receive_ns)
     return receive_ns
 
 
@@ -186,7 +186,7 @@ def test_another_rejection_in_between_is_no_clock_offset(book):
 def test_delays_of_late_messages_are_kept(book):
     for delay_ms in (500, 2_500, 4_000, 90_000):
         book.arrived(IMU, START_NS)
-        book.rejected(IMU, Refusal(Reason.LATE, "older than the lag"), START_NS, START_NS - delay_ms * MS)
+        book.rejected(IMU, Rejection(Reason.LATE, "older than the lag"), START_NS, START_NS - delay_ms * MS)
     values = imu_status(book, START_NS).values
     late = {key: value for key, value in values.items() if key.startswith("late ")}
     assert late == {"late up to 1 s": "1", "late up to 5 s": "2", "late above 60 s": "1"}

@@ -11,7 +11,7 @@ from ship_bags.cdr_template import CdrRows, CdrTemplate
 from ship_bags.message_store import RosbagsFactory, definition_in, message_store, serialize
 from ship_estimation.ins import InsInputConfig
 from ship_node.edge.ins_messages import ins_block, ins_sample
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 
 START_NS, COUNT, ODD = 1_400_000_000_000_000_000, 30, 17
 FACTORY = RosbagsFactory()
@@ -104,7 +104,7 @@ def test_a_batch_ends_before_an_invalid_stamp() -> None:
 def test_a_batch_of_bad_messages_is_empty(changes: dict[str, Any], config: InsInputConfig) -> None:
     messages = [message(number, **changes) for number in range(COUNT)]
     assert len(ins_block(rows(messages), received(), config).samples.times_ns) == 0
-    with pytest.raises(Refused):
+    with pytest.raises(MessageRejected):
         ins_sample(messages[0], config, int(received()[0]))
 
 

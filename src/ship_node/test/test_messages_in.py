@@ -4,10 +4,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ship_estimation.refusals import LONGEST_TEXT, Reason, Refusal, shortened
+from ship_estimation.refusals import LONGEST_TEXT, Reason, Rejection, shortened
 from ship_msgs.msg import Innovation
 from ship_node.edge.messages_in import (
-    Refused,
+    MessageRejected,
     angular_covariance,
     covariance_3x3,
     device_id,
@@ -27,10 +27,10 @@ def header(sec: int, nanosec: int) -> SimpleNamespace:
     return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec))
 
 
-def refusal(check, *arguments: object) -> Refusal:
-    with pytest.raises(Refused) as caught:
+def refusal(check, *arguments: object) -> Rejection:
+    with pytest.raises(MessageRejected) as caught:
         check(*arguments)
-    return caught.value.refusal
+    return caught.value.rejection
 
 
 @pytest.mark.parametrize("norm", [0.9901, 1.0, 1.0099])
@@ -152,9 +152,9 @@ def test_texts_of_messages_are_cut_with_an_ellipsis():
     assert len(refused.text) < LONGEST_TEXT
     assert refused.text.endswith("x…': expected 'ins'")
     assert len(refusal(device_id, "sensor_id", endless, "fore").text) < LONGEST_TEXT
-    assert Refused(Reason.FRAME, endless).refusal.text == "x" * (LONGEST_TEXT - 1) + "…"
-    assert len(str(Refused(Reason.FRAME, endless))) < LONGEST_TEXT + 10
-    assert Refusal(Reason.FRAME, endless).text == shortened(endless)
+    assert MessageRejected(Reason.FRAME, endless).rejection.text == "x" * (LONGEST_TEXT - 1) + "…"
+    assert len(str(MessageRejected(Reason.FRAME, endless))) < LONGEST_TEXT + 10
+    assert Rejection(Reason.FRAME, endless).text == shortened(endless)
     assert shortened("x" * LONGEST_TEXT) == "x" * LONGEST_TEXT
 
 

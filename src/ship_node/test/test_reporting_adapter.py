@@ -14,10 +14,10 @@ from ship_bags.message_factory import RosidlFactory
 from ship_estimation.outcome import Decision, Outcome, Status
 from ship_estimation.parameter_fields import autosave_period, parameter, sources_off
 from ship_estimation.parameters import ParameterError
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_node.documents.saved_document import DISK, SavedFormat, section, stamp_ns
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.messages_in import ReadMessage, Refused
+from ship_node.edge.messages_in import ReadMessage, MessageRejected
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.overload import Overload
 from ship_node.edge.reporting_adapter import Feed, ReportingAdapter, untimed
@@ -72,8 +72,8 @@ class TinyCore:
 
 def read(message: Any, receive_ns: int, scale: int = 1) -> ReadMessage[Value]:
     if message.bad is not None:
-        raise Refused(message.bad, "as the message says")
-    left_out = tuple((name, Refusal(Reason.UNITS, "degrees?")) for name in message.left_out)
+        raise MessageRejected(message.bad, "as the message says")
+    left_out = tuple((name, Rejection(Reason.UNITS, "degrees?")) for name in message.left_out)
     return ReadMessage(Value(message.stamp_ns), message.known, left_out, message.empty)
 
 
@@ -139,7 +139,7 @@ def test_an_unreadable_message_is_reported_at_its_stamp_if_valid(
 
 
 def test_rejections_by_the_core_and_rejected_parts_are_reported_and_counted(adapter: TinyAdapter) -> None:
-    adapter.core.next = Outcome(Refusal(Reason.LATE, "too late"))
+    adapter.core.next = Outcome(Rejection(Reason.LATE, "too late"))
     published = adapter.handle(JUDGED, message(left_out=("a", "b"), known=False), NOW_NS)
     assert [told.reason_text for _, told in published] == ["a: degrees?", "b: degrees?", "too late"]
     assert health(adapter, JUDGED) == (1, 0, 1, {"covariance_unknown": 1, "units": 2, "late": 1})
@@ -180,7 +180,7 @@ def test_a_conflict_is_in_the_diagnostics_until_the_source_is_used_again(adapter
 
 
 def test_a_failed_output_is_reported(adapter: TinyAdapter) -> None:
-    adapter.core.next = Outcome(failures=[(NOW_NS, Refusal(Reason.FAILED, "a defect"))])
+    adapter.core.next = Outcome(failures=[(NOW_NS, Rejection(Reason.FAILED, "a defect"))])
     ((_, told),) = adapter.handle(FAST, message(), NOW_NS)
     assert (told.source, told.reason) == ("tiny/value", Reason.FAILED)
     assert adapter.health.take_failures() == ["tiny/value: a defect"]

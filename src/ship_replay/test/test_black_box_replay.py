@@ -40,7 +40,7 @@ def verify(capsys, *arguments):
     return code, out, err
 
 
-def refused(capsys, *arguments):
+def error_text(capsys, *arguments):
     """Return the one-line error of exit code 2."""
     code, _, err = verify(capsys, *arguments)
     assert code == 2
@@ -70,7 +70,7 @@ def test_a_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
     assert "outputs are equal to the last bit" in out
     assert "note" not in out
     expected = "part 2 of a black box: give its first file, box.mcap, with all parts in its folder"
-    assert expected in refused(capsys, tmp_path / "box.part2.mcap")
+    assert expected in error_text(capsys, tmp_path / "box.part2.mcap")
     (tmp_path / "box.part2.mcap").unlink()
     code, out, _ = verify(capsys, box)
     assert code == 1
@@ -451,7 +451,7 @@ class TestRefused:
                 return replace(record, metadata=record.metadata | {"format": "0"})
             return record
 
-        line = refused(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        line = error_text(capsys, changed_copy(box, tmp_path / "b.mcap", change))
         assert f"b.mcap: version 0 of the black box: expected {BOX_FORMAT}" in line
 
     def test_of_another_node(self, box, tmp_path, capsys):
@@ -460,13 +460,13 @@ class TestRefused:
                 return replace(record, metadata=record.metadata | {"node": "gyro"})
             return record
 
-        line = refused(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        line = error_text(capsys, changed_copy(box, tmp_path / "b.mcap", change))
         assert "black box of node 'gyro': expected one of " in line
         assert "ship_attitude" in line.partition("expected one of")[2]
 
     def test_without_its_head(self, box, tmp_path, capsys):
         copy = changed_copy(box, tmp_path / "b.mcap", lambda r, topics: None if isinstance(r, Metadata) else r)
-        assert "metadata record 'black_box' is missing" in refused(capsys, copy)
+        assert "metadata record 'black_box' is missing" in error_text(capsys, copy)
 
     def test_with_a_message_definition_that_has_changed(self, box, tmp_path, capsys):
         def change(record, topics):
@@ -474,24 +474,24 @@ class TestRefused:
                 return replace(record, data=record.data.replace(b"float64 pitch", b"float64 trim"))
             return record
 
-        line = refused(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        line = error_text(capsys, changed_copy(box, tmp_path / "b.mcap", change))
         assert "topic 'ship/attitude': the message definition has changed" in line
         assert "ship_msgs/msg/ShipAttitude.pitch is missing in the bag" in line
 
     def test_with_the_content_of_a_file_missing(self, box, tmp_path, capsys):
         name = "files/0002/alignment.yaml"
         copy = changed_copy(box, tmp_path / "b.mcap", without(name))
-        line = refused(capsys, copy)
+        line = error_text(capsys, copy)
         assert f"attachment {name} is missing: the content of {box.with_name('alignment.yaml')}" in line
 
     def test_with_parameters_that_this_node_does_not_know(self, box, tmp_path, capsys):
         copy = changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace("lag_s", "delay_s")))
-        assert "attachment suite.yaml" in (line := refused(capsys, copy))
+        assert "attachment suite.yaml" in (line := error_text(capsys, copy))
         assert "'delay_s' is unknown" in line
 
     def test_with_the_parameters_of_other_devices(self, box, tmp_path, capsys):
         copy = changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"')))
-        line = refused(capsys, copy)
+        line = error_text(capsys, copy)
         assert "'star/starboard/horizon_attitude' (ship_msgs/msg/StarHorizonAttitude) is no topic of" in line
 
 
@@ -524,7 +524,7 @@ def suite(box, tmp_path):
 @pytest.mark.parametrize("name", ["suite.yaml", "versions.json"])
 def test_a_missing_attachment_is_refused_or_replaced_by_config(box, suite, tmp_path, capsys, name):
     copy = changed_copy(box, tmp_path / "b.mcap", without(name))
-    line = refused(capsys, copy)
+    line = error_text(capsys, copy)
     assert name in line
     assert "--config" in line
     code, out, _ = verify(capsys, copy, "--config", suite)
@@ -541,7 +541,7 @@ def test_another_version_of_the_suite_is_refused_or_replayed_with_config(box, su
         return record
 
     copy = changed_copy(box, tmp_path / "b.mcap", change)
-    assert "another version of the suite (ship_attitude_star 0.0.1 there, 0.1.0 here)" in refused(capsys, copy)
+    assert "another version of the suite (ship_attitude_star 0.0.1 there, 0.1.0 here)" in error_text(capsys, copy)
     code, out, _ = verify(capsys, copy, "--config", suite)
     assert code == 0
     assert "note: written by another version of the suite" in out

@@ -52,7 +52,7 @@ def replayed(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -
             if record.topic in taken:
                 run.take(record.topic, record)
         run.finish()
-        summary.refused = {a.node_name: a.health.refused_and_noted() for a in chain.adapters}
+        summary.rejected = {a.node_name: a.health.refused_and_noted() for a in chain.adapters}
     return sink.published, summary
 
 
@@ -66,7 +66,7 @@ def assert_equal(bag_path: Path, injection: Injection | None = None) -> None:
     for topic, messages in expected.items():
         odd = next((n for n, (one, other) in enumerate(zip(messages, found[topic], strict=True)) if one != other), None)
         assert odd is None, f"{topic}: message {odd} of {len(messages)} at {messages[odd][0]}"
-    assert (also_told.inputs, also_told.outputs, also_told.refused) == (told.inputs, told.outputs, told.refused)
+    assert (also_told.inputs, also_told.outputs, also_told.rejected) == (told.inputs, told.outputs, told.rejected)
     for topic, course in told.statuses.items():
         assert (also_told.statuses[topic].counts, also_told.statuses[topic].spans) == (course.counts, course.spans)
     exclusions = [{topic: one.lines(0) for topic, one in each.exclusions.items()} for each in (told, also_told)]

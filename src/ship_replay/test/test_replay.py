@@ -15,7 +15,7 @@ from ship_bags.message_store import serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 from ship_estimation.parameter_fields import parameter
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.topics import InputTopic, OutputTopic
@@ -65,7 +65,7 @@ class TinyAdapter:
         self.calls.append((topic, receive_ns))
         self.health.arrived(topic, receive_ns)
         if message.header.frame_id == "wrong":
-            self.health.rejected(topic, Refusal(Reason.FRAME, "wrong frame"), receive_ns)
+            self.health.rejected(topic, Rejection(Reason.FRAME, "wrong frame"), receive_ns)
             return []
         self.health.accepted(topic, ns_from_stamp(message.header.stamp), receive_ns)
         self.latest_header = message.header
@@ -210,7 +210,7 @@ def test_refusals_and_undecodable_messages_are_counted(tmp_path):
         bag.write("ins/imu", imu(START_NS + 1, "wrong"), START_NS + 1)
         bag.write_raw("ins/imu", "sensor_msgs/msg/Imu", serialize(imu(START_NS))[:40], START_NS + 2)
     summary = replay(path, tmp_path / "out.mcap", (TinyAdapter,))
-    assert summary.refused == {"ins/imu": {"frame": 1}}
+    assert summary.rejected == {"ins/imu": {"frame": 1}}
     assert summary.undecodable == {"ins/imu": 1}
     assert summary.inputs == {"ins/imu": 2}
 

@@ -26,7 +26,7 @@ from ship_watch.picture import Event, Safety
 
 @pytest.fixture(scope="module")
 def night_path(tmp_path_factory):
-    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), refused=range(30, 37))
+    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
 
 
 def test_every_section_in_its_order_and_nothing_of_the_network(night_path):
@@ -76,7 +76,7 @@ def test_no_state_without_output(night_path):
 
 
 def test_rejections_are_counted_with_their_times(night_path):
-    refusals = [one for one in read_night(night_path).refusals if one.by == "filter"]
+    refusals = [one for one in read_night(night_path).rejections if one.by == "filter"]
     assert {one.source for one in refusals} == {"star.fore"}
     assert [one.utc_ns for one in refusals] == [START_NS + second * SECOND_NS for second in range(30, 37)]
 

@@ -25,7 +25,7 @@ from ship_watch.picture import Priority
 
 @pytest.fixture(scope="module")
 def night_path(tmp_path_factory):
-    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), refused=range(30, 37))
+    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ def test_a_row_for_each_session_with_the_difference_to_the_one_before(tmp_path, 
     folder.mkdir()
     write_night(folder / "a.mcap")
     # The same hours: by name the later one. Silent for 5 s of 40 s, of which the first is within the limit of age.
-    write_night(folder / "b 1.mcap", gap_s=(20, 25), refused=range(30, 37))
+    write_night(folder / "b 1.mcap", gap_s=(20, 25), rejected=range(30, 37))
     (folder / "bad.mcap").write_text("no bag")
     with BagWriter(folder / "inputs.mcap") as writer:
         writer.write("ins/imu", imu(START_NS), START_NS + PERIOD_NS)

@@ -69,7 +69,7 @@ class SourceRecord:
         self.period_ns, self.used = math.nan, 0
         self.topics: dict[str, TopicReports] = {}
         self.streaks: dict[tuple[str, str], Streak] = {}
-        self.used_at_refusal: dict[tuple[str, str], int] = {}
+        self.used_at_rejection: dict[tuple[str, str], int] = {}
         self.window = NisWindow()
         self.excluded_since: dict[str, int] = {}
         self.judged_ns: int | None = None
@@ -126,14 +126,14 @@ class SourceRecord:
             return SourceFault(_with_members("no data", timed_out, topics), since_ns)
         worst: tuple[str, Streak] | None = None
         for key, streak in self.streaks.items():
-            streak.reinstate_if_used(now_ns, self.period_ns, self.used - self.used_at_refusal.get(key, 0))
-            if streak.is_out and (worst is None or streak.refused > worst[1].refused):
+            streak.reinstate_if_used(now_ns, self.period_ns, self.used - self.used_at_rejection.get(key, 0))
+            if streak.is_out and (worst is None or streak.rejected_in_a_row > worst[1].rejected_in_a_row):
                 worst = key[1], streak
         since_ns = min(worst[1].out_since_ns, now_ns + utc_offset_ns) if worst else 0  # stamps may lie in the future
         if self.excluded_since:
             return SourceFault("excluded", since_ns or min(self.excluded_since.values()))
         if worst is not None:
-            return SourceFault(_refusal_text(self.name, *worst), since_ns)
+            return SourceFault(_rejection_text(self.name, *worst), since_ns)
         return self._no_usable_data(now_ns, utc_offset_ns)
 
     def _no_usable_data(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
@@ -157,7 +157,7 @@ class SourceRecord:
         reasons = {
             streak.reason
             for key, streak in self.streaks.items()
-            if streak.is_out and fault.reason == _refusal_text(self.name, key[1], streak)
+            if streak.is_out and fault.reason == _rejection_text(self.name, key[1], streak)
         }
         if fault.reason == _NOTHING_USABLE.get(self.first_word):
             reasons = {Reason.GAP}  # measurements that wait for another source are rejected only after a long wait
@@ -191,7 +191,7 @@ class SourceRecord:
             verdict=self.window.verdict(now_ns) if judged else None,
             age_s=self.age_s(now_ns),
             rate_hz=max(rates, default=math.nan),
-            refused=max((streak.refused for streak in streaks), default=0),
+            rejected_in_a_row=max((streak.rejected_in_a_row for streak in streaks), default=0),
             topics=tuple(self.topics),
         )
 
@@ -201,7 +201,7 @@ def standing_off(name: str) -> SourceStanding:
     return SourceStanding(name, Presence.OFF, "", "", math.nan, 0, "")
 
 
-def _refusal_text(source: str, name: str, streak: Streak) -> str:
+def _rejection_text(source: str, name: str, streak: Streak) -> str:
     """Return the text of a run of rejections; a rejection by the gate is not named."""
     if (streak.reason, source) in _SAYS_SO_ITSELF:
         return "invalid"
@@ -209,10 +209,10 @@ def _refusal_text(source: str, name: str, streak: Streak) -> str:
         return "excluded"
     if streak.reason is Reason.OFF:
         return "switched off"
-    if not streak.refused:
+    if not streak.rejected_in_a_row:
         return _with_member(f"{streak.accepted_again} accepted again", name)
     told = streak.reason not in (Reason.GATE, Reason.NONE)
-    text = f"{streak.refused} rejected in a row" + (f": {streak.reason.word.replace('_', ' ')}" if told else "")
+    text = f"{streak.rejected_in_a_row} rejected in a row" + (f": {streak.reason.word.replace('_', ' ')}" if told else "")
     return _with_member(text, name)
 
 

@@ -156,7 +156,7 @@ class SourceShown(SourceStanding):
     verdict: NisVerdict | None
     age_s: float
     rate_hz: float
-    refused: int
+    rejected_in_a_row: int
     topics: tuple[str, ...]
     mounting_shift: float = math.nan
 
@@ -208,7 +208,7 @@ class InputShown:
     latency_s: float
     age_s: float
     level: int
-    refused_60s: int
+    rejected_60s: int
     reasons: Mapping[str, int]
 
 

@@ -141,7 +141,7 @@ def _source_fields(source: SourceShown) -> dict[str, Any]:
         "is_as_stated": verdict.is_consistent,
         "age_s": source.age_s,
         "rate_hz": source.rate_hz,
-        "rejected_in_a_row": source.refused,
+        "rejected_in_a_row": source.rejected_in_a_row,
         "topics": list(source.topics),
         "mounting_shift": source.mounting_shift,
     }
@@ -164,7 +164,7 @@ def _source(message: Any) -> SourceShown:
         verdict=verdict if message.nis_degrees >= 0 else None,
         age_s=float(message.age_s),
         rate_hz=float(message.rate_hz),
-        refused=int(message.rejected_in_a_row),
+        rejected_in_a_row=int(message.rejected_in_a_row),
         topics=tuple(_text(topic) for topic in islice(message.topics, MOST_NAMES)),
         mounting_shift=float(message.mounting_shift),
     )

@@ -89,7 +89,7 @@ class TopicReports:
         self._reporters: list[_Reporter] = []
         self._timeout_ns = self._computed_timeout_ns()
         self._nodes = 0
-        self._refused: deque[tuple[int, int, int, dict[str, int]]] = deque(maxlen=_MOST_REPORTS)
+        self._rejections: deque[tuple[int, int, int, dict[str, int]]] = deque(maxlen=_MOST_REPORTS)
 
     def note(self, message: Any, now_ns: int) -> bool:
         """Record a report; return True if it comes from a node that has started since the last one."""
@@ -163,12 +163,12 @@ class TopicReports:
 
     def shown(self, now_ns: int) -> InputShown:
         """Return the displayed state of the topic."""
-        while self._refused and now_ns - self._refused[0][0] > WINDOW_NS:
-            self._refused.popleft()
+        while self._rejections and now_ns - self._rejections[0][0] > WINDOW_NS:
+            self._rejections.popleft()
         # Nodes that read the same messages reject the same ones: the largest count of any node is taken.
         refused_by: dict[int, int] = {}
         reasons_by: dict[tuple[int, str], int] = {}
-        for _, number, count, grown in self._refused:
+        for _, number, count, grown in self._rejections:
             refused_by[number] = refused_by.get(number, 0) + count
             for word, more in grown.items():
                 reasons_by[number, word] = reasons_by.get((number, word), 0) + more
@@ -221,6 +221,6 @@ class TopicReports:
         grown = {word: n - before.reasons.get(word, 0) for word, n in report.reasons.items()}
         grown = {word: n for word, n in grown.items() if n > 0}
         if grown:
-            self._refused.append((report.received_ns, report.number, report.rejected - before.rejected, grown))
+            self._rejections.append((report.received_ns, report.number, report.rejected - before.rejected, grown))
         self._reporters[self._reporters.index(before)] = report
         return False, before

@@ -100,7 +100,7 @@ class SourceBook:
         if message.accepted:
             source.note_use(topic, stamp_ns, message, now_ns)
         else:
-            source.used_at_refusal[key] = source.used
+            source.used_at_rejection[key] = source.used
         if len(message.components):
             source.judged_ns = now_ns
         return name

@@ -59,8 +59,8 @@ class Streak:
         self._kept = max(_KEPT, in_after)
         self._verdicts: list[tuple[int, bool]] = []
         self._off: deque[Any] = deque(maxlen=_LOOKED_AT)
-        self.is_out, self.refused, self.out_since_ns = False, 0, 0
-        self.refused_at_ns: int | None = None
+        self.is_out, self.rejected_in_a_row, self.out_since_ns = False, 0, 0
+        self.last_rejection_ns: int | None = None
         self.reason = Reason.NONE
         self.is_judged = False
 
@@ -69,7 +69,7 @@ class Streak:
         accepted, revised = bool(message.accepted), message.reason == Reason.REVISED
         self.is_judged = self.is_judged or accepted
         if not accepted:
-            self.refused_at_ns = now_ns
+            self.last_rejection_ns = now_ns
             if not revised:
                 self.reason = Reason(message.reason) if message.reason in _REASONS else Reason.NONE
             # An excluded source is estimated again and soon fits: only rejections by the gate show how it is off.
@@ -82,7 +82,7 @@ class Streak:
         """Record the decision on a whole exposure, after rejections of single stars or lights in it."""
         self.is_judged = self.is_judged or is_used
         if not is_used:
-            self.refused_at_ns, self.reason = now_ns, Reason.TOO_FEW_STARS
+            self.last_rejection_ns, self.reason = now_ns, Reason.TOO_FEW_STARS
         self._insert(stamp_ns, is_used, False, math.nan)
         self._decide()
 
@@ -94,13 +94,13 @@ class Streak:
             period_ns: usual time between measurements, ns; NaN if unknown.
             used_since: number of measurements used since the last rejection.
         """
-        if self.is_judged or self.refused_at_ns is None:
+        if self.is_judged or self.last_rejection_ns is None:
             return
         least_ns = SHOWN_NS if math.isnan(period_ns) else max(SHOWN_NS, self._in_after * period_ns)
-        if now_ns - self.refused_at_ns >= least_ns and used_since >= self._in_after:
+        if now_ns - self.last_rejection_ns >= least_ns and used_since >= self._in_after:
             self._verdicts.clear()
             self._reinstate()
-            self.refused = 0
+            self.rejected_in_a_row = 0
 
     @property
     def accepted_again(self) -> int:
@@ -122,11 +122,11 @@ class Streak:
         if revised:
             return
         if accepted:
-            self.refused = 0
+            self.rejected_in_a_row = 0
         else:
             # With NaN, an unknown period, the rejections count as a run.
             is_separate = verdicts and stamp_ns - verdicts[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.is_judged
-            self.refused = 1 if is_separate else self.refused + 1
+            self.rejected_in_a_row = 1 if is_separate else self.rejected_in_a_row + 1
             if is_separate:
                 verdicts.clear()
         verdicts.append((stamp_ns, accepted))
@@ -139,12 +139,12 @@ class Streak:
         stamp_ns, known = verdicts[place]
         verdicts[place] = (stamp_ns, accepted if revised else accepted or known)
         run = self._last_in_a_row(False)
-        self.refused = max(run, self.refused) if run == len(verdicts) else run
+        self.rejected_in_a_row = max(run, self.rejected_in_a_row) if run == len(verdicts) else run
 
     def _decide(self) -> None:
-        if self.refused >= self._out_after and not self.is_out:
+        if self.rejected_in_a_row >= self._out_after and not self.is_out:
             self.is_out = True
-            self.out_since_ns = self._verdicts[-min(self.refused, len(self._verdicts))][0]
+            self.out_since_ns = self._verdicts[-min(self.rejected_in_a_row, len(self._verdicts))][0]
         elif self.is_out and self.accepted_again >= self._in_after:
             self._reinstate()
 

@@ -95,9 +95,9 @@ def test_rejected_messages_count_as_arrived() -> None:
         told = report(second, 5 * second, age_s=second - 9.8, rejected=5 * (second - 10), excluded=5 * (second - 10))
         reports.note(told, at(second))
         assert not reports.is_timed_out(at(second + 0.9))
-    assert reports.shown(at(30.5)).refused_60s == 100
+    assert reports.shown(at(30.5)).rejected_60s == 100
     assert reports.shown(at(30.5)).reasons == {"excluded": 100}
-    assert reports.shown(at(89.0)).refused_60s == pytest.approx(10, abs=5)  # those of the last two seconds
+    assert reports.shown(at(89.0)).rejected_60s == pytest.approx(10, abs=5)  # those of the last two seconds
 
 
 def test_two_nodes_on_one_topic_are_no_restarts() -> None:
@@ -108,7 +108,7 @@ def test_two_nodes_on_one_topic_are_no_restarts() -> None:
         other = report(second + 0.4, 5 * second, rejected=second, gate=second)
         started += [reports.note(first, at(second)), reports.note(other, at(second + 0.4))]
     assert not any(started[2:])
-    assert reports.shown(at(59.4)).refused_60s == 59
+    assert reports.shown(at(59.4)).rejected_60s == 59
     assert reports.shown(at(59.4)).reasons == {"gate": 59}
 
 
@@ -116,7 +116,7 @@ def test_restart_of_a_node_is_reported_once() -> None:
     reports = received_reports(10)
     started = [reports.note(report(second, 5 * (second - 12)), at(second)) for second in range(13, 20)]
     assert started == [True, False, False, False, False, False, False]
-    assert reports.shown(at(19.0)).refused_60s == 0
+    assert reports.shown(at(19.0)).rejected_60s == 0
 
 
 def test_timeout_is_longer_before_the_rate_is_known() -> None:

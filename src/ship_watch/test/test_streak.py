@@ -41,16 +41,16 @@ def test_out_after_five_rejections_and_in_after_ten_acceptances() -> None:
     assert not streak.is_out
     n = run(streak, "-", n)
     assert streak.is_out
-    assert streak.refused == 5
+    assert streak.rejected_in_a_row == 5
     assert streak.out_since_ns == 100 * SECOND + 3 * PERIOD
     n = run(streak, "-" * 76, n)
-    assert streak.refused == 81
+    assert streak.rejected_in_a_row == 81
     assert streak.out_since_ns == 100 * SECOND + 3 * PERIOD
     n = run(streak, "+++++++++", n)
     assert streak.is_out
     n = run(streak, "-++++++++++", n)
     assert not streak.is_out
-    assert streak.refused == 0
+    assert streak.rejected_in_a_row == 0
 
 
 def test_occasional_rejections_keep_a_source_in() -> None:
@@ -65,10 +65,10 @@ def test_rejected_stars_of_an_accepted_measurement_are_no_rejection() -> None:
         stamp = 100 * SECOND + i * PERIOD
         for _ in range(3):
             streak.note(stamp, innovation(False, Reason.MISIDENTIFIED), stamp, PERIOD)
-        assert streak.refused <= 1
+        assert streak.rejected_in_a_row <= 1
         streak.note(stamp, innovation(True), stamp, PERIOD)
     assert not streak.is_out
-    assert streak.refused == 0
+    assert streak.rejected_in_a_row == 0
 
 
 def test_revised_decision_replaces_the_first() -> None:
@@ -77,7 +77,7 @@ def test_revised_decision_replaces_the_first() -> None:
     revised = innovation(True)
     revised.reason = int(Reason.REVISED)
     streak.note(100 * SECOND + 3 * PERIOD, revised, 106 * SECOND, PERIOD)
-    assert streak.refused == 1
+    assert streak.rejected_in_a_row == 1
     run(streak, "-", 5)
     assert not streak.is_out
 
@@ -88,7 +88,7 @@ def test_distant_rejections_are_no_run_if_acceptances_are_not_reported() -> None
         stamp = 100 * SECOND + i * SECOND // 10
         streak.note(stamp, innovation(False), stamp, SECOND / 100)
     assert not streak.is_out
-    assert streak.refused == 1
+    assert streak.rejected_in_a_row == 1
 
 
 def test_use_without_reports_reinstates_a_source() -> None:
@@ -101,7 +101,7 @@ def test_use_without_reports_reinstates_a_source() -> None:
     assert streak.is_out
     streak.reinstate_if_used(last + 2 * SECOND, PERIOD, 10)
     assert not streak.is_out
-    assert streak.refused == 0
+    assert streak.rejected_in_a_row == 0
 
 
 def test_disagreement_is_the_component_furthest_off() -> None:
@@ -153,5 +153,5 @@ def test_decisions_are_counted_in_the_order_of_arrival() -> None:
     for i in (0, 2, 1, 4, 3, 6, 5):
         stamp = 100 * SECOND + i * PERIOD
         streak.note(stamp, innovation(False), stamp, PERIOD)
-    assert streak.refused == 7
+    assert streak.rejected_in_a_row == 7
     assert streak.is_out

@@ -243,7 +243,7 @@ def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -
 def test_stars_are_not_the_cause_if_all_messages_stop() -> None:
     """All messages stop, as at the end of a bag: no cause is named for three seconds, then the missing reports."""
     watch = monitor_after(10.0)
-    told = refused(UTC + 10 * SECOND, "star.bow", Reason.NONE)
+    told = rejection(UTC + 10 * SECOND, "star.bow", Reason.NONE)
     told.accepted, told.components, told.residual, told.sigma, told.nis = True, ["up"], [1e-6], [1e-6], 1.0
     watch.take("ship/innovation", told, at(10.0))
     reasons = set()
@@ -347,7 +347,7 @@ def test_source_of_topics(topic: str, source: str) -> None:
     assert source_of_topic(topic) == source
 
 
-def refused(ns: int, source: str, reason: Reason) -> SimpleNamespace:
+def rejection(ns: int, source: str, reason: Reason) -> SimpleNamespace:
     return SimpleNamespace(
         header=stamp(ns), source=source, components=[], residual=[], sigma=[], nis=math.nan, gate=math.nan,
         accepted=False, reason=int(reason), reason_text="",
@@ -366,8 +366,8 @@ def test_rejected_stars_keep_a_sensor_with_solutions_in(status: int, presence: P
     for fifth in range(51, 80):
         ns = UTC + fifth * SECOND // 5
         for _ in range(2):
-            watch.take("star/innovation", refused(ns, "star.bow", Reason.MISIDENTIFIED), at(fifth / 5))
-        watch.take("star/innovation", refused(ns, "star.joint", Reason.MISIDENTIFIED), at(fifth / 5))
+            watch.take("star/innovation", rejection(ns, "star.bow", Reason.MISIDENTIFIED), at(fifth / 5))
+        watch.take("star/innovation", rejection(ns, "star.joint", Reason.MISIDENTIFIED), at(fifth / 5))
         watch.take("star/bow/solution", solution(ns, status), at(fifth / 5))
     sources = {source.name: source for source in watch.look(at(15.9)).sources}
     assert sources["star.bow"].presence is presence
@@ -383,7 +383,7 @@ def test_consequence_keeps_its_cause_until_it_is_in_again() -> None:
         watch.take("input_health", health(ns, "star/bow/solution", fifth + 1), now)
         if fifth <= 60:
             watch.take("ship/integrity", integrity(ns, 2, ("ins",)), now)
-            watch.take("ship/innovation", refused(ns, "star.bow", Reason.GAP), now)
+            watch.take("ship/innovation", rejection(ns, "star.bow", Reason.GAP), now)
     picture = watch.look(at(12.1))
     assert [(source.name, source.reason, source.because_of) for source in picture.sources[:2]] == [
         ("ins", "excluded", ""), ("star.bow", "needs ins", "ins")
@@ -393,7 +393,7 @@ def test_consequence_keeps_its_cause_until_it_is_in_again() -> None:
     assert (source.name, source.presence, source.because_of) == ("star.bow", Presence.OUT, "ins")
     for fifth in range(70, 80):
         used_ns = UTC + fifth * SECOND // 5
-        used = refused(used_ns, "star.bow", Reason.NONE)
+        used = rejection(used_ns, "star.bow", Reason.NONE)
         used.accepted = True
         watch.take("ship/innovation", used, at(fifth / 5))
         watch.take("input_health", health(used_ns, "star/bow/solution", fifth + 1), at(fifth / 5))
@@ -438,7 +438,7 @@ def test_buffers_are_bounded_by_ten_minutes() -> None:
     for second in range(1500):
         ns = UTC + second * SECOND
         watch.take("ship/attitude", attitude(ns), at(second))
-        told = refused(ns, "star.bow", Reason.NONE)
+        told = rejection(ns, "star.bow", Reason.NONE)
         told.accepted, told.components, told.residual, told.sigma, told.nis = True, ["up"], [1e-6], [1e-6], 1.0
         watch.take("ship/innovation", told, at(second))
     points = watch.history.innovations["star.bow"]
@@ -455,7 +455,7 @@ def test_single_stamp_of_another_year_sets_the_time_only_briefly() -> None:
 
 
 def behind(ns: int, node: str, text: str) -> SimpleNamespace:
-    told = refused(ns, node, Reason.BEHIND)
+    told = rejection(ns, node, Reason.BEHIND)
     told.reason_text = text
     return told
 
@@ -468,7 +468,7 @@ def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
         ns, now = UTC + fifth * SECOND // 5, at(fifth / 5)
         watch.take("input_health", health(ns, "ins/imu", 20 * fifth, 100.0, 0.1), now)
         watch.take("input_health", health(ns, "star/bow/solution", fifth + 1), now)
-        watch.take("ship/innovation", refused(ns, "star.bow", Reason.GAP), now)
+        watch.take("ship/innovation", rejection(ns, "star.bow", Reason.GAP), now)
         if fifth % 5 == 0:
             watch.take("ship/attitude", attitude(ns, status=3, heading=math.nan), now)
             watch.take("ship/innovation", behind(ns, "ins", f"320 messages cut: {text}"), now)

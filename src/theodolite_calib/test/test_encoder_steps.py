@@ -30,7 +30,7 @@ def check_readings(angles, acceleration=FAST, times_ns=None):
     for number, row in enumerate(angles):
         time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
         judged = watch.judge(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
-        found.append((bool(watch.unconfirmed_reason), judged.refusal, judged.jump))
+        found.append((bool(watch.unconfirmed_reason), judged.rejection, judged.jump))
     return watch, found
 
 

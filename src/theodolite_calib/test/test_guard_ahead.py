@@ -56,7 +56,7 @@ class Run:
             told_rad = told_step_rad(sample.correlated_covariance_n, self._stated)
             judged = self._judged(sample, told_rad)
             self.said.append((said(judged), self.guard.rates))
-            if judged.refusal is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
+            if judged.rejection is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
                 self._stated = sample.correlated_covariance_n
                 self._used.insert(judged.sample)
 
@@ -69,7 +69,7 @@ class Run:
 def said(judged: JudgedIns) -> tuple[Any, ...]:
     """Return all fields of a result, comparable to the bit."""
     jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.is_drift) for jump in judged.jumps)
-    return judged.sample.content(), judged.refusal, jumps, judged.rates_wrong_after_ns
+    return judged.sample.content(), judged.rejection, jumps, judged.rates_wrong_after_ns
 
 
 def one_by_one(samples: Sequence[ShipSample]) -> list[Any]:

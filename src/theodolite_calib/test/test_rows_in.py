@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_node.edge.messages_in import ReadMessage, Refused
+from ship_node.edge.messages_in import ReadMessage, MessageRejected
 from ship_testing.rows_read import rows
 from ship_testing.small_session import config
 from theodolite_calib.ros import messages_in, rows_in
@@ -118,5 +118,5 @@ def test_messages_rejected_alone_are_not_read_in_a_batch(kind: str) -> None:
         message = FACTORY.make(type_name, **{**fields(kind, 0), **changed})
         try:
             read(message, receive_ns=START_NS)
-        except Refused:
+        except MessageRejected:
             assert read_rows(rows(type_name, [message]), np.array([START_NS])) == [None]

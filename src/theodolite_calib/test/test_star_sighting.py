@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import fixed_stars
@@ -97,6 +97,6 @@ def test_stars_without_exposure_length_are_unchanged() -> None:
 )
 def test_a_gap_is_named(until_s: float, text: str) -> None:
     found = star_sighting(exposure(0.2), SETTINGS, tracks(until_s))
-    assert isinstance(found, Refusal)
+    assert isinstance(found, Rejection)
     assert found.reason is Reason.GAP
     assert text in found.text

@@ -306,7 +306,7 @@ def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_i
     assert not live.add_target(image(5_000_000)).targets
     last_ns = max(estimate.time_ns for outcome in before for estimate in outcome.estimates)
     second.take_over_outputs(live)
-    assert second.add_target(image(-100_000_000)).refusal is not None
+    assert second.add_target(image(-100_000_000)).rejection is not None
     after = told(second, range(1, 5))
     assert [target.time_ns for outcome in after for target in outcome.targets] == [START_NS + 5_000_000]
     times_ns = [estimate.time_ns for outcome in after for estimate in outcome.estimates]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
 from ship_testing.theodolite_stations import AIR, AXES, ORIGIN, ORIGIN_M, PLACE_SIGMA_M, foot_n, seen, station
 from theodolite_calib.target.triangulation import Air, StationDirection, TriangulatedPlace, _Line, triangulated
@@ -52,7 +52,7 @@ def test_without_errors_the_place_is_exact_on_the_curved_earth(spread_m: float, 
         place = found(directions)
         # Raised along the angle here, along Up there: they part by the square of 4" to 42".
         np.testing.assert_allclose(place.position_n, target_n, atol=1e-3 * distance_m / 2000.0)
-        assert place.refusal is None
+        assert place.rejection is None
 
 
 @functools.cache
@@ -63,7 +63,7 @@ def errors() -> tuple[np.ndarray, np.ndarray, float]:
         place = found(directions)
         nees.append(normalized_error_squared(target_n - place.position_n, place.covariance_n))
         chi_square.append(place.chi_square)
-        refused += place.refusal is not None
+        refused += place.rejection is not None
     return np.array(nees), np.array(chi_square), refused
 
 
@@ -81,8 +81,8 @@ def test_wrong_direction_rejects_the_set() -> None:
     wrong = directions[1].direction_n + 60.0 * ARCSEC * np.array([0.0, 1.0, 0.0])
     place = found([directions[0], replace(directions[1], direction_n=wrong / np.linalg.norm(wrong)), directions[2]])
     assert place.chi_square > place.gate
-    assert place.refusal is not None
-    assert place.refusal.reason is Reason.GATE
+    assert place.rejection is not None
+    assert place.rejection.reason is Reason.GATE
 
 
 @pytest.mark.parametrize("kind", ["one", "parallel", "behind", "nan"])
@@ -95,7 +95,7 @@ def test_missing_position_is_reported(kind: str) -> None:
         "nan": [replace(directions[0], direction_n=np.full(3, np.nan)), *directions[1:]],
     }[kind]
     told = triangulated(ORIGIN, given, AIR)
-    assert isinstance(told, Refusal)
+    assert isinstance(told, Rejection)
     expected = {"one": "two or more", "parallel": "parallel", "behind": "behind t0", "nan": "NaN"}
     assert expected[kind] in told.text
 
@@ -143,7 +143,7 @@ def test_position_with_unknown_distance_is_rejected(distance_m: float, sigma: fl
     rng, texts = np.random.default_rng(21), []
     for _ in range(200):
         told = triangulated(ORIGIN, abreast(distance_m, sigma, rng)[0], AIR)
-        assert isinstance(told, Refusal)
+        assert isinstance(told, Rejection)
         assert told.reason is Reason.GATE
         texts.append(told.text)
     # The errors may also make the lines meet behind.

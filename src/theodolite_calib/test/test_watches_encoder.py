@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.vector_track import VectorTrack
@@ -35,8 +35,8 @@ def reading(number: int, azimuth: float, elevation: float = 0.5) -> EncoderSampl
     return EncoderSample(number * PERIOD_NS, np.array([azimuth, elevation]), ARCSEC)
 
 
-def check(watch: EncoderWatch, sample: EncoderSample) -> Refusal | None:
-    return watch.judge(sample, VectorTrack(PERIOD_NS)).refusal
+def check(watch: EncoderWatch, sample: EncoderSample) -> Rejection | None:
+    return watch.judge(sample, VectorTrack(PERIOD_NS)).rejection
 
 
 def lights(watch: EncoderWatch, number: int, azimuth: float) -> None:

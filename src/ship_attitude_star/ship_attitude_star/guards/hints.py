@@ -48,9 +48,9 @@ class Departure:
 
 def diagnosis_hint(
     source: str,
-    refusals: Mapping[str, int],
+    consecutive_rejections: Mapping[str, int],
     used_ns: Mapping[str, int],
-    departures: Mapping[str, Departure],
+    rejected_residuals: Mapping[str, Departure],
     ins_nd: FloatArray,
     measured_nd: FloatArray,
 ) -> str:
@@ -64,12 +64,12 @@ def diagnosis_hint(
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: attitude of the deck by the source, shape (3, 3).
     """
-    since_ns = departures[source].time_ns - _RECENT_NS
-    consistent = [name for name, time_ns in used_ns.items() if time_ns >= since_ns and not refusals.get(name, 0)]
+    since_ns = rejected_residuals[source].time_ns - _RECENT_NS
+    consistent = [name for name, time_ns in used_ns.items() if time_ns >= since_ns and not consecutive_rejections.get(name, 0)]
     inconsistent = {
         name: departure
-        for name, departure in departures.items()
-        if departure.time_ns >= since_ns and refusals.get(name, 0)
+        for name, departure in rejected_residuals.items()
+        if departure.time_ns >= since_ns and consecutive_rejections.get(name, 0)
     }
     hint = heading_hint(ins_nd, measured_nd, source, ins_confirmed=bool(consistent) and len(inconsistent) == 1)
     return f"{hint}; {consistency_text(source, consistent, inconsistent)}"

@@ -9,7 +9,7 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_estimation.value_guards import StuckGuard
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeTrack
@@ -33,7 +33,7 @@ class StreamGuards:
         self._stuck: dict[str, StuckGuard] = {}
         self._latest_ns: dict[str, int] = {}
 
-    def check(self, measurement: Measurement, track: AttitudeTrack) -> Refusal | None:
+    def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
         """Return the rejection of a measurement that is constant while other sources move; None if it is plausible.
 
         A measurement older than the last one of its source is not checked, because streams are checked in order.
@@ -60,7 +60,7 @@ class StreamGuards:
             if source not in self._stuck:
                 self._stuck[source] = StuckGuard()
             if self._stuck[source].observe(time_ns, value, sigma_rad, references):
-                return Refusal(Reason.STUCK, f"{stands_still} while other sources move")
+                return Rejection(Reason.STUCK, f"{stands_still} while other sources move")
             if isinstance(measurement, AttitudeMeasurement):
                 self.motion_references[source] = Witness(time_ns, value, sigma_rad)
         self._latest_ns[source] = time_ns

@@ -33,7 +33,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, fix_rejection
 from ship_node.edge.messages_in import (
     ReadMessage,
-    Refused,
+    MessageRejected,
     angular_covariance,
     device_id,
     finite_numbers,
@@ -64,13 +64,13 @@ def star_measurement(
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
     if message.status == STAR_INVALID:
-        raise Refused(Reason.TOO_FEW_STARS, "the sensor reports status INVALID")
+        raise MessageRejected(Reason.TOO_FEW_STARS, "the sensor reports status INVALID")
     finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
     azimuth, elevation, roll = message.azimuth, message.elevation, message.roll
     # Angles in degrees are detected if they exceed the range in radians.
     if abs(elevation) > LARGEST_ELEVATION or max(abs(azimuth), abs(roll)) > LARGEST_ANGLE:
         angles = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}, roll {roll:.6g}"
-        raise Refused(Reason.UNITS, f"{angles} cannot be radians: degrees?")
+        raise MessageRejected(Reason.UNITS, f"{angles} cannot be radians: degrees?")
     total_enu = angular_covariance(message.rotation_covariance, "rotation_covariance")
     total_angles = angular_covariance(message.covariance, "covariance") if total_enu is None else None
     total_known = total_enu is not None or total_angles is not None
@@ -181,14 +181,14 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     largest = max(abs(message.xi), abs(message.eta))
     if not largest <= _LARGEST_DEFLECTION:
         text = f"xi {message.xi:.4g}, eta {message.eta:.4g}: expected radians, 0.0015 (300 arcsec) at most"
-        raise Refused(Reason.UNITS, text)
+        raise MessageRejected(Reason.UNITS, text)
     covariance = np.asarray(message.covariance, dtype=float).reshape(2, 2)
     if not covariance.any():
         return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta])), False)
     # Written so that NaN fails.
     is_symmetric = bool(np.all(np.abs(covariance - covariance.T) <= 1e-6 * np.abs(np.trace(covariance))))
     if not (is_symmetric and np.linalg.eigvalsh(covariance)[0] > 0.0):
-        raise Refused(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric, positive and finite")
+        raise MessageRejected(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric, positive and finite")
     return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta]), covariance), True)
 
 
@@ -201,13 +201,13 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
     time_ns = baseline_stamp_ns(message, config, receive_ns)
     refusal = fix_rejection(message, config.least_fix)
     if refusal is not None:
-        raise Refused(refusal.reason, refusal.text)
+        raise MessageRejected(refusal.reason, refusal.text)
     vector_n, noise_n = baseline_vector(message)
     known = noise_n is not None
     if noise_n is None:
         noise_n = config.noise_sigma_m**2 * np.eye(3)
     if not np.linalg.norm(vector_n) > 0.0:
-        raise Refused(Reason.UNITS, "baseline of length 0: expected metres between two antennas")
+        raise MessageRejected(Reason.UNITS, "baseline of length 0: expected metres between two antennas")
     return _read(BaselineMeasurement(time_ns, vector_n, noise_n, known))
 
 
@@ -235,7 +235,7 @@ def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(difference_n)
     limit = _COVARIANCE_TOLERANCE * float(np.trace(total_n))
     if values[0] < -limit:
-        raise Refused(Reason.BAD_COVARIANCE, "noise_covariance is larger than the total covariance")
+        raise MessageRejected(Reason.BAD_COVARIANCE, "noise_covariance is larger than the total covariance")
     kept = np.where(values > limit, values, 0.0)
     common: FloatArray = (vectors * kept) @ vectors.T
     return common

@@ -17,7 +17,7 @@ from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import StampArray
 from ship_node.edge.columns_in import ReadRows, angular_covariances, read_of_good, stamps
-from ship_node.edge.messages_in import ReadMessage, Refused
+from ship_node.edge.messages_in import ReadMessage, MessageRejected
 
 
 def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, config: StarSensorConfig) -> ReadRows:
@@ -38,7 +38,7 @@ def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, co
     ) -> ReadMessage[Any] | None:
         try:
             return attitude_read(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.sharing)
-        except Refused:
+        except MessageRejected:
             return None
 
     def attitudes() -> Iterator[ReadMessage[Any] | None]:

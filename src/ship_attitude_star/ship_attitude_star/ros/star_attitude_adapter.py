@@ -12,12 +12,12 @@ from ship_attitude_star.ros.surroundings_in import surroundings_feeds
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.star_attitude.exposure_solver import RefusedStar, Solved, StarOutcome
+from ship_attitude_star.star_attitude.exposure_solver import RejectedStar, Solved, StarOutcome
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
 from ship_bags.message_factory import MessageFactory
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
@@ -33,7 +33,7 @@ from ship_node.edge.messages_out import (
     DiagnosticStatus,
     Level,
     error_budget_message,
-    refused_input,
+    rejection_message,
 )
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
@@ -67,7 +67,7 @@ class SeenStars:
 
     time_ns: int
     exposure: StarExposure
-    refused: tuple[RefusedStar, ...]
+    rejected_stars: tuple[RejectedStar, ...]
 
 
 class StarAttitudeAdapter(BlockAdapter):
@@ -128,7 +128,7 @@ class StarAttitudeAdapter(BlockAdapter):
 
     def _take_stars(self, seen: SeenStars, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core
-        return core.add_exposure(seen.exposure, seen.refused, waiting_ns)
+        return core.add_exposure(seen.exposure, seen.rejected_stars, waiting_ns)
 
     def block_messages(self, _runs: Sequence[Any]) -> Iterator[PublishedRows]:
         """Return no messages: INS samples are not published."""
@@ -145,19 +145,19 @@ class StarAttitudeAdapter(BlockAdapter):
         for source, time_ns in outcome.not_joined:
             text = "too late for the joint solution of its time; its single-sensor solution is published"
             self.health.noted(_topic(source), Reason.LATE)
-            published.append(self.rejection_message(source, time_ns, Refusal(Reason.LATE, text)))
+            published.append(self.rejection_message(source, time_ns, Rejection(Reason.LATE, text)))
         return published
 
     def _single(self, solved: Solved, now_ns: int) -> list[Published]:
         """Return the messages of a sensor's solution; the exposure counts as used unless it is rejected as a whole."""
-        id_, refusal = solved.sensor_id, solved.solution.refusal
+        id_, refusal = solved.sensor_id, solved.solution.rejection
         source, topic = f"star.{id_}", _topic(f"star.{id_}")
         if refusal is not None and refusal.reason in _NOT_LOOKED_AT:
             self.health.rejected(topic, refusal, now_ns, solved.time_ns)
         else:
             self.health.accepted(topic, solved.time_ns, now_ns)
-            for star in solved.refused:
-                self.health.noted(topic, star.refusal.reason)
+            for star in solved.rejected_stars:
+                self.health.noted(topic, star.rejection.reason)
             if refusal is not None:
                 self.health.noted(topic, refusal.reason)
         published = self._solution(solved, self.config.star_sensors[id_].frame_id or f"star_{id_}")
@@ -167,9 +167,9 @@ class StarAttitudeAdapter(BlockAdapter):
 
     def _joint(self, solved: Solved) -> list[Published]:
         self.budget_due = solved if solved.valid else None
-        for star in solved.refused:
-            self.health.noted(_topic(star.source), star.refusal.reason)
-        published, refusal = self._solution(solved, self.config.frames.deck), solved.solution.refusal
+        for star in solved.rejected_stars:
+            self.health.noted(_topic(star.source), star.rejection.reason)
+        published, refusal = self._solution(solved, self.config.frames.deck), solved.solution.rejection
         if refusal is not None and refusal.reason is Reason.FAILED:
             self.health.failed(f"{self.main_topic}: {refusal.text}")
         if refusal is not None and refusal.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
@@ -178,7 +178,7 @@ class StarAttitudeAdapter(BlockAdapter):
 
     def _solution(self, solved: Solved, frame_id: str) -> list[Published]:
         message = star_horizon_attitude(self.factory, solved, frame_id)
-        refused = map(functools.partial(rejected_star_message, self.factory), solved.refused)
+        refused = map(functools.partial(rejected_star_message, self.factory), solved.rejected_stars)
         return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
@@ -210,10 +210,10 @@ def seen_stars(message: Any, **sensor: Any) -> ReadMessage[SeenStars]:
         MessageRejected: the whole message cannot be used.
     """
     read = star_exposure(message, **sensor, named_by_number=True)
-    source, time_ns, refused = read.value.source, read.value.time_ns, []
+    source, time_ns, rejected_stars = read.value.source, read.value.time_ns, []
     for name, refusal in read.rejected_parts:
-        refused.append(RefusedStar(source, time_ns, name, refusal))
-    return ReadMessage(SeenStars(time_ns, read.value, tuple(refused)), read.covariance_known)
+        rejected_stars.append(RejectedStar(source, time_ns, name, refusal))
+    return ReadMessage(SeenStars(time_ns, read.value, tuple(rejected_stars)), read.covariance_known)
 
 
 def _topic(source: str) -> str:
@@ -238,7 +238,7 @@ def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str
         rotation_covariance=enu_covariance(covariance_n).ravel(),
         noise_covariance=enu_covariance(noise_n).ravel(),
         star_count=star_count,
-        rejected_count=len(solved.refused),
+        rejected_count=len(solved.rejected_stars),
         residual_rms=residual_rms,
         status=int(solution.status),
     )
@@ -251,15 +251,15 @@ def solution_budget(factory: MessageFactory, solved: Solved, deck: str) -> Any:
     return error_budget_message(factory, f"star_{JOINT}", solved.time_ns, deck, terms, parts_n, covariance_n)
 
 
-def rejected_star_message(factory: MessageFactory, star: RefusedStar) -> Any:
+def rejected_star_message(factory: MessageFactory, star: RejectedStar) -> Any:
     """Return ship_msgs/Innovation of a rejected star, with its residual if it was compared."""
-    told = Refusal(star.refusal.reason, f"{star.name}: {star.refusal.text}")
+    told = Rejection(star.rejection.reason, f"{star.name}: {star.rejection.text}")
     if not star.residual:
-        return refused_input(factory, star.source, star.time_ns, told)
+        return rejection_message(factory, star.source, star.time_ns, told)
     residual = np.array(star.residual)
     nis = float(residual @ residual / star.sigma**2)
     sigma = np.full(len(residual), star.sigma)
-    return refused_input(factory, star.source, star.time_ns, told, ("up", "right"), residual, sigma, nis)
+    return rejection_message(factory, star.source, star.time_ns, told, ("up", "right"), residual, sigma, nis)
 
 
 def solution_statuses(
@@ -302,13 +302,13 @@ def _status(id_: str, last: tuple[Solved, int] | None, how: str, waiting_ns: int
         text = f"none for {(waiting_ns - put_out_ns) * 1e-9:.0f} s, {solved.solution.status.name} before{how}"
         return DiagnosticStatus(name, Level.WARN, text)
     level, text = _WORDS[solved.solution.status]
-    if solved.solution.refusal is not None:
-        text += f": {solved.solution.refusal.text}"
+    if solved.solution.rejection is not None:
+        text += f": {solved.solution.rejection.text}"
     if solved.text:
         level, text = Level.WARN, f"{text}; {solved.text}"
     values = {
         "stars used": str(solved.solution.star_count),
-        "stars refused": str(len(solved.refused)),
+        "stars refused": str(len(solved.rejected_stars)),
         "sensors": ", ".join(solved.sources),
         'residual rms (")': f"{solved.solution.residual_rms / ARCSEC:.2f}",
     }

@@ -17,7 +17,7 @@ from ship_attitude_star.sky.catalogue import UNKNOWN, CatalogueEntries, StarCata
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -106,8 +106,8 @@ def star_exposure(
         np.where(np.abs(told.sigma_px) <= _LARGEST_SIGMA_PX, told.sigma_px, np.nan),
     )
     entries, given = catalogue.entries(told.hip, time_ns), fixed_stars(told.right_ascension, told.declination)
-    refusals = _refusals(told, directions_s, entries, catalogue)
-    kept = np.flatnonzero([refusal is None for refusal in refusals])
+    rejections = _rejections(told, directions_s, entries, catalogue)
+    kept = np.flatnonzero([refusal is None for refusal in rejections])
     listed = told.hip != 0
     exposure = StarExposure(
         source=f"star.{sensor_id}",
@@ -123,7 +123,7 @@ def star_exposure(
         optics=camera_config.optics_errors(camera),
         spatial=camera_config.spatial_errors(camera),
     )
-    unused_stars = _unused_stars(message.stars, refusals, named_by_number)
+    unused_stars = _unused_stars(message.stars, rejections, named_by_number)
     return ReadMessage(exposure, told.sigma_known, unused_stars, empty=not message.stars)
 
 
@@ -143,31 +143,31 @@ def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
     )
 
 
-def _refusals(
+def _rejections(
     told: _Told, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
-) -> list[Refusal | None]:
+) -> list[Rejection | None]:
     """Return the rejection of each star, None for a usable one."""
     seen: dict[Hashable, list[float]] = {}
     columns = told.pixels, directions_s[:, 0], told.sigma_px, told.hip, entries.rows, told.right_ascension
     stars = zip(*(column.tolist() for column in (*columns, told.declination)), strict=True)
     return [
-        _pixel_refusal(pixel, forward)
-        or _sigma_refusal(sigma_px)
-        or _number_refusal(hip, row, catalogue)
-        or _place_refusal(hip, right_ascension, declination)
+        _pixel_rejection(pixel, forward)
+        or _sigma_rejection(sigma_px)
+        or _number_rejection(hip, row, catalogue)
+        or _direction_rejection(hip, right_ascension, declination)
         or _repeated(_identity(hip, right_ascension, declination), pixel, seen)
         for pixel, forward, sigma_px, hip, row, right_ascension, declination in stars
     ]
 
 
 def _unused_stars(
-    stars: Sequence[Any], refusals: Sequence[Refusal | None], named_by_number: bool
-) -> tuple[tuple[str, Refusal], ...]:
+    stars: Sequence[Any], rejections: Sequence[Rejection | None], named_by_number: bool
+) -> tuple[tuple[str, Rejection], ...]:
     """Return the rejected stars by name. Stars beyond ``MOST_STARS`` are reported once, by the first of them."""
-    rows = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
+    rows = [(row, refusal) for row, refusal in enumerate(rejections) if refusal is not None]
     if len(stars) > MOST_STARS:
         text = f"{len(stars)} stars in one exposure: only the first {MOST_STARS} are used"
-        rows.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
+        rows.append((MOST_STARS, Rejection(Reason.OVERFLOW, text)))
     numbers = {row: stars[row].catalogue_id for row, _ in rows if named_by_number}
     return tuple(
         (f"HIP {numbers[row]}" if numbers.get(row) else f"star {row + 1} of the message", refusal)
@@ -175,38 +175,38 @@ def _unused_stars(
     )
 
 
-def _pixel_refusal(pixel: list[float], forward: float) -> Refusal | None:
+def _pixel_rejection(pixel: list[float], forward: float) -> Rejection | None:
     finite = math.isfinite(pixel[0]) and math.isfinite(pixel[1])
     if finite and forward > _LEAST_FORWARD:
         return None
     where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
     if not finite:
-        return Refusal(Reason.NON_FINITE, where)
-    return Refusal(Reason.UNITS, f"{where} is outside this camera's field of view: expected pixels from its corner")
+        return Rejection(Reason.NON_FINITE, where)
+    return Rejection(Reason.UNITS, f"{where} is outside this camera's field of view: expected pixels from its corner")
 
 
-def _sigma_refusal(sigma_px: float) -> Refusal | None:
+def _sigma_rejection(sigma_px: float) -> Rejection | None:
     if _LEAST_SIGMA_PX <= sigma_px <= _LARGEST_SIGMA_PX:
         return None
     text = f"sigma_px {sigma_px:.3g}: expected {_LEAST_SIGMA_PX:g} to {_LARGEST_SIGMA_PX:g} px"
-    return Refusal(Reason.BAD_COVARIANCE, text)
+    return Rejection(Reason.BAD_COVARIANCE, text)
 
 
-def _number_refusal(hip: int, row: int, catalogue: StarCatalogue) -> Refusal | None:
+def _number_rejection(hip: int, row: int, catalogue: StarCatalogue) -> Rejection | None:
     if hip == 0 or row != UNKNOWN:
         return None
-    return Refusal(Reason.UNKNOWN_STAR, catalogue.missing_star_reason(hip) or "")
+    return Rejection(Reason.UNKNOWN_STAR, catalogue.missing_star_reason(hip) or "")
 
 
-def _place_refusal(hip: int, right_ascension: float, declination: float) -> Refusal | None:
+def _direction_rejection(hip: int, right_ascension: float, declination: float) -> Rejection | None:
     """Return the rejection of a star without number for its right ascension and declination, or None."""
     if hip != 0 or (math.isnan(right_ascension) and math.isnan(declination)):
         return None
     where = f"right ascension {right_ascension:.6g}, declination {declination:.6g}"
     if not math.isfinite(right_ascension) or not math.isfinite(declination):
-        return Refusal(Reason.NON_FINITE, f"{where}: expected both, or NaN for both")
+        return Rejection(Reason.NON_FINITE, f"{where}: expected both, or NaN for both")
     if abs(right_ascension) > 2 * np.pi + _ANGLE_TOLERANCE or abs(declination) > np.pi / 2 + _ANGLE_TOLERANCE:
-        return Refusal(Reason.UNITS, f"{where} cannot be radians: degrees?")
+        return Rejection(Reason.UNITS, f"{where} cannot be radians: degrees?")
     return None
 
 
@@ -217,13 +217,13 @@ def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
     return None if math.isnan(right_ascension) else (right_ascension, declination)
 
 
-def _repeated(identity: Hashable, pixel: list[float], seen: dict[Hashable, list[float]]) -> Refusal | None:
+def _repeated(identity: Hashable, pixel: list[float], seen: dict[Hashable, list[float]]) -> Rejection | None:
     """Return the rejection of a star with the identity of an earlier one of the message, or None."""
     first = pixel if identity is None else seen.setdefault(identity, pixel)
     if first is pixel:
         return None
     text = f"the same star twice in one exposure, first at pixel ({first[0]:.6g}, {first[1]:.6g})"
-    return Refusal(Reason.DUPLICATE if first == pixel else Reason.CONFLICT, text)
+    return Rejection(Reason.DUPLICATE if first == pixel else Reason.CONFLICT, text)
 
 
 def _either(

@@ -16,7 +16,7 @@ from ship_estimation.refusals import Reason
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
 from ship_node.edge.contested import POSITION
-from ship_node.edge.messages_in import ReadMessage, Refused, covariance_3x3, finite_numbers, stamp_ns
+from ship_node.edge.messages_in import ReadMessage, MessageRejected, covariance_3x3, finite_numbers, stamp_ns
 from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import InputTopic
 
@@ -34,24 +34,24 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
     """
     time_ns = stamp_ns(message.header, receive_ns)
     if message.status.status <= _NO_FIX:
-        raise Refused(Reason.NO_FIX, "the receiver reports no fix (STATUS_NO_FIX)")
+        raise MessageRejected(Reason.NO_FIX, "the receiver reports no fix (STATUS_NO_FIX)")
     finite_numbers("latitude, longitude", message.latitude, message.longitude)
     if abs(message.latitude) > 90.0 or abs(message.longitude) > 360.0:
         text = f"latitude {message.latitude:.9g}, longitude {message.longitude:.9g}: expected degrees, ±90 and ±180"
-        raise Refused(Reason.UNITS, text)
+        raise MessageRejected(Reason.UNITS, text)
     # A receiver without height sends NaN; at sea it is near zero, with little effect on stars.
     height_m = 0.0 if np.isnan(message.altitude) else message.altitude
     if not abs(height_m) < _LARGEST_HEIGHT_M:
-        raise Refused(Reason.UNITS, f"altitude {height_m:.6g}: expected metres above the ellipsoid")
+        raise MessageRejected(Reason.UNITS, f"altitude {height_m:.6g}: expected metres above the ellipsoid")
     covariance_enu = None
     if message.position_covariance_type != _COVARIANCE_UNKNOWN:
         covariance_enu = covariance_3x3(message.position_covariance, "position_covariance")
     if covariance_enu is not None and covariance_enu.diagonal().max() > _LARGEST_POSITION_SIGMA_M**2:
         largest_m = np.sqrt(covariance_enu.diagonal().max())
-        raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: sigma {largest_m:.3g} m is too large for a fix")
+        raise MessageRejected(Reason.BAD_COVARIANCE, f"position_covariance: sigma {largest_m:.3g} m is too large for a fix")
     if covariance_enu is not None and not covariance_enu.diagonal()[:2].all():
         text = "position_covariance: a horizontal variance is zero, although others are not"
-        raise Refused(Reason.BAD_COVARIANCE, text)
+        raise MessageRejected(Reason.BAD_COVARIANCE, text)
     covariance_m2 = np.eye(3) * config.fix_sigma_m**2 if covariance_enu is None else horizon_covariance(covariance_enu)
     position = GeodeticPosition(np.deg2rad(message.latitude), np.deg2rad(message.longitude), height_m)
     return ReadMessage(PositionFix(time_ns, position, covariance_m2), covariance_enu is not None)
@@ -104,11 +104,11 @@ def _reading(
     finite_numbers(quantity, value)
     finite_numbers(f"variance of {quantity}", message.variance)
     if not allowed[0] <= value <= allowed[1]:
-        raise Refused(Reason.UNITS, f"{quantity} {value:.6g}: expected {expected}")
+        raise MessageRejected(Reason.UNITS, f"{quantity} {value:.6g}: expected {expected}")
     if message.variance < 0.0:
-        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} is negative: {message.variance:.6g}")
+        raise MessageRejected(Reason.BAD_COVARIANCE, f"variance of {quantity} is negative: {message.variance:.6g}")
     if message.variance > (allowed[1] - allowed[0]) ** 2:
-        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: too large")
+        raise MessageRejected(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: too large")
     sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
     # The humidity error is not used anywhere, so no configured value replaces it.
     known = sigma is not None or quantity == "humidity"

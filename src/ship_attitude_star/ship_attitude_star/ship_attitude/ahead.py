@@ -17,7 +17,7 @@ from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, estimat
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.ins_guard import Followed
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Refusal, failure
+from ship_estimation.refusals import Rejection, failure
 from ship_geometry.attitude_track import (
     AttitudeSample,
     ExtraNoise,
@@ -82,7 +82,7 @@ class InsAhead:
         corrected_by: Callable[[FilterState], CorrectedIns],
         propagation_s: Callable[[CorrectedIns], float],
         config: ShipAttitudeConfig,
-    ) -> list[tuple[slice, AttitudeRun | Refusal]]:
+    ) -> list[tuple[slice, AttitudeRun | Rejection]]:
         """Return the attitudes of all committed samples in order, one series per filter state.
 
         Args:
@@ -98,7 +98,7 @@ class InsAhead:
         propagated = propagate_block(self.before, self.block, np.repeat([propagation_s(one) for one in corrected], counts))
         propagated = propagated.with_noise(self.extra)
         try:
-            found: list[AttitudeRun | Refusal] = [*estimates_by(corrected, counts, self._times_ns, propagated, config)]
+            found: list[AttitudeRun | Rejection] = [*estimates_by(corrected, counts, self._times_ns, propagated, config)]
         except Exception:
             # Compute one by one to find the one that fails.
             pairs = zip(corrected, self._stretches, strict=True)
@@ -115,7 +115,7 @@ class InsAhead:
 
     def _attitudes_of(
         self, corrected: CorrectedIns, stretch: _Stretch, propagated: PropagatedBlock, config: ShipAttitudeConfig
-    ) -> AttitudeRun | Refusal:
+    ) -> AttitudeRun | Rejection:
         """Return the attitudes of one segment, or the failure to compute them."""
         some, count = slice(stretch.start, stretch.stop), stretch.stop - stretch.start
         try:

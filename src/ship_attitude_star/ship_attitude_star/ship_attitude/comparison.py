@@ -18,7 +18,7 @@ from ship_attitude_star.stars.residuals import star_residuals
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
@@ -80,7 +80,7 @@ class Compared(NamedTuple):
     rotation_nv: FloatArray
     predicted_nv: FloatArray
     attitude_noise_v: FloatArray
-    rejected_stars: tuple[tuple[str, Refusal], ...] = ()
+    rejected_stars: tuple[tuple[str, Rejection], ...] = ()
 
     @property
     def attitude_noise_n(self) -> FloatArray:
@@ -123,7 +123,7 @@ def compare(
     covariance: FloatArray,
     watch: SkyWatch | None,
     expected: PredictedAttitude | None = None,
-) -> Compared | Refusal:
+) -> Compared | Rejection:
     """Compare a measurement with the attitude predicted for its device.
 
     Args:
@@ -167,7 +167,7 @@ def compare(
         None if expected is None else predicted.rotation_nv,
         camera_state_indices(model.slices, device.name),
     )
-    if isinstance(stars, Refusal):
+    if isinstance(stars, Rejection):
         return stars
     interpolation = stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T
     noise_by_source = {index[source]: part for source, part in stars.noise.items()}
@@ -179,13 +179,13 @@ def compare(
         rotation_nv=predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns,
         predicted_nv=predicted.rotation_nv,
         attitude_noise_v=np.zeros((3, 3)),
-        rejected_stars=stars.refused,
+        rejected_stars=stars.rejected,
     )
 
 
 def _baseline_compared(
     measurement: BaselineMeasurement, device: Device, predicted: PredictedAttitude, model: ShipStateModel
-) -> Compared | Refusal:
+) -> Compared | Rejection:
     """Compare a baseline with its predicted direction and its length aboard.
 
     The residual is the direction of its end, up and right in its own frame, rad: two components, as for a single star.
@@ -196,11 +196,11 @@ def _baseline_compared(
     # Written so that NaN is rejected.
     if not abs(told_m - length_m) <= _LENGTH_SIGMAS * sigma_m:
         text = f"baseline length {told_m:.3f} m, expected {length_m:.3f} m (sigma {sigma_m:.3f} m)"
-        return Refusal(Reason.GATE, f"{text}: wrong RTK solution, or wrong parameters of ship_baseline")
+        return Rejection(Reason.GATE, f"{text}: wrong RTK solution, or wrong parameters of ship_baseline")
     to_device = predicted.rotation_nv.T
     seen_v = to_device @ along
     if not seen_v[0] > 0.0:
-        return Refusal(Reason.GATE, "the baseline points in the opposite direction: are base and rover exchanged?")
+        return Rejection(Reason.GATE, "the baseline points in the opposite direction: are base and rover exchanged?")
     noise_v = to_device @ noise_n @ to_device.T / length_m**2
     rotation_v = np.array([0.0, -seen_v[2], seen_v[1]]) / seen_v[0]
     return Compared(

@@ -59,7 +59,7 @@ from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
 from ship_estimation.recovery.displacement import MemoryResidual
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
@@ -254,7 +254,7 @@ class ShipAttitudeCore:
             return None
         return self._use_ins(last, int(ahead.arrivals_ns[len(ahead.samples)]), AttitudeOutcome(), True)
 
-    def estimates_ahead(self, ahead: InsAhead) -> list[tuple[slice, AttitudeRun | Refusal]]:
+    def estimates_ahead(self, ahead: InsAhead) -> list[tuple[slice, AttitudeRun | Rejection]]:
         """Return the attitudes at the stamps of a batch; see :meth:`InsBatch.attitudes`."""
         return ahead.attitudes(self._corrected_by, self._ins_propagation_s, self.config)
 
@@ -277,9 +277,9 @@ class ShipAttitudeCore:
         self._ins_jumps.extend(judged.jumps)
         for jump in judged.jumps:
             self._shell.add_jump(self.filter.change_effective_ns(jump), INS, jump, self._track.cut(jump.time_ns))
-        if judged.refusal is not None:
-            outcome.refusal = judged.refusal
-            self._shell.add_refused(INS, self._track, judged.sample)
+        if judged.rejection is not None:
+            outcome.rejection = judged.rejection
+            self._shell.add_rejected(INS, self._track, judged.sample)
             return outcome
         if not self._shell.add_sample(INS, self._track, judged.sample, outcome):
             return outcome
@@ -298,15 +298,15 @@ class ShipAttitudeCore:
         """Add a position fix or an air reading; affected measurements are evaluated again."""
         outcome = AttitudeOutcome()
         if self._watch is not None:
-            outcome.refusal = self._watch.surroundings.refusal(sky_input)
-            self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
+            outcome.rejection = self._watch.surroundings.rejection(sky_input)
+            self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
             changed_after_ns = self._watch.surroundings.insert(sky_input)
             # A plain AttitudeMeasurement does not depend on the sky model; its subclass SolvedAttitude does.
             self._reevaluate(changed_after_ns, lambda used: type(used) is not AttitudeMeasurement)
         if self.vertical is not None and isinstance(sky_input, PositionFix):
             if self._watch is None:
-                outcome.refusal = self.vertical.refusal(sky_input)
-                self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
+                outcome.rejection = self.vertical.rejection(sky_input)
+                self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
             self._reevaluate(self.vertical.insert(sky_input), lambda _used: True)
         self._shell.apply(outcome)
         return outcome
@@ -314,8 +314,8 @@ class ShipAttitudeCore:
     def add_deflection(self, reading: DeflectionReading) -> AttitudeOutcome:
         """Add a deflection of the vertical; measurements after its stamp are evaluated again."""
         assert self.vertical is not None
-        outcome = AttitudeOutcome(self.vertical.refusal(reading))
-        self._shell.contradictions.note(reading.source, reading.time_ns, outcome.refusal)
+        outcome = AttitudeOutcome(self.vertical.rejection(reading))
+        self._shell.contradictions.note(reading.source, reading.time_ns, outcome.rejection)
         self._reevaluate(self.vertical.insert(reading), lambda _used: True)
         self._shell.apply(outcome)
         return outcome
@@ -335,7 +335,7 @@ class ShipAttitudeCore:
             return AttitudeOutcome(self._shell.window.late(measurement.time_ns))
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
         outcome = AttitudeOutcome(self._guards.check(measurement, self._track))
-        if outcome.refusal is not None or not self._shell.add(measurement, outcome):
+        if outcome.rejection is not None or not self._shell.add(measurement, outcome):
             return outcome
         if self._shell.follows(measurement.time_ns) and self._may_carry(measurement.source):
             self._newest_star = measurement, arrival_ns
@@ -596,9 +596,9 @@ class ShipAttitudeCore:
 
     def _may_carry(self, source: str) -> bool:
         """True for a star sensor that was not in conflict with the INS."""
-        in_conflict = self.state.refusals.get(source, 0) >= self.config.gate.conflict_after
+        in_conflict = self.state.consecutive_rejections.get(source, 0) >= self.config.gate.conflict_after
         return self.filter.devices[source].is_star and not in_conflict
 
 
-def _failed(measurement: Measurement, refusal: Refusal) -> AttitudeDecision:
+def _failed(measurement: Measurement, refusal: Rejection) -> AttitudeDecision:
     return AttitudeDecision(measurement, refusal.reason, text=refusal.text, ins_time_ns=measurement.time_ns)

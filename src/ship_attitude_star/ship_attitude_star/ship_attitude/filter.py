@@ -30,7 +30,7 @@ from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations, add_error, compare_rows
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.attitude_track import AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import FloatArray, log_rotation
@@ -208,11 +208,11 @@ class ShipFilter:
                 result = again
             elif again is not None and not again[1].components:
                 # The stars contradict each other with these optics too, so the attitude is not evaluated.
-                refusal = Refusal(again[1].reason, again[1].text)
-                return self._refused(state, measurement, NotCompared(refusal, again[1].ins_time_ns))
+                refusal = Rejection(again[1].reason, again[1].text)
+                return self._reject(state, measurement, NotCompared(refusal, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
         if contradiction is not None:
-            return self._refused(state, measurement, NotCompared(contradiction, result[1].ins_time_ns))
+            return self._reject(state, measurement, NotCompared(contradiction, result[1].ins_time_ns))
         return result
 
     def _step(
@@ -226,8 +226,8 @@ class ShipFilter:
         """Evaluate a measurement with the optics as estimated so far; see :meth:`step`."""
         if self._lacks_latitude(measurement.time_ns):
             # Estimates made with a wrong latitude would be wrong and persist.
-            lacking = Refusal(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
-            return self._refused(state, measurement, NotCompared(lacking, measurement.time_ns))
+            lacking = Rejection(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
+            return self._reject(state, measurement, NotCompared(lacking, measurement.time_ns))
         predicted = self.propagate(state, measurement.time_ns)
         compared = measurement
         if isinstance(measurement, StarExposure):
@@ -238,17 +238,17 @@ class ShipFilter:
         if found is None:
             return None
         if isinstance(found, NotCompared):
-            return self._refused(state, measurement, found)
+            return self._reject(state, measurement, found)
         if state.jumped_ns is not None and found.paired_ns <= state.jumped_ns:
-            before = Refusal(Reason.GAP, "the matching attitude of the INS is from before its last jump")
-            return self._refused(state, measurement, NotCompared(before, found.ins_time_ns))
+            before = Rejection(Reason.GAP, "the matching attitude of the INS is from before its last jump")
+            return self._reject(state, measurement, NotCompared(before, found.ins_time_ns))
         if isinstance(found.measured, AttitudeMeasurement):
             predicted = self._with_common(predicted, found.measured)
         return self._judged(state, predicted, measurement, found)
 
     def _optics_contradiction(
         self, state: FilterState, exposure: StarExposure, optics: slice
-    ) -> Refusal | None:
+    ) -> Rejection | None:
         """Return the rejection of an exposure whose estimated focal length differs from the configured one, or None."""
         if exposure.optics is None:
             return None
@@ -281,7 +281,7 @@ class ShipFilter:
         try:
             predicted, innovations = self._beside(predicted, source, found.compared, gate)
         except np.linalg.LinAlgError:
-            return self._refused(state, measurement, NotCompared(singular_covariance(), found.ins_time_ns))
+            return self._reject(state, measurement, NotCompared(singular_covariance(), found.ins_time_ns))
         # Written so that NaN fails.
         accepted = innovations.nis <= gate
         decision = AttitudeDecision(
@@ -358,11 +358,11 @@ class ShipFilter:
             return replace(decision, accepted=False, reason=Reason.EXCLUDED, text=text)
         return replace(decision, text=f"{text}; {decision.text}" if decision.text else text)
 
-    def _refused(
+    def _reject(
         self, state: FilterState, measurement: Measurement, why: NotCompared
     ) -> tuple[FilterState, AttitudeDecision]:
         """Reject a measurement that cannot be evaluated; count it if it contradicts the state."""
-        refusal, text = why.refusal, why.refusal.text
+        refusal, text = why.rejection, why.rejection.text
         if why.contradicts:
             state, inflation_text = self._inflate_after_rejections(self._counted(state, measurement.source), measurement.source)
             state = self.fault_detector.ins.not_compared(state, measurement.time_ns)
@@ -371,7 +371,7 @@ class ShipFilter:
 
     def _counted(self, state: FilterState, source: str) -> FilterState:
         """Return the state with the consecutive rejections of a source increased by one."""
-        return changed(state, refusals=with_entry(state.refusals, source, state.refusals.get(source, 0) + 1))
+        return changed(state, refusals=with_entry(state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1))
 
     def _inflate_after_rejections(self, state: FilterState, source: str) -> tuple[FilterState, str]:
         """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
@@ -379,7 +379,7 @@ class ShipFilter:
         Returns:
             The state, and a text about the inflation, empty for none.
         """
-        if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
+        if not self._gate.reopen_after or state.consecutive_rejections[source] % self._gate.reopen_after:
             return state, ""
         state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_STAYS)
         state = self.fault_detector.restart_subfilters(changed(state, excluded=without(state.excluded, source)))
@@ -393,7 +393,7 @@ class ShipFilter:
                 unconfirmed = unconfirmed.after_agreement(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
                 unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
-        refusals = state.refusals if state.refusals.get(source) == 0 else with_entry(state.refusals, source, 0)
+        refusals = state.consecutive_rejections if state.consecutive_rejections.get(source) == 0 else with_entry(state.consecutive_rejections, source, 0)
         used_ns = with_entry(state.used_ns, source, measurement.time_ns)
         stays = state.stays
         if isinstance(measurement, StarExposure) and measurement.stay is not None:
@@ -428,11 +428,11 @@ class ShipFilter:
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         departure = Departure(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
         state = changed(self._counted(state, source), departures=with_entry(state.departures, source, departure))
-        run = state.refusals[source]
+        run = state.consecutive_rejections[source]
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
-            who = diagnosis_hint(source, state.refusals, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
+            who = diagnosis_hint(source, state.consecutive_rejections, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
             text = f"{run} rejections in a row: {source} and the INS disagree{who}"
         state, inflation_text = self._inflate_after_rejections(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + inflation_text)

@@ -220,7 +220,7 @@ class InsAtFault:
         index = self._subfilters.sources.index(source)
         if source in state.excluded or not self._subfilters.uses[subfilter, index]:
             return False
-        return bool(state.innovation_means.refused[subfilter, index] >= self._degraded_after - 1)
+        return bool(state.innovation_means.rejection_counts[subfilter, index] >= self._degraded_after - 1)
 
     def _inflate(self, stack: FloatArray, count: int, covariance_n: FloatArray, subfilter: int | None) -> None:
         add_error(stack, count, self._part, self._ins_attitude, covariance_n, subfilter)

@@ -26,7 +26,7 @@ from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation import compiled_steps
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from ship_geometry import lapack
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
@@ -84,13 +84,13 @@ class NotCompared:
         ins_time_ns: latest INS stamp that this depends on.
     """
 
-    refusal: Refusal
+    rejection: Rejection
     ins_time_ns: int
 
     @property
     def contradicts(self) -> bool:
         """True if the measurement contradicts the prediction."""
-        return self.refusal.reason in (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED, Reason.GATE)
+        return self.rejection.reason in (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED, Reason.GATE)
 
 
 class _Task(NamedTuple):
@@ -228,7 +228,7 @@ class Linearisation:
         if offset_sigma_s > _KNOWN_CLOCK_S or turn_variance > LINEAR_RANGE**2:
             return self._settled(task, paired, predicted)
         compared = compare(paired.measurement, device, predicted, self._model, mean, covariance, watch)
-        if isinstance(compared, Refusal):
+        if isinstance(compared, Rejection):
             return NotCompared(compared, paired.ins_time_ns)
         return Linearised(paired.measurement, compared, paired.ins, paired.paired_ns, paired.ins_time_ns)
 
@@ -248,12 +248,12 @@ class Linearisation:
         ins = track.at(ins_time_ns)
         if ins is None:
             text = "no INS samples on both sides of the measurement"
-            return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
+            return NotCompared(Rejection(Reason.GAP, text), ins_time_ns)
         shared_count = task.count_between(ins)
         if isinstance(measurement, _AGAINST_SKY):
             assert task.watch is not None
             turned = in_horizon(measurement, task.watch)
-            if isinstance(turned, Refusal):
+            if isinstance(turned, Rejection):
                 return NotCompared(turned, ins_time_ns)
             measurement = turned
         elif self._vertical is not None and isinstance(measurement, AttitudeMeasurement) and not task.device.is_star:
@@ -282,7 +282,7 @@ class Linearisation:
             bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
             if bent_d is None:
                 text = "no INS samples around the measurement, and its clock offset is not known"
-                return NotCompared(Refusal(Reason.GAP, text), ins_time_ns + around_ns)
+                return NotCompared(Rejection(Reason.GAP, text), ins_time_ns + around_ns)
             ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.count_within(_SAME_MOTION_S) * bent_d)
         return _Paired(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
 
@@ -302,7 +302,7 @@ class Linearisation:
             there = compare(
                 found.measurement, task.device, predicted, model, mean, task.covariance, task.watch, expected
             )
-            if isinstance(there, Refusal):
+            if isinstance(there, Rejection):
                 return NotCompared(there, until_ns)
             linear = replace(there.linear, residual=there.linear.residual + there.linear.jacobian @ correction)
             reached = _correction(linear, task.covariance)
@@ -314,7 +314,7 @@ class Linearisation:
                 return Linearised(found.measurement, compared, paired.ins, found.paired_ns, until_ns)
             correction = reached
         text = f"the linearisation did not converge in {_MOST_STEPS} iterations"
-        return NotCompared(Refusal(Reason.GATE, text), until_ns)
+        return NotCompared(Rejection(Reason.GATE, text), until_ns)
 
     def _start(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> FloatArray:
         """Return the first linearisation point relative to the predicted mean, shape (n,); for stars their attitude."""
@@ -324,7 +324,7 @@ class Linearisation:
         assert task.watch is not None
         prior = expected.prior(task.covariance)
         visible = visible_stars(exposure, task.watch, prior)
-        if isinstance(visible, Refusal) or not len(visible[1]):
+        if isinstance(visible, Rejection) or not len(visible[1]):
             return correction
         turn_ns = likely_attitude(visible[1], prior) @ expected.rotation_nv.T
         rows = self._model.slices["ins.attitude"]

@@ -96,7 +96,7 @@ def is_undisputed(filter_: ShipFilter, state: FilterState, degraded_after: int) 
     is_open = state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc is not None
     if is_open or state.excluded or state.unconfirmed is not None:
         return False
-    refused = max(state.refusals.values(), default=0)
+    refused = max(state.consecutive_rejections.values(), default=0)
     return newest_star_ns(filter_, state) is not None and refused < degraded_after
 
 

@@ -20,7 +20,7 @@ from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.outcome import Measurement, Status
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import exp_rotation, left_jacobian
 from ship_geometry.time_scales import SECOND_NS
 
@@ -36,11 +36,11 @@ def attitude_alone(
         unmeasured_acceleration: standard deviation of the unmeasured angular acceleration of the deck, each axis,
             rad/s².
     """
-    attitude: Measurement | Refusal = measurement
+    attitude: Measurement | Rejection = measurement
     if isinstance(measurement, InertialAttitude | SolvedAttitude):
         assert watch is not None
         attitude = in_horizon(measurement, watch)
-    if isinstance(attitude, Refusal):
+    if isinstance(attitude, Rejection):
         return None
     if isinstance(attitude, AttitudeMeasurement):
         return replace(attitude, common_n=attitude.correlated_n, shared_n=None)
@@ -52,7 +52,7 @@ def attitude_alone(
 def _by_stars(exposure: StarExposure, watch: SkyWatch, untold_acceleration: float) -> AttitudeMeasurement | None:
     """Return the sensor attitude from one exposure; None if its stars do not determine a verified one."""
     visible = visible_stars(exposure, watch, None)
-    if isinstance(visible, Refusal):
+    if isinstance(visible, Rejection):
         return None
     _, stars, _ = visible
     solution = solve_stars(stars)

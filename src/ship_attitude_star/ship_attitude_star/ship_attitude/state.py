@@ -176,7 +176,7 @@ class FilterState:
     lately: MappingProxyType[str, Lately] = field(default_factory=lambda: MappingProxyType({}))
     received_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
-    refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    consecutive_rejections: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: NO_STAYS)
     unconfirmed: Unconfirmed | None = None

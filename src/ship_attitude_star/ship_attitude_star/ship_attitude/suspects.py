@@ -215,7 +215,7 @@ class Suspects:
             candidates = [row for row in candidates if table.names[row - 1] not in state.excluded]
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
         # The rates show a step of the INS, but not a drift.
-        stepped = any(state.innovation_means.refused[0].tolist())
+        stepped = any(state.innovation_means.rejection_counts[0].tolist())
         if is_ins_confirmed and stepped:
             candidates, pairs = ([row for row in rows if row not in table.ins_subfilters] for rows in (candidates, pairs))
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
@@ -519,7 +519,7 @@ class Suspects:
     def _contradicts(self, state: FilterState, index: int) -> bool:
         """True if the main filter's innovations of a source are inconsistent."""
         seen = state.innovation_means
-        return not (seen.excess[0, index] <= 1.0 and seen.refused[0, index] < self._degraded_after)
+        return not (seen.excess[0, index] <= 1.0 and seen.rejection_counts[0, index] < self._degraded_after)
 
     def _with_unresolved_fault(
         self, state: FilterState, separations_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
@@ -532,7 +532,7 @@ class Suspects:
             separation_sigmas: largest solution separation of each filter in standard deviations, shape (h,).
             contradicting: the star sensors, if all of them contradict the INS; else empty.
         """
-        vectors = [innovation.rotation_n for name, innovation in state.last_innovations.items() if state.refusals.get(name, 0)]
+        vectors = [innovation.rotation_n for name, innovation in state.last_innovations.items() if state.consecutive_rejections.get(name, 0)]
         vectors += [vector for vector, size in zip(separations_n, statistic, strict=True) if size > 1.0]
         if state.absorbed.sigmas > COMMON_ERROR_START_SIGMAS:
             vectors.append(state.absorbed.error_n)
@@ -558,7 +558,7 @@ class Suspects:
         received = [name for name in in_use if name in self.subfilters.stars]
         if shared:
             return tuple(received)
-        long_refused = state.innovation_means.refused[0] >= self._degraded_after
+        long_refused = state.innovation_means.rejection_counts[0] >= self._degraded_after
         against = [name for name in received if name in wrong or long_refused[self._sources.index(name)]]
         return tuple(received) if received and len(against) == len(received) else ()
 

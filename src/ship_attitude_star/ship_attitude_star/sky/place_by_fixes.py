@@ -18,7 +18,7 @@ import numpy as np
 from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.geodetic import (
     ecef_from_geodetic,
     geodetic_from_ecef,
@@ -118,9 +118,9 @@ class PlaceByFixes:
         reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, lasts_s, "m", MIN_CONSISTENT_FIXES)
         self._fixes: StampedValues[_Fix] = StampedValues(reach)
 
-    def refusal(self, fix: PositionFix) -> Refusal | None:
+    def rejection(self, fix: PositionFix) -> Rejection | None:
         """Return why a fix is rejected or only partly used; call it before :meth:`insert`."""
-        return self._fixes.refusal(fix.time_ns, _earth_fixed(fix))
+        return self._fixes.rejection(fix.time_ns, _earth_fixed(fix))
 
     def insert(self, fix: PositionFix) -> int | None:
         """Insert a fix; return the time (ns) after which results may have changed, None if none has."""
@@ -163,7 +163,7 @@ class PlaceByFixes:
         """Shift the accepted fixes by a step of the clocks."""
         self._oldest_ns, self._fixes = None, self._fixes.with_shifted_stamps(step_ns)
 
-    def at(self, time_ns: int) -> Place | Refusal:
+    def at(self, time_ns: int) -> Place | Rejection:
         """Return the position at a time, or NO_FIX.
 
         NO_FIX is returned if no fix is near enough in time, or if provisional fixes contradict each other. Errors of
@@ -172,7 +172,7 @@ class PlaceByFixes:
         """
         if self._fixes.has_conflict_at(time_ns - self._delay_ns):
             disputed = "the first position fixes contradict one another"
-            return Refusal(Reason.NO_FIX, f"{disputed}: no position until {MIN_CONSISTENT_FIXES} in a row are consistent")
+            return Rejection(Reason.NO_FIX, f"{disputed}: no position until {MIN_CONSISTENT_FIXES} in a row are consistent")
         line = self._line(time_ns)
         return self._place_by_nearest(time_ns) if line is None else self._place_on_line(*line, time_ns)
 
@@ -195,17 +195,17 @@ class PlaceByFixes:
             first -= 1
         return first
 
-    def _place_by_nearest(self, time_ns: int) -> Place | Refusal:
+    def _place_by_nearest(self, time_ns: int) -> Place | Rejection:
         times, last = self._fixes.times, self._fixes.last_before(time_ns)
         if not times:
-            return Refusal(Reason.NO_FIX, "no position fix received yet: check that gnss/fix is published")
+            return Rejection(Reason.NO_FIX, "no position fix received yet: check that gnss/fix is published")
         # Of two fixes equally near, the earlier one is used.
         later = last < 0 or (last + 1 < len(times) and times[last + 1] - time_ns < time_ns - times[last])
         nearest = last + 1 if later else last
         away_s = (time_ns - times[nearest]) / SECOND_NS
         if abs(time_ns - times[nearest]) > self._fix_max_age_ns:
             text = f"the nearest position fix is {abs(away_s):.1f} s {'older' if away_s > 0 else 'newer'}"
-            return Refusal(Reason.NO_FIX, f"{text}: more than fix_max_age_s = {self._fix_max_age_s:g}")
+            return Rejection(Reason.NO_FIX, f"{text}: more than fix_max_age_s = {self._fix_max_age_s:g}")
         pair = self._pair(nearest, time_ns)
         if pair is not None:
             return self._place_on_line(pair, pair + 1, time_ns)

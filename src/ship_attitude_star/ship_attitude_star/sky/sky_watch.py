@@ -21,7 +21,7 @@ from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.place_by_fixes import Place
 from ship_attitude_star.sky.surroundings import Air, Surroundings
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry import late_erfa as erfa
 from ship_geometry.earth_orientation import EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, refraction, refraction_slopes, seen_through_air
@@ -133,7 +133,7 @@ class SkyMoment:
         seen = seen_through_air(self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.turns())
         return ApparentStars(seen.direction_n, seen.shared_n, seen.elevation, np.isfinite(seen.direction_n[:, 1]))
 
-    def low_elevation_rejection(self, elevation: float) -> Refusal:
+    def low_elevation_rejection(self, elevation: float) -> Rejection:
         """Return the rejection of a star whose elevation (rad, without refraction) is outside the model's range."""
         text = f"elevation {np.rad2deg(elevation):.1f}°"
         if elevation < 0.0:
@@ -141,7 +141,7 @@ class SkyMoment:
         else:
             lowest_deg = np.rad2deg(LOWEST_ELEVATION[self.model])
             text += f": refraction model '{self.model}' is valid from {lowest_deg:.0f}°"
-        return Refusal(Reason.BELOW_HORIZON, text)
+        return Rejection(Reason.BELOW_HORIZON, text)
 
     def rotation_horizon_from_icrs(self) -> FloatArray:
         """Return the rotation "horizon from ICRS", without aberration and refraction, shape (3, 3)."""
@@ -219,15 +219,15 @@ class SkyWatch:
         self.surroundings.step_time_base(step_ns)
         self._moments.clear()
 
-    def at(self, time_ns: int) -> SkyMoment | Refusal:
+    def at(self, time_ns: int) -> SkyMoment | Rejection:
         """Return the sky at a time, or the rejection: NO_EARTH_ORIENTATION or NO_FIX."""
         found, known = self.surroundings.at(time_ns), self._moments.get(time_ns)
-        if known is not None and not isinstance(found, Refusal) and known.place is found[0] and known.air is found[1]:
+        if known is not None and not isinstance(found, Rejection) and known.place is found[0] and known.air is found[1]:
             return known
         reason = self._table.reason_against(time_ns)
         if reason is not None:
-            return Refusal(Reason.NO_EARTH_ORIENTATION, reason)
-        if isinstance(found, Refusal):
+            return Rejection(Reason.NO_EARTH_ORIENTATION, reason)
+        if isinstance(found, Rejection):
             return found
         place, air = found
         moment = self._moments[time_ns] = SkyMoment(

@@ -23,7 +23,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
-from ship_estimation.refusals import Content, Reason, Refusal, same_stamp
+from ship_estimation.refusals import Content, Reason, Rejection, same_stamp
 from ship_geometry.time_scales import SECOND_NS
 
 _SIGMAS = 5.0
@@ -103,10 +103,10 @@ class _Belief(Generic[Value]):
         rejected_count: number of consistent rejected values.
     """
 
-    good: _Stamped[Value] | None = None
+    last_accepted: _Stamped[Value] | None = None
     stood_ns: int = 0
     alone: bool = True
-    refused: _Stamped[Value] | None = None
+    last_rejected: _Stamped[Value] | None = None
     since_ns: int = 0
     follows_jump: bool = False
     consistent_count: int = 1
@@ -142,18 +142,18 @@ class StampedValues(Generic[Value]):
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def refusal(self, time_ns: int, value: Value) -> Refusal | None:
+    def rejection(self, time_ns: int, value: Value) -> Rejection | None:
         """Return DUPLICATE or CONFLICT if a value with this stamp exists, LATE, or JUMP if the value has jumped."""
         place = bisect.bisect_left(self._stamps, time_ns)
         if place < len(self._stamps) and self._stamps[place] == time_ns:
             return same_stamp(self._taken[place].value, value)[1]
         if self._is_forgotten(time_ns):
-            return Refusal(Reason.LATE, "its stamp is older than the values kept of its own source")
+            return Rejection(Reason.LATE, "its stamp is older than the values kept of its own source")
         before = self._belief_before(place)
-        if before.good is None or self._next_state(before, _Stamped(time_ns, value)).refused is None:
+        if before.last_accepted is None or self._next_state(before, _Stamped(time_ns, value)).last_rejected is None:
             return None
-        limits, away, allowed = self._limits, value.away(before.good.value), self._reach(before, time_ns, value)
-        seconds = (time_ns - before.good.time_ns) / SECOND_NS
+        limits, away, allowed = self._limits, value.away(before.last_accepted.value), self._reach(before, time_ns, value)
+        seconds = (time_ns - before.last_accepted.time_ns) / SECOND_NS
         jumped = f"{away:.4g} {limits.unit} from the last accepted value, {seconds:.1f} s before it"
         if away > allowed:
             jumped += f", limit {allowed:.3g} {limits.unit}"
@@ -162,7 +162,7 @@ class StampedValues(Generic[Value]):
         lasts = f"it has lasted for {limits.confirmation_s:g} s"
         if self._is_provisional(before):
             lasts = f"{limits.settled_by} in a row are consistent (the accepted one is provisional), or {lasts}"
-        return Refusal(Reason.JUMP, f"{jumped}; accepted once {lasts}")
+        return Rejection(Reason.JUMP, f"{jumped}; accepted once {lasts}")
 
     def insert(self, time_ns: int, value: Value) -> int | None:
         """Insert a value at its stamp; return the stamp from which accepted values have changed, None for none."""
@@ -243,7 +243,7 @@ class StampedValues(Generic[Value]):
         begin = bisect.bisect_left(self.times, self._stamps[first])
         end = bisect.bisect_right(self.times, self._stamps[last - 1])
         judged = zip(self._taken[first:last], self._beliefs[first:last], strict=True)
-        good = [(one, belief.follows_jump) for one, belief in judged if belief.good is one]
+        good = [(one, belief.follows_jump) for one, belief in judged if belief.last_accepted is one]
         # Skip the values that are unchanged; the rest differs from its first one on.
         while good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.follows_jump[begin]:
             del good[0]
@@ -256,21 +256,21 @@ class StampedValues(Generic[Value]):
 
     def _next_state(self, before: _Belief[Value], new: _Stamped[Value]) -> _Belief[Value]:
         """Return the state of acceptance after a value."""
-        good, refused, limits = before.good, before.refused, self._limits
-        if good is None:
+        last_accepted, last_rejected, limits = before.last_accepted, before.last_rejected, self._limits
+        if last_accepted is None:
             return _Belief(new, new.time_ns)
-        away, step_s = new.value.away(good.value), 0.0
+        away, step_s = new.value.away(last_accepted.value), 0.0
         consistent_count = min(before.consistent_count + (away != 0.0), limits.settled_by)
         taken = _Belief(new, before.stood_ns if away == 0.0 else new.time_ns, alone=False, consistent_count=consistent_count)
-        if refused is not None:
-            step_s = (new.time_ns - refused.time_ns) / SECOND_NS
-        if refused is None or not new.value.away(refused.value) <= limits.between(refused.value, new.value, step_s):
+        if last_rejected is not None:
+            step_s = (new.time_ns - last_rejected.time_ns) / SECOND_NS
+        if last_rejected is None or not new.value.away(last_rejected.value) <= limits.between(last_rejected.value, new.value, step_s):
             # Written so that NaN is rejected.
             is_near = away <= self._reach(before, new.time_ns, new.value)
             opposed = replace(before, refused=new, since_ns=new.time_ns, anew=False, opposed=1)
             return taken if is_near else opposed
         # For a value consistent with rejected ones, the time since the last accepted value does not widen the limit.
-        if away <= limits.between(good.value, new.value, step_s):
+        if away <= limits.between(last_accepted.value, new.value, step_s):
             return taken
         count = before.opposed + 1
         has_lasted = new.time_ns - before.since_ns >= self._lasts_ns
@@ -285,15 +285,15 @@ class StampedValues(Generic[Value]):
 
     def _has_conflict(self, belief: _Belief[Value]) -> bool:
         """True if a value contradicts a single provisional one, or two values contradict several."""
-        opposed = 0 if belief.refused is None else belief.opposed
+        opposed = 0 if belief.last_rejected is None else belief.opposed
         return opposed >= min(2, belief.consistent_count) and self._is_provisional(belief)
 
     def _reach(self, before: _Belief[Value], time_ns: int, value: Value) -> float:
         """Return the maximum distance of a value from the last accepted one."""
-        good = before.good
-        assert good is not None
-        stood_s = min((good.time_ns - before.stood_ns) / SECOND_NS, _STANDS_S)
-        return self._limits.between(good.value, value, (time_ns - good.time_ns) / SECOND_NS + stood_s)
+        last_accepted = before.last_accepted
+        assert last_accepted is not None
+        stood_s = min((last_accepted.time_ns - before.stood_ns) / SECOND_NS, _STANDS_S)
+        return self._limits.between(last_accepted.value, value, (time_ns - last_accepted.time_ns) / SECOND_NS + stood_s)
 
     def _belief_before(self, place: int) -> _Belief[Value]:
         return self._beliefs[place - 1] if place > 0 else self._before

@@ -14,7 +14,7 @@ from ship_attitude_star.measurements.readings import AirReading, PositionFix, Sk
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.place_by_fixes import Place, PlaceByFixes
 from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.refraction import Weather
 from ship_geometry.time_scales import SECOND_NS
 
@@ -146,7 +146,7 @@ class Surroundings:
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def refusal(self, given: SkyInput) -> Refusal | None:
+    def rejection(self, given: SkyInput) -> Rejection | None:
         """Return why an input is rejected or only partly used; call it before :meth:`insert`.
 
         DUPLICATE or CONFLICT if an input of the same kind and stamp exists, LATE if it arrives too long after later
@@ -154,9 +154,9 @@ class Surroundings:
         bytes sort first is kept, and an input that has jumped affects the evaluation of later ones.
         """
         if isinstance(given, PositionFix):
-            return self._place.refusal(given)
+            return self._place.rejection(given)
         quantity = self._air[given.quantity]
-        return quantity.readings.refusal(given.time_ns, quantity.measured(given))
+        return quantity.readings.rejection(given.time_ns, quantity.measured(given))
 
     def insert(self, given: SkyInput) -> int | None:
         """Insert a position fix or a reading of the air.
@@ -187,7 +187,7 @@ class Surroundings:
 
     # -- results --------------------------------------------------------------------------------------------
 
-    def at(self, time_ns: int) -> tuple[Place, Air] | Refusal:
+    def at(self, time_ns: int) -> tuple[Place, Air] | Rejection:
         """Return position and air at a time, or NO_FIX if no fix is near enough in time.
 
         The same object is returned until an input changes the result.
@@ -196,7 +196,7 @@ class Surroundings:
         if known is not None:
             return known
         place = self._place.at(time_ns)
-        if isinstance(place, Refusal):
+        if isinstance(place, Rejection):
             return place
         pressure, temperature, humidity = [quantity.at(time_ns) for quantity in self._air.values()]
         weather = Weather(pressure.value, temperature.value, humidity.value)

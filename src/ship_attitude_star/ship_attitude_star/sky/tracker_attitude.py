@@ -16,7 +16,7 @@ from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitu
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
 from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
 from ship_attitude_star.sky.solved_attitude import separate_shared_errors
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
@@ -26,7 +26,7 @@ _STARS = 5
 _GREATEST_ABERRATION = 20.5 * ARCSEC
 
 
-def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> AttitudeMeasurement | Refusal:
+def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> AttitudeMeasurement | Rejection:
     """Return the attitude in the horizon, with the shared errors of refraction, Earth rotation and position.
 
     Args:
@@ -38,12 +38,12 @@ def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> 
         refraction model.
     """
     moment = watch.at(attitude.time_ns)
-    if isinstance(moment, Refusal):
+    if isinstance(moment, Rejection):
         return moment
     return separate_shared_errors(attitude, moment) if isinstance(attitude, SolvedAttitude) else _turned(attitude, moment)
 
 
-def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasurement | Refusal:
+def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasurement | Rejection:
     """Convert an attitude against the ICRS into the horizon."""
     field = inertial.field
     bare_ns = moment.rotation_horizon_from_icrs() @ inertial.rotation_cs

@@ -19,7 +19,7 @@ from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensor
 from ship_attitude_star.star_attitude.exposure_solver import (
     Mounted,
     PlacedExposure,
-    RefusedStar,
+    RejectedStar,
     Solved,
     StarOutcome,
     rejected_exposure,
@@ -35,7 +35,7 @@ from ship_estimation.refusals import (
     AGREES_AGAIN_AFTER_S,
     Contradictions,
     Reason,
-    Refusal,
+    Rejection,
     failure,
     same_stamp,
 )
@@ -60,7 +60,7 @@ class _Waiting:
     """
 
     exposure: StarExposure
-    refused: tuple[RefusedStar, ...]
+    rejected_stars: tuple[RejectedStar, ...]
     arrival_ns: int
     reach_ns: int
 
@@ -220,14 +220,14 @@ class StarCore:
         """Return no estimates: INS samples produce only the outcomes of :meth:`commit_batch`."""
         return []
 
-    def add_surroundings(self, given: SkyInput) -> Refusal | None:
+    def add_surroundings(self, given: SkyInput) -> Rejection | None:
         """Add a position fix or an air reading; return why it is not used, else None."""
-        refusal = self._watch.surroundings.refusal(given)
+        refusal = self._watch.surroundings.rejection(given)
         self._watch.surroundings.insert(given)
         return refusal
 
     def add_exposure(
-        self, exposure: StarExposure, refused: tuple[RefusedStar, ...] = (), arrival_ns: int | None = None
+        self, exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...] = (), arrival_ns: int | None = None
     ) -> StarOutcome:
         """Add an exposure. Of two different exposures with one stamp neither is solved.
 
@@ -242,7 +242,7 @@ class StarCore:
         self._taken[exposure.source, exposure.time_ns] = exposure
         self._arrivals.advance_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
-        self._wait(_Waiting(exposure, refused, arrival_ns, exposure.reach_ns))
+        self._wait(_Waiting(exposure, rejected_stars, arrival_ns, exposure.reach_ns))
         outcome = StarOutcome(refusal)
         self._advance(outcome)
         return outcome
@@ -269,7 +269,7 @@ class StarCore:
 
     # -- checks ---------------------------------------------------------------------------------------------
 
-    def _judged(self, exposure: StarExposure) -> tuple[bool, Refusal | None]:
+    def _judged(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
         """Return True if an exposure is used, and a rejection or remark; a conflict is reported in either case."""
         refusal = self._arrivals.late(exposure.time_ns)
         if refusal is not None:
@@ -316,7 +316,7 @@ class StarCore:
             except Exception as error:
                 solution = no_attitude(np.zeros(len(waiting.exposure), dtype=bool), failure(error))
                 sensor_id, time_ns = waiting.exposure.source.partition(".")[2], waiting.exposure.time_ns
-                outcome.solved.append(Solved(sensor_id, time_ns, solution, waiting.refused, ()))
+                outcome.solved.append(Solved(sensor_id, time_ns, solution, waiting.rejected_stars, ()))
                 continue
             outcome.solved.append(solved)
             if not self._window.add(placed, waiting.arrival_ns):
@@ -333,15 +333,15 @@ class StarCore:
         """Solve the attitude of a sensor from one exposure, and add it as motion reference for the checks."""
         contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:
-            return rejected_exposure(waiting.exposure, waiting.refused, contradiction)
+            return rejected_exposure(waiting.exposure, waiting.rejected_stars, contradiction)
         sensor = self._sensor(waiting.exposure.source)
         middle = self._ins.at_middle(waiting.exposure, sensor)
         exposure, prior = middle.exposure, self._ins.sensor_prior(waiting.exposure.time_ns, sensor)
         if prior is not None and exposure.length is not None and exposure.smear_s is None:
             # The solution would be compared with the INS, but its errors along the streaks are not known.
-            return rejected_exposure(exposure, waiting.refused, exposure.length.coverage_rejection)
+            return rejected_exposure(exposure, waiting.rejected_stars, exposure.length.coverage_rejection)
         placed, solved = solve_exposure(
-            exposure, waiting.refused, prior, self._watch, middle.noise_variance, middle.error_variance
+            exposure, waiting.rejected_stars, prior, self._watch, middle.noise_variance, middle.error_variance
         )
         if exposure.length is not None and exposure.smear_s is None and solved.valid:
             text = f"no rotation of the ship from ins/imu during the exposure of {exposure.length.exposure_s:g} s"
@@ -369,15 +369,15 @@ class StarCore:
         self.joined_by_ins = prior is not None
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
 
-    def _contradiction(self, source: str, time_ns: int) -> Refusal | None:
+    def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
         """Return the rejection of an exposure for conflicting data of its sensor, position or air, or None."""
         contested = [name for name in self._contradictions.contested if name == source or name not in self._sources]
         if contested:
-            return Refusal(Reason.CONFLICT, self._contradictions.text(contested))
+            return Rejection(Reason.CONFLICT, self._contradictions.text(contested))
         if source not in self._contradictions.at(time_ns):
             return None
         text = f"its stars are used again after {AGREES_AGAIN_AFTER_S:g} s without a contradiction"
-        return Refusal(Reason.CONFLICT, f"{self._contradictions.text([source])}: {text}")
+        return Rejection(Reason.CONFLICT, f"{self._contradictions.text([source])}: {text}")
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]

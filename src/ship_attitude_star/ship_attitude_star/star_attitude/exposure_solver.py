@@ -15,7 +15,7 @@ from ship_attitude_star.stars.fit import SightedStars, square_roots
 from ship_attitude_star.stars.scale_check import contradicted_scale
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_with_fallback
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import FloatArray
 
 _SAME_FRAME: FloatArray = np.eye(3)
@@ -23,7 +23,7 @@ _AGAINST_INS = "the stars are consistent with each other, but not with ins/imu"
 
 
 @dataclass(frozen=True)
-class RefusedStar:
+class RejectedStar:
     """A star that is not part of a solution.
 
     Attributes:
@@ -38,7 +38,7 @@ class RefusedStar:
     source: str
     time_ns: int
     name: str
-    refusal: Refusal
+    rejection: Rejection
     residual: tuple[float, ...] = ()
     sigma: float = float("nan")
 
@@ -59,7 +59,7 @@ class Solved:
     sensor_id: str
     time_ns: int
     solution: StarSolution
-    refused: tuple[RefusedStar, ...]
+    rejected_stars: tuple[RejectedStar, ...]
     sources: tuple[str, ...]
     text: str = ""
 
@@ -79,7 +79,7 @@ class StarOutcome:
         not_joined: exposures (source, stamp) that arrived too late for the joint solution of their time.
     """
 
-    refusal: Refusal | None = None
+    rejection: Rejection | None = None
     solved: list[Solved] = field(default_factory=list)
     not_joined: list[tuple[str, int]] = field(default_factory=list)
 
@@ -102,7 +102,7 @@ class PlacedExposure:
     time_ns: int
     exposure: StarExposure
     stars: SightedStars | None
-    refused: tuple[RefusedStar, ...]
+    rejected_stars: tuple[RejectedStar, ...]
     turn_variance: float = 0.0
 
 
@@ -120,17 +120,17 @@ class Mounted:
 
 
 def rejected_exposure(
-    exposure: StarExposure, refused: tuple[RefusedStar, ...], refusal: Refusal
+    exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...], refusal: Rejection
 ) -> tuple[PlacedExposure, Solved]:
     """Return an exposure that is rejected as a whole, without stars and without attitude."""
     solution = no_attitude(np.zeros(len(exposure), dtype=bool), refusal)
-    placed = PlacedExposure(exposure.source, exposure.time_ns, exposure, None, refused)
-    return placed, Solved(exposure.source.partition(".")[2], exposure.time_ns, solution, refused, ())
+    placed = PlacedExposure(exposure.source, exposure.time_ns, exposure, None, rejected_stars)
+    return placed, Solved(exposure.source.partition(".")[2], exposure.time_ns, solution, rejected_stars, ())
 
 
 def solve_exposure(
     exposure: StarExposure,
-    refused: tuple[RefusedStar, ...],
+    rejected_stars: tuple[RejectedStar, ...],
     prior: StarPrior | None,
     watch: SkyWatch,
     noise_variance: float = 0.0,
@@ -150,24 +150,24 @@ def solve_exposure(
     source, time_ns = exposure.source, exposure.time_ns
     sensor_id = source.partition(".")[2]
     visible = visible_stars(exposure, watch, prior)
-    if isinstance(visible, Refusal):
-        return rejected_exposure(exposure, refused, visible)
+    if isinstance(visible, Rejection):
+        return rejected_exposure(exposure, rejected_stars, visible)
     detections = exposure
     exposure, stars, invisible = visible
     if invisible:
-        refused += tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in invisible)
+        rejected_stars += tuple(RejectedStar(source, time_ns, name, refusal) for name, refusal in invisible)
     solution, against_prior = solve_with_fallback(stars, prior)
     contradicted = contradicted_scale(detections, watch, prior, solution.star_count)
     if contradicted is not None:
-        return rejected_exposure(detections, refused, contradicted)
+        return rejected_exposure(detections, rejected_stars, contradicted)
     if noise_variance + turn_variance > 0.0:
         solution = solution.with_more_noise(noise_variance + turn_variance)
-    placed = PlacedExposure(source, time_ns, exposure, stars, refused, turn_variance)
+    placed = PlacedExposure(source, time_ns, exposure, stars, rejected_stars, turn_variance)
     if solution.rejected:
-        refused += tuple(_rejected(solution, [Mounted(placed, _SAME_FRAME)]))
-        placed = replace(placed, refused=refused)
+        rejected_stars += tuple(_rejected(solution, [Mounted(placed, _SAME_FRAME)]))
+        placed = replace(placed, refused=rejected_stars)
     sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
-    return placed, Solved(sensor_id, time_ns, solution, refused, sources, _AGAINST_INS if against_prior else "")
+    return placed, Solved(sensor_id, time_ns, solution, rejected_stars, sources, _AGAINST_INS if against_prior else "")
 
 
 def solve_deck(
@@ -193,11 +193,11 @@ def solve_deck(
         seeing = [group[index] for index in with_stars]
         turn_covariance_d = turn_covariance_d[with_stars][:, :, with_stars]
     if not seeing:
-        refusal = Refusal(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
+        refusal = Rejection(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
         return Solved(JOINT, time_ns, no_attitude(np.zeros(0, dtype=bool), refusal), (), ())
     solution, against_prior = solve_with_fallback(_in_deck(seeing, turn_covariance_d, sensors), prior)
     rejected = _rejected(solution, seeing)
-    known = {(star.source, star.name) for mounted in group for star in mounted.placed.refused} if rejected else set()
+    known = {(star.source, star.name) for mounted in group for star in mounted.placed.rejected_stars} if rejected else set()
     refused = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
@@ -290,9 +290,9 @@ def _rows(group: Sequence[Mounted]) -> list[slice]:
     return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
-def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[RefusedStar]:
+def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[RejectedStar]:
     """Return the stars that a solution rejects, each with its residual in the frame of its sensor."""
-    rejected: list[RefusedStar] = []
+    rejected: list[RejectedStar] = []
     if not solution.rejected:
         return rejected
     for mounted, rows in zip(group, _rows(group), strict=True):
@@ -305,11 +305,11 @@ def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[RefusedS
                 predicted_s = stars.reference_n[row] @ rotation_ns
                 residual = tangent_basis(predicted_s) @ (stars.measured_b[row] - predicted_s)
                 rejected.append(
-                    RefusedStar(
+                    RejectedStar(
                         source=exposure.source,
                         time_ns=exposure.time_ns,
                         name=exposure.name(row),
-                        refusal=refusal,
+                        rejection=refusal,
                         residual=tuple(residual.tolist()),
                         sigma=float(stars.lone_sigma[row]),
                     )

@@ -23,7 +23,7 @@ from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.estimator_shell import surely_in_time
 from ship_estimation.ins import InsJump, StarInsConfig
 from ship_estimation.ins_guard import Followed, JudgedIns
-from ship_estimation.refusals import Contradictions, Refusal, same_stamp
+from ship_estimation.refusals import Contradictions, Rejection, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.interpolation_error import joint_covariance
@@ -109,7 +109,7 @@ class InsMotion:
         self._config = config
         self._guards.ins.reconfigure(config)
 
-    def add(self, sample: AttitudeSample) -> Refusal | None:
+    def add(self, sample: AttitudeSample) -> Rejection | None:
         """Add a sample; return the rejection if it is not used."""
         return self._use(self._guards.ins.judge(sample, self.track, self._guards.motion_references))
 
@@ -146,12 +146,12 @@ class InsMotion:
         self.track.extend(turns.samples[turns.committed_count : stop])
         turns.committed_count, self._guards.ins.by_rates = stop, turns.followed.by_rates(stop - 1)
 
-    def end(self, turns: InsTurns) -> Refusal | None:
+    def end(self, turns: InsTurns) -> Rejection | None:
         """Finish a batch; use a last sample that needs separate handling and return its rejection, if any."""
         self._guards.ins.arrive(turns.values, turns.followed, self._guards.motion_references)
         return None if turns.followed.last is None else self._use(turns.followed.last)
 
-    def _use(self, judged: JudgedIns) -> Refusal | None:
+    def _use(self, judged: JudgedIns) -> Rejection | None:
         """Use a checked sample; return the rejection if it is not used."""
         if judged.rates_wrong_after_ns is not None:
             self.track.forget_rates(judged.rates_wrong_after_ns)
@@ -160,8 +160,8 @@ class InsMotion:
             self._jumps.append(jump)
         if judged.noise is not None:
             self.track.add_noise(judged.noise)
-        if judged.refusal is not None:
-            return judged.refusal
+        if judged.rejection is not None:
+            return judged.rejection
         sample = judged.sample
         known = self.track.get(sample.time_ns)
         taken, refusal = (True, None) if known is None else same_stamp(known, sample)

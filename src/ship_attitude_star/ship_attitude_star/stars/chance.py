@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.stars.fit import SightedStars
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import FloatArray, skew
 
 GATE_PROBABILITY = 0.9999
@@ -67,7 +67,7 @@ def gate_area(variance: float) -> float:
     return min(float(np.pi * chi_square_gate(GATE_PROBABILITY, 2)) * variance, 4.0 * float(np.pi))
 
 
-def ambiguous_identity_rejection(expected: float) -> Refusal:
+def ambiguous_identity_rejection(expected: float) -> Rejection:
     """Return the rejection of stars whose expected number of false sets is too large."""
     text = f"ambiguous identity: {expected:.2g} false sets expected to fit the prediction, limit {MOST_BY_CHANCE:g}"
-    return Refusal(Reason.UNIDENTIFIED, text)
+    return Rejection(Reason.UNIDENTIFIED, text)

@@ -28,7 +28,7 @@ from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST,
 from ship_attitude_star.stars.optics_errors import OPTICS_MODES, SOURCE_OPTICS, OpticsErrors
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
 from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_FIELD, PixelStay, SpatialErrors
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -63,9 +63,9 @@ class ExposureLength:
         return exposure_nodes(self.exposure_s)
 
     @property
-    def coverage_rejection(self) -> Refusal:
+    def coverage_rejection(self) -> Rejection:
         """Rejection of an exposure for which the INS has no samples over its full length."""
-        return Refusal(Reason.GAP, f"no INS samples over its whole exposure of {self.exposure_s:g} s")
+        return Rejection(Reason.GAP, f"no INS samples over its whole exposure of {self.exposure_s:g} s")
 
     def untold_turn_variance(self, acceleration: float) -> float:
         """Return the variance of the rotation from the exposure's mean to its middle without an INS, each axis, rad².
@@ -248,7 +248,7 @@ def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
 
 def visible_stars(
     exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None
-) -> tuple[StarExposure, SightedStars, list[tuple[str, Refusal]]] | Refusal:
+) -> tuple[StarExposure, SightedStars, list[tuple[str, Rejection]]] | Rejection:
     """Return the stars of an exposure that have a direction in the sky model.
 
     Args:
@@ -261,25 +261,25 @@ def visible_stars(
         the names of the other stars, each with its rejection. Or one rejection if no star can be placed in the sky at
         the time of the exposure.
     """
-    refused: list[tuple[str, Refusal]] = []
+    rejected: list[tuple[str, Rejection]] = []
     known = named = exposure.identified
     detections = len(exposure)
     moment = watch.at(exposure.time_ns)
-    if isinstance(moment, Refusal):
+    if isinstance(moment, Rejection):
         return moment
     if not known.all():
-        reasons: dict[int, Refusal] = {}
+        reasons: dict[int, Rejection] = {}
         if prior is not None:
             exposure, reasons = identified(exposure, prior, moment)
             known = exposure.identified
-        nobody = Refusal(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it with")
-        refused += [(exposure.name(row), reasons.get(row, nobody)) for row in np.flatnonzero(~known).tolist()]
+        nobody = Rejection(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it with")
+        rejected += [(exposure.name(row), reasons.get(row, nobody)) for row in np.flatnonzero(~known).tolist()]
         exposure, named = exposure[known], named[known]
     apparent = moment.apparent(exposure.positions)
     direction_n, shared_n, seen = apparent.direction_n, apparent.shared_n, apparent.visible
     if not seen.all():
         for row in np.flatnonzero(~seen).tolist():
-            refused.append((exposure.name(row), moment.low_elevation_rejection(float(apparent.elevation[row]))))
+            rejected.append((exposure.name(row), moment.low_elevation_rejection(float(apparent.elevation[row]))))
         exposure, direction_n, shared_n, named = exposure[seen], direction_n[seen], shared_n[seen], named[seen]
     rivals = None
     # With a narrow prior, a wrong identity of a named star is very improbable.
@@ -300,12 +300,12 @@ def visible_stars(
         field_b=exposure.field_modes,
         field_sources=exposure.field_sources,
     )
-    return exposure, stars, refused
+    return exposure, stars, rejected
 
 
 def identified(
     exposure: StarExposure, prior: StarPrior, moment: SkyMoment
-) -> tuple[StarExposure, dict[int, Refusal]]:
+) -> tuple[StarExposure, dict[int, Rejection]]:
     """Identify the stars of an exposure that have no identity, where possible.
 
     Args:
@@ -318,7 +318,7 @@ def identified(
     """
     rows = np.flatnonzero(~exposure.identified)
     if np.trace(prior.covariance_n) > WIDEST**2:
-        return exposure, dict.fromkeys(rows.tolist(), Refusal(Reason.UNIDENTIFIED, _PRIOR_TOO_WIDE))
+        return exposure, dict.fromkeys(rows.tolist(), Rejection(Reason.UNIDENTIFIED, _PRIOR_TOO_WIDE))
     smear_s = None if exposure.smear_s is None else exposure.smear_s[rows]
     found = candidates(
         exposure.directions_s[rows],
@@ -334,7 +334,7 @@ def identified(
     hip = moment.bright.catalogue.hip[found.rows]
     claimed_once = (np.count_nonzero(found.fitting, axis=0) == 1) & ~np.isin(hip, exposure.hip)
     chosen = np.full(len(rows), -1)
-    reasons: dict[int, Refusal] = {}
+    reasons: dict[int, Rejection] = {}
     for number, row in enumerate(rows.tolist()):
         fitting = np.flatnonzero(found.fitting[number])
         if len(fitting) == 1 and claimed_once[fitting[0]]:
@@ -346,7 +346,7 @@ def identified(
     return _filled(exposure, rows[taken], chosen[taken], moment), reasons
 
 
-def _identification_rejection(nearest: float, fitting: int, behind: str) -> Refusal:
+def _identification_rejection(nearest: float, fitting: int, behind: str) -> Rejection:
     """Return the rejection of a detection that was not identified.
 
     Args:
@@ -355,14 +355,14 @@ def _identification_rejection(nearest: float, fitting: int, behind: str) -> Refu
         masks: names of the masks that cover the detection; empty for none.
     """
     if behind:
-        return Refusal(Reason.UNIDENTIFIED, f"not a star: inside the mask {behind}")
+        return Rejection(Reason.UNIDENTIFIED, f"not a star: inside the mask {behind}")
     if fitting:
         text = f"ambiguous: {fitting} catalogue stars within the gate, or one matched by two detections"
-        return Refusal(Reason.UNIDENTIFIED, text)
+        return Rejection(Reason.UNIDENTIFIED, text)
     if not np.isfinite(nearest):
-        return Refusal(Reason.UNIDENTIFIED, "no catalogue star in the field")
+        return Rejection(Reason.UNIDENTIFIED, "no catalogue star in the field")
     text = f'no catalogue star within the gate, the nearest is {nearest / ARCSEC:.0f}" away'
-    return Refusal(Reason.UNIDENTIFIED, text)
+    return Rejection(Reason.UNIDENTIFIED, text)
 
 
 def _filled(

@@ -24,7 +24,7 @@ from ship_attitude_star.stars.scale_check import contradicted_scale
 from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, PixelStay
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 
 SOURCE_STAR_NOISE = "star_noise"
@@ -52,7 +52,7 @@ class StarResiduals:
     by_turn: FloatArray
     noise: dict[str, FloatArray]
     components: tuple[str, ...]
-    refused: tuple[tuple[str, Refusal], ...]
+    rejected: tuple[tuple[str, Rejection], ...]
     rotation_ns: FloatArray | None
 
 
@@ -66,7 +66,7 @@ def star_residuals(
     mean: FloatArray,
     near_ns: FloatArray | None = None,
     camera_indices: NDArray[np.intp] | None = None,
-) -> StarResiduals | Refusal:
+) -> StarResiduals | Rejection:
     """Select the correctly identified stars, and compare them with the prediction.
 
     Args:
@@ -85,7 +85,7 @@ def star_residuals(
         the stars contradict the focal length of their camera.
     """
     found = _compare(exposure, rotation_ns, to_sensor, prior, watch, sky_slice, mean, near_ns, camera_indices)
-    used_count = 0 if isinstance(found, Refusal) else len(found.components) // 2
+    used_count = 0 if isinstance(found, Rejection) else len(found.components) // 2
     return contradicted_scale(exposure, watch, prior, used_count) or found
 
 
@@ -99,16 +99,16 @@ def _compare(
     mean: FloatArray,
     near_ns: FloatArray | None,
     camera_indices: NDArray[np.intp] | None,
-) -> StarResiduals | Refusal:
+) -> StarResiduals | Rejection:
     """Compare the correctly identified stars with the prediction; see :func:`star_residuals`."""
     visible = visible_stars(exposure, watch, prior)
-    if isinstance(visible, Refusal):
+    if isinstance(visible, Rejection):
         return visible
-    seen, stars, refused = visible
+    seen, stars, rejected = visible
     if len(stars.sigma) == 0:
-        nameless = any(refusal.reason is Reason.UNIDENTIFIED for _, refusal in refused)
+        nameless = any(refusal.reason is Reason.UNIDENTIFIED for _, refusal in rejected)
         reason = Reason.UNIDENTIFIED if nameless else Reason.TOO_FEW_STARS
-        return Refusal(reason, _listed(f"none of {len(exposure)} stars is usable", refused))
+        return Rejection(reason, _listed(f"none of {len(exposure)} stars is usable", rejected))
     # The estimate of the shared errors corrects the expected directions.
     expected_n = compiled_fit.expected(stars.reference_n, stars.shared_n, mean[sky_slice])
     measured_s, field_s = stars.measured_b, None if camera_indices is None else stars.field_b
@@ -116,13 +116,13 @@ def _compare(
         measured_s = measured_s - field_s @ mean[camera_indices]
     at_estimate = replace(stars, reference_n=expected_n, measured_b=measured_s)
     selection = _select_consistent(stars, at_estimate, prior, near_ns)
-    if isinstance(selection, Refusal):
-        return Refusal(selection.reason, _listed(selection.text, refused))
+    if isinstance(selection, Rejection):
+        return Rejection(selection.reason, _listed(selection.text, rejected))
     members, alone_ns = selection
     turned_ns = rotation_ns if alone_ns is None else alone_ns
-    refused += [(seen.name(row), _misfit_rejection(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
+    rejected += [(seen.name(row), _misfit_rejection(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
     if not members.any():
-        return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), refused))
+        return Rejection(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), rejected))
     names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
     residual, jacobian, by_turn, basis = compiled_fit.residuals(
         measured_s, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, sky_slice.start
@@ -135,14 +135,14 @@ def _compare(
         by_turn=by_turn,
         noise=_noise(at_estimate, seen.stay, basis, members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
-        refused=tuple(refused),
+        rejected=tuple(rejected),
         rotation_ns=alone_ns,
     )
 
 
 def _select_consistent(
     stars: SightedStars, at_estimate: SightedStars, prior: StarPrior, near_ns: FloatArray | None
-) -> tuple[NDArray[np.bool_], FloatArray | None] | Refusal:
+) -> tuple[NDArray[np.bool_], FloatArray | None] | Rejection:
     """Return the stars consistent with the prediction; if there are none, those consistent with another attitude.
 
     Args:
@@ -188,11 +188,11 @@ def _noise(
     return {SOURCE_STAR_NOISE: noise, SOURCE_PIXEL: np.diag(np.repeat(of_pixels[members], 2))}
 
 
-def _misfit_rejection(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:
+def _misfit_rejection(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Rejection:
     angle = float(angle_between(rotation_ns @ stars.measured_b[row], stars.reference_n[row]))
     text = f'{angle / ARCSEC:.1f}" from its expected direction, sigma {stars.lone_sigma[row] / ARCSEC:.1f}"'
-    return Refusal(Reason.MISIDENTIFIED, text)
+    return Rejection(Reason.MISIDENTIFIED, text)
 
 
-def _listed(text: str, refused: list[tuple[str, Refusal]]) -> str:
-    return "; ".join([text, *(f"{name}: {refusal.text}" for name, refusal in refused)])
+def _listed(text: str, rejected: list[tuple[str, Rejection]]) -> str:
+    return "; ".join([text, *(f"{name}: {refusal.text}" for name, refusal in rejected)])

@@ -14,7 +14,7 @@ from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.field_scale import estimate_optics, field_information
 from ship_attitude_star.stars.optics_errors import OpticsErrors
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 
 FREE_FOCAL_SIGMA = 0.01
 """Relative standard deviation of a nearly free focal length."""
@@ -28,7 +28,7 @@ _ENOUGH = 6
 
 def contradicted_scale(
     exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None, used_count: int
-) -> Refusal | None:
+) -> Rejection | None:
     """Return the rejection of an exposure whose stars contradict the focal length; None if they do not.
 
     Args:
@@ -43,7 +43,7 @@ def contradicted_scale(
         return None
     free_sigma = max(FREE_FOCAL_SIGMA, optics.focal_sigma)
     visible = visible_stars(replace(exposure, optics=replace(optics, focal_sigma=free_sigma)), watch, prior)
-    if isinstance(visible, Refusal):
+    if isinstance(visible, Rejection):
         return None
     stars = visible[1]
     members = select(stars, prior).members
@@ -59,7 +59,7 @@ def contradicted_scale(
     return focal_length_rejection(optics, found.scale, f"the angles between {count} stars")
 
 
-def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -> Refusal | None:
+def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -> Rejection | None:
     """Return the rejection of an exposure whose focal length the filter has estimated as another one; None if not.
 
     Args:
@@ -72,7 +72,7 @@ def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -
     return focal_length_rejection(optics, error * optics.focal_sigma, "the stars up to now")
 
 
-def focal_length_rejection(optics: OpticsErrors, scale: float, by_what: str) -> Refusal:
+def focal_length_rejection(optics: OpticsErrors, scale: float, by_what: str) -> Rejection:
     """Return a rejection that states the fitted focal length.
 
     Args:
@@ -85,4 +85,4 @@ def focal_length_rejection(optics: OpticsErrors, scale: float, by_what: str) -> 
         f"focal length {told_mm * (1.0 + scale):.3f} mm fits {by_what}, configured {told_mm:.3f} mm, "
         f"sigma {told_mm * optics.focal_sigma:.3f} mm: check camera.focal_length_m"
     )
-    return Refusal(Reason.MISIDENTIFIED, text)
+    return Rejection(Reason.MISIDENTIFIED, text)

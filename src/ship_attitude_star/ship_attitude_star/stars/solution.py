@@ -26,7 +26,7 @@ from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
 from ship_attitude_star.stars.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
 from ship_estimation.compiled_integrity import square_root
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
@@ -87,12 +87,12 @@ class StarSolution:
     """
 
     status: SolutionStatus
-    refusal: Refusal | None
+    rejection: Rejection | None
     rotation_nb: FloatArray
     covariance_by_source_n: FloatArray
     members: NDArray[np.bool_]
     residual_n: FloatArray
-    rejected: dict[int, Refusal] = field(default_factory=dict)
+    rejected: dict[int, Rejection] = field(default_factory=dict)
 
     @property
     def covariance_n(self) -> FloatArray:
@@ -140,15 +140,15 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
     together = members if count else np.ones_like(members)
     found = choice.attitude_fit or fit_attitude(stars, together)
     if found is None:
-        return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(together)))))
+        return no_attitude(members, Rejection(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(together)))))
     if not count:
         text = f"{len(stars)} stars, no set of them is more consistent than another"
         reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
-        return no_attitude(members, Refusal(reason, text))
+        return no_attitude(members, Rejection(reason, text))
     residual_n = found.fit.residual_n
     return StarSolution(
         status=_status(count, prior, found.rotation_nb),
-        refusal=None,
+        rejection=None,
         rotation_nb=found.rotation_nb,
         covariance_by_source_n=_covariance_by_source(stars, found, members),
         members=members,
@@ -168,7 +168,7 @@ def solve_with_fallback(stars: SightedStars, prior: StarPrior | None) -> tuple[S
         The solution, and True if the stars verify one another but contradict the prior.
     """
     solution = solve_stars(stars, prior)
-    if prior is None or solution.refusal is None or solution.refusal.reason is Reason.UNIDENTIFIED:
+    if prior is None or solution.rejection is None or solution.rejection.reason is Reason.UNIDENTIFIED:
         return solution, False
     alone = solve_stars(stars)
     if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
@@ -250,12 +250,12 @@ def _covariance_by_source(stars: SightedStars, found: AttitudeFit, members: NDAr
     return solved
 
 
-def _rejected(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.bool_]) -> dict[int, Refusal]:
+def _rejected(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.bool_]) -> dict[int, Rejection]:
     rejected = {}
     for row in np.flatnonzero(~members).tolist():
         angle = float(np.linalg.norm(residual_n[row]))
         text = f'{_angle_text(angle)} from its expected direction, sigma {sigma[row] / ARCSEC:.1f}"'
-        rejected[row] = Refusal(Reason.MISIDENTIFIED, text)
+        rejected[row] = Rejection(Reason.MISIDENTIFIED, text)
     return rejected
 
 
@@ -263,7 +263,7 @@ def _angle_text(angle: float) -> str:
     return f'{angle / ARCSEC:.1f}"' if angle < 600.0 * ARCSEC else f"{np.rad2deg(angle):.2f}°"
 
 
-def no_attitude(members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
+def no_attitude(members: NDArray[np.bool_], rejection: Rejection) -> StarSolution:
     """Return an INVALID solution.
 
     Args:
@@ -273,7 +273,7 @@ def no_attitude(members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
     unknown = np.full((3, 3), np.nan)
     return StarSolution(
         status=SolutionStatus.INVALID,
-        refusal=refusal,
+        rejection=rejection,
         rotation_nb=unknown,
         covariance_by_source_n=np.full((len(SOLUTION_TERMS), 3, 3), np.nan),
         members=members,

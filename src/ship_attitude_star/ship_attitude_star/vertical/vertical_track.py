@@ -17,7 +17,7 @@ from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.place_by_fixes import Place, PlaceByFixes
 from ship_attitude_star.vertical.config import CONSTANT, NONE, TABLE, GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
-from ship_estimation.refusals import Reason, Refusal, same_stamp
+from ship_estimation.refusals import Reason, Rejection, same_stamp
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -123,15 +123,15 @@ class VerticalTrack:
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def refusal(self, given: "PositionFix | DeflectionReading") -> Refusal | None:
+    def rejection(self, given: "PositionFix | DeflectionReading") -> Rejection | None:
         """Return the rejection or remark for an input, or None; call it before :meth:`insert`."""
         if isinstance(given, PositionFix):
-            return self._place.refusal(given)
+            return self._place.rejection(given)
         index = bisect.bisect_left(self._stamps, given.time_ns)
         if index < len(self._stamps) and self._stamps[index] == given.time_ns:
             return same_stamp(self._messages[index], given)[1]
         if index == 0 and len(self._stamps) >= _MOST_MESSAGES:
-            return Refusal(Reason.LATE, "its stamp is older than the stored messages of its source")
+            return Rejection(Reason.LATE, "its stamp is older than the stored messages of its source")
         return None
 
     def insert(self, given: "PositionFix | DeflectionReading") -> int | None:
@@ -248,7 +248,7 @@ class VerticalTrack:
 
     def _place_at(self, step: int) -> Place | None:
         place = self._place.at(step * STEP_NS)
-        return None if isinstance(place, Refusal) else place
+        return None if isinstance(place, Rejection) else place
 
     # ---------------------------------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.displacements import Displacements
 from ship_estimation.recovery.memory import BEFORE_STEP_NS, Memory
 from ship_estimation.recovery.trouble import TroubleDetector
-from ship_estimation.refusals import Refusal, failure
+from ship_estimation.refusals import Rejection, failure
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -117,7 +117,7 @@ class SecondEstimator:
     def __init__(self, core: Any, is_from_memory: bool) -> None:
         self.core, self.is_from_memory = core, is_from_memory
         self.valid_since_ns: int | None = None
-        self.failure: Refusal | None = None
+        self.failure: Rejection | None = None
         self._status = Status.INVALID
 
     def take(self, give: Callable[[], Outcome[Any, Any]]) -> None:

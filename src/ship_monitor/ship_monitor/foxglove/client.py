@@ -88,10 +88,10 @@ class Client(WebSocketHandler):
 
     async def on_message(self, message: str | bytes) -> None:
         """Process a request; the next one is read after the answer to this one has been written."""
-        refusal = self._handle_request(message)
-        if refusal:
+        error = self._handle_request(message)
+        if error:
             try:
-                await self.write_message({"op": "status", "level": _WARNING, "message": refusal})
+                await self.write_message({"op": "status", "level": _WARNING, "message": error})
             except WebSocketClosedError:
                 return
 
@@ -147,19 +147,19 @@ class Client(WebSocketHandler):
         return f"this server is read-only: '{operation[:40]}' is refused"
 
     def _subscribe(self, wanted: Iterable[tuple[int, int]]) -> str:
-        refused, known, taken = "", self._viewers.channels, set(self.subscriptions.values())
+        error, known, taken = "", self._viewers.channels, set(self.subscriptions.values())
         added = []
         for subscription, channel in wanted:
             if not 0 <= subscription < 2**32 or subscription in taken:
-                refused = f"subscription {subscription} refused: the number is in use, or has more than 32 bits"
+                error = f"subscription {subscription} refused: the number is in use, or has more than 32 bits"
             elif channel in self.subscriptions or channel not in known:
-                refused = f"subscription {subscription} refused: channel {channel} is unknown, or already subscribed"
+                error = f"subscription {subscription} refused: channel {channel} is unknown, or already subscribed"
             else:
                 self.subscriptions[channel] = subscription
                 taken.add(subscription)
                 added.append(channel)
         self._viewers.note_subscriptions(added)
-        return refused
+        return error
 
     def _unsubscribe(self, given_up: set[int]) -> str:
         self.subscriptions = {

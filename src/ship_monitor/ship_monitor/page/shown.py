@@ -162,10 +162,10 @@ def _more_banner(banners: list[tuple[str, str]]) -> tuple[str, str]:
 def _why(source: SourceShown) -> list[str]:
     """Return two lines about the only source that is OUT by a fault of its own."""
     since = f"since {words.utc_clock(source.out_since_ns)}"
-    refused = f"{source.refused} rejected" if source.refused else ""
+    rejected = f"{source.rejected_in_a_row} rejected" if source.rejected_in_a_row else ""
     if not source.disagreement:
         return [f"{source.reason} {since}"]
-    return [f"disagrees: {source.disagreement}", " · ".join(filter(None, (since, refused)))]
+    return [f"disagrees: {source.disagreement}", " · ".join(filter(None, (since, rejected)))]
 
 
 def _source_row(source: SourceShown, *, is_because: bool, is_alone: bool) -> dict[str, Any]:

@@ -79,16 +79,16 @@ def input_row(shown: InputShown, faulty_sources: Mapping[str, SourceShown], *, i
     The row of a source that is OUT by a fault of its own is highlighted, not that of a source that needs it.
     """
     source = faulty_sources.get(shown.topic)
-    refused = shown.refused_60s
+    rejected = shown.rejected_60s
     reasons = reasons_text(shown.reasons)
     if source is not None:
         reasons = f"OUT: {source.reason}" + (f"; {reasons}" if reasons != "—" else "")
-        refused = max(refused, source.refused)
+        rejected = max(rejected, source.rejected_in_a_row)
     cells = (
         ("n", _number(shown.rate_hz, 1)),
         ("n wide", _number(shown.latency_s, 3)),
         ("n", _number(shown.age_s, 1)),
-        ("n", str(refused)),
+        ("n", str(rejected)),
         ("reasons", reasons),
     )
     name = with_mark(f"✕ {shown.topic}" if source else shown.topic, is_marked)

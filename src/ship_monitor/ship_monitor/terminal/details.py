@@ -97,7 +97,7 @@ def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
         "residual": residual,
         "out since": words.date_and_clock(source.out_since_ns) if source.out_since_ns else words.NO_VALUE,
         "because of": source.because_of or words.NO_VALUE,
-        "rejected in a row": str(source.refused),
+        "rejected in a row": str(source.rejected_in_a_row),
         "sigma": (verdict.text or f"{verdict.degrees} degrees of freedom") if verdict else words.NO_VALUE,
     }
     inputs = []

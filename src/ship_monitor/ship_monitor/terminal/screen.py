@@ -174,7 +174,7 @@ def input_line(shown: InputShown, pen: Pen) -> Line:
     look = Look.OUT if shown.level else Look.TEXT
     return pen.styled_line(
         Ink(f"   {pen.cell(shown.topic, 30)}", look),
-        Ink(f"{numbers}  {shown.refused_60s:4d} rejected  {reasons_text(shown)}", Look.SECOND),
+        Ink(f"{numbers}  {shown.rejected_60s:4d} rejected  {reasons_text(shown)}", Look.SECOND),
     )
 
 

@@ -28,7 +28,7 @@ class SenderRule:
         self.held = ""
         self._last_ns = 0
 
-    def refusal(self, sender: str, now_ns: int) -> str:
+    def rejection_reason(self, sender: str, now_ns: int) -> str:
         """Return why a text of a sender is rejected; empty if it is used.
 
         Args:

@@ -116,7 +116,7 @@ class Source:
         with self._lock:
             self._report.lines += 1
             self._report.now_ns = self._received_ns = now_ns
-            if refusal := self._sender.refusal(sender, now_ns):
+            if refusal := self._sender.rejection_reason(sender, now_ns):
                 self._report.reject_sender(refusal, sender, received.text)
                 return []
             messages = self._taken(received, arrival_ns, now_ns)

@@ -18,7 +18,7 @@ import yaml
 
 from ship_bags.errors import BadInput
 from ship_bags.output_files import write_whole
-from ship_bags.regular_files import check_regular, open_refusal
+from ship_bags.regular_files import check_regular, open_error_text
 from ship_bags.stamps import END_OF_TIME_NS
 from ship_bags.yaml_text import plain_data
 
@@ -223,7 +223,7 @@ class SavedFormat(Generic[Content]):
             raise self._unreadable(path, error) from error
 
     def _unreadable(self, path: Path, error: OSError) -> BadInput:
-        return BadInput(f"the {self.what} cannot be read: {open_refusal(error.errno or errno.EIO)}", file=path)
+        return BadInput(f"the {self.what} cannot be read: {open_error_text(error.errno or errno.EIO)}", file=path)
 
     def parsed(self, path: Path, written: bytes) -> Content:
         """Return the content of a document's bytes.

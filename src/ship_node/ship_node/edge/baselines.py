@@ -4,10 +4,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.messages_in import Refused, covariance_3x3, device_id, finite_vector, frame, stamp_ns
+from ship_node.edge.messages_in import MessageRejected, covariance_3x3, device_id, finite_vector, frame, stamp_ns
 
 _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
 _LONGEST_M = 1e5
@@ -46,12 +46,12 @@ def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
     return time_ns
 
 
-def fix_rejection(message: Any, least_fix: str) -> Refusal | None:
+def fix_rejection(message: Any, least_fix: str) -> Rejection | None:
     """Return the rejection of a solution below ``least_fix`` ("float", "fixed") or of unknown kind; else None."""
     if _FIXES.index(least_fix.upper()) <= message.fix < len(_FIXES):
         return None
     fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
-    return Refusal(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
+    return Rejection(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
 
 
 def baseline_vector(message: Any) -> tuple[FloatArray, FloatArray | None]:
@@ -62,10 +62,10 @@ def baseline_vector(message: Any) -> tuple[FloatArray, FloatArray | None]:
     """
     vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
     if np.max(np.abs(vector_n)) > _LONGEST_M:
-        raise Refused(Reason.UNITS, f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
+        raise MessageRejected(Reason.UNITS, f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
     covariance_enu = covariance_3x3(message.covariance)
     if covariance_enu is None:
         return vector_n, None
     if np.max(np.diagonal(covariance_enu)) > _LONGEST_M**2:
-        raise Refused(Reason.BAD_COVARIANCE, "a sigma of more than 100 km")
+        raise MessageRejected(Reason.BAD_COVARIANCE, "a sigma of more than 100 km")
     return vector_n, horizon_covariance(covariance_enu)

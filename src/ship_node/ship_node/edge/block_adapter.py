@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar
 
 from ship_bags.cdr_template import CdrRows
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_node.edge.blocks import BatchOutput, BlockTurn, PublishedRows, StampArray, outputs_with_levels
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.reporting_adapter import ReportingAdapter
@@ -42,10 +42,10 @@ class BlockAdapter(ReportingAdapter):
             return self.set_aside(feed, reading, receive_ns, receive_ns)
         if self.saved is not None and self.saved.is_due:
             self.saved.start(receive_ns)
-        refusal = self.check_clock(feed, reading.value.time_ns, receive_ns, receive_ns)
-        if refusal is not None:
-            self.health.turned_away(topic, receive_ns, receive_ns, reading.value.time_ns, refusal)
-            return [self.rejection_message(feed.source, reading.value.time_ns, refusal)]
+        rejection = self.check_clock(feed, reading.value.time_ns, receive_ns, receive_ns)
+        if rejection is not None:
+            self.health.turned_away(topic, receive_ns, receive_ns, reading.value.time_ns, rejection)
+            return [self.rejection_message(feed.source, reading.value.time_ns, rejection)]
         self.see(feed, reading)
         return self.told(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
 
@@ -119,7 +119,7 @@ class BlockAdapter(ReportingAdapter):
             found: a run of estimates, or why they could not be computed.
             times_ns: stamps of all that are computed together.
         """
-        if isinstance(found, Refusal):
+        if isinstance(found, Rejection):
             for place in range(some.start, some.stop):
                 yield BatchOutput(place, [self.failed(self.main_topic, int(times_ns[place]), found)])
             return

@@ -6,7 +6,7 @@ output at once, to the last bit.
 
 from typing import Any, Protocol
 
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BatchOutput
 from ship_node.edge.topics import Published
@@ -22,7 +22,7 @@ class DeferringCore(Protocol):
 
     due: list[Any] | None
 
-    def estimates_due(self) -> list[tuple[slice, Any | Refusal]]:
+    def estimates_due(self) -> list[tuple[slice, Any | Rejection]]:
         """Compute all pending outputs; return their indices and the outputs, or why they cannot be computed."""
         ...
 

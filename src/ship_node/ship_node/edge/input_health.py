@@ -14,7 +14,7 @@ from ship_node.edge.topics import InputTopic
 WATCHDOG_NS = 5_000_000_000
 """Maximum time from the start to the first message of a required topic or one with publishers, ns."""
 
-REFUSAL_SHOWN_NS = 2_000_000_000
+REJECTION_SHOWN_NS = 2_000_000_000
 """Time for which a single rejection is shown, ns."""
 
 TIMEOUT_PERIODS = 3.0
@@ -24,8 +24,8 @@ TIMEOUT_ERROR_NS = 1_000_000_000
 MIN_TIMEOUT_NS = 100_000_000
 """Minimum timeout, ns: the evaluation runs once per tick."""
 
-REFUSALS_WARN = 5
-REFUSALS_ERROR = 20
+REJECTIONS_WARN = 5
+REJECTIONS_ERROR = 20
 FUTURE_ERROR = 10
 
 _EXPECTED_REASONS = (Reason.GATE, Reason.REVISED)
@@ -213,15 +213,15 @@ def _message(factory: MessageFactory, state: _State, now_ns: int) -> Any:
 
 def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     """Return issues from rejected messages."""
-    last = record.last_refusal
-    if last is None or record.last_refusal_ns is None:
+    last = record.last_rejection
+    if last is None or record.last_rejection_ns is None:
         return []
     if record.consecutive_future_stamps >= FUTURE_ERROR:
         return [(Level.ERROR, f"clock offset: {record.consecutive_future_stamps} stamps in a row in the future; {last.text}")]
-    if record.refused_in_a_row >= REFUSALS_WARN:
-        level = Level.ERROR if record.refused_in_a_row >= REFUSALS_ERROR else Level.WARN
-        return [(level, f"{record.refused_in_a_row} rejected in a row, last {last.reason.word}: {last.text}")]
-    if waiting_ns - record.last_refusal_ns <= REFUSAL_SHOWN_NS and last.reason not in _EXPECTED_REASONS:
+    if record.consecutive_rejections >= REJECTIONS_WARN:
+        level = Level.ERROR if record.consecutive_rejections >= REJECTIONS_ERROR else Level.WARN
+        return [(level, f"{record.consecutive_rejections} rejected in a row, last {last.reason.word}: {last.text}")]
+    if waiting_ns - record.last_rejection_ns <= REJECTION_SHOWN_NS and last.reason not in _EXPECTED_REASONS:
         return [(Level.WARN, f"rejected, {last.reason.word}: {last.text}")]
     return []
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.outcome import Decision
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import InputTopic
 
@@ -56,15 +56,15 @@ class InputRecord:
 
     def reset_times(self) -> None:
         """Reset everything that depends on time; keep the counts."""
-        self.last_refusal_ns: int | None = None
-        self.last_refusal: Refusal | None = None
+        self.last_rejection_ns: int | None = None
+        self.last_rejection: Rejection | None = None
         self.last_arrival_ns: int | None = None
         self._intervals_ns: deque[int] = deque(maxlen=WINDOW)
         self.reset_stamps()
 
     def reset_stamps(self) -> None:
         """Reset everything that depends on stamps; keep the counts and the arrival times."""
-        self.refused_in_a_row = self.consecutive_future_stamps = 0
+        self.consecutive_rejections = self.consecutive_future_stamps = 0
         self.is_too_old = False
         self._newest_stamp_ns: int | None = None
         self._latencies_ns: deque[int] = deque(maxlen=WINDOW)
@@ -86,7 +86,7 @@ class InputRecord:
         """
         self.received += len(arrivals_ns)
         self.accepted += len(arrivals_ns)
-        self.refused_in_a_row = self.consecutive_future_stamps = 0
+        self.consecutive_rejections = self.consecutive_future_stamps = 0
         arrivals = arrivals_ns[-WINDOW - 1 :].tolist()
         if self.last_arrival_ns is not None and len(arrivals_ns) <= WINDOW:
             arrivals.insert(0, self.last_arrival_ns)
@@ -105,7 +105,7 @@ class InputRecord:
     def add_accepted(self, stamp_ns: int, receive_ns: int, max_age_ns: int) -> None:
         """Count a used message and end a run of rejections; one older than ``max_age_ns`` is counted as CLOCK."""
         self.accepted += 1
-        self.refused_in_a_row = self.consecutive_future_stamps = 0
+        self.consecutive_rejections = self.consecutive_future_stamps = 0
         self._latencies_ns.append(receive_ns - stamp_ns)
         self.is_too_old = receive_ns - stamp_ns > max_age_ns
         if self.is_too_old:
@@ -114,15 +114,15 @@ class InputRecord:
         if self._newest_stamp_ns is None or stamp_ns > self._newest_stamp_ns:
             self._newest_stamp_ns = stamp_ns
 
-    def add_rejected(self, refusal: Refusal, waiting_ns: int, receive_ns: int, stamp_ns: int | None) -> None:
+    def add_rejected(self, rejection: Rejection, waiting_ns: int, receive_ns: int, stamp_ns: int | None) -> None:
         """Count a rejected message; the delay of a late one is added to the histogram."""
         self.rejected += 1
-        self.reasons[refusal.reason] += 1
+        self.reasons[rejection.reason] += 1
         # A source that is switched off may be good: its messages do not count as consecutive rejections.
-        self.refused_in_a_row += refusal.reason is not Reason.OFF
-        self.consecutive_future_stamps = self.consecutive_future_stamps + 1 if refusal.reason is Reason.FUTURE else 0
-        self.last_refusal_ns, self.last_refusal = waiting_ns, refusal
-        if refusal.reason is Reason.LATE and stamp_ns is not None:
+        self.consecutive_rejections += rejection.reason is not Reason.OFF
+        self.consecutive_future_stamps = self.consecutive_future_stamps + 1 if rejection.reason is Reason.FUTURE else 0
+        self.last_rejection_ns, self.last_rejection = waiting_ns, rejection
+        if rejection.reason is Reason.LATE and stamp_ns is not None:
             delay_s = (receive_ns - stamp_ns) * 1e-9
             self.late_delays[sum(delay_s > edge for edge in LATE_EDGES_S)] += 1
 
@@ -131,9 +131,9 @@ class InputRecord:
         self.received += count
         self.rejected += count
         self.reasons[Reason.OVERFLOW] += count
-        self.last_refusal_ns = waiting_ns
+        self.last_rejection_ns = waiting_ns
         cut = self.reasons[Reason.OVERFLOW]
-        self.last_refusal = Refusal(Reason.OVERFLOW, f"{cut} messages cut, the last {why}")
+        self.last_rejection = Rejection(Reason.OVERFLOW, f"{cut} messages cut, the last {why}")
 
     def add_behind(self, count: int, why: str, waiting_ns: int) -> None:
         """Count messages that were cut because the node is behind; they count as arrivals for the timeout."""
@@ -141,7 +141,7 @@ class InputRecord:
         self.rejected += count
         self.reasons[Reason.BEHIND] += count
         self.last_arrival_ns = waiting_ns
-        self.last_refusal_ns, self.last_refusal = waiting_ns, Refusal(Reason.BEHIND, why)
+        self.last_rejection_ns, self.last_rejection = waiting_ns, Rejection(Reason.BEHIND, why)
 
     @property
     def mean_period_ns(self) -> float:
@@ -204,7 +204,7 @@ class InputRecords:
         waiting_ns: int,
         receive_ns: int,
         reading: ReadMessage[Any],
-        refusal: Refusal | None,
+        rejection: Rejection | None,
         used: bool,
     ) -> None:
         """Record a message that was read, and the immediate result.
@@ -222,8 +222,8 @@ class InputRecords:
             self.noted(topic, Reason.COVARIANCE_UNKNOWN)
         for _, part_rejection in reading.rejected_parts:
             self.noted(topic, part_rejection.reason)
-        if refusal is not None:
-            self.rejected(topic, refusal, receive_ns, reading.value.time_ns)
+        if rejection is not None:
+            self.rejected(topic, rejection, receive_ns, reading.value.time_ns)
         elif used:
             self.accepted(topic, reading.value.time_ns, receive_ns)
 
@@ -246,10 +246,10 @@ class InputRecords:
             record.reasons[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
             record.noted[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
 
-    def turned_away(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, refusal: Refusal) -> None:
+    def turned_away(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, rejection: Rejection) -> None:
         """Record a message that could not be read; times as in :meth:`record_input`, and its stamp."""
         self.arrived(topic, waiting_ns)
-        self.rejected(topic, refusal, receive_ns, stamp_ns)
+        self.rejected(topic, rejection, receive_ns, stamp_ns)
 
     def judged(self, topic: str, decision: Decision[Any], now_ns: int) -> None:
         """Record the decision on a measurement of a topic.
@@ -267,7 +267,7 @@ class InputRecords:
             if decision.reason is not Reason.NONE:
                 self.noted(topic, decision.reason)
         else:
-            self.rejected(topic, Refusal(decision.reason, decision.text), now_ns, time_ns)
+            self.rejected(topic, Rejection(decision.reason, decision.text), now_ns, time_ns)
         for _, part_rejection in decision.rejected_parts:
             self.noted(topic, part_rejection.reason)
 
@@ -279,7 +279,7 @@ class InputRecords:
         """Record a used message."""
         self.records[topic].add_accepted(stamp_ns, receive_ns, self._max_age_ns)
 
-    def rejected(self, topic: str, refusal: Refusal, receive_ns: int, stamp_ns: int | None = None) -> None:
+    def rejected(self, topic: str, rejection: Rejection, receive_ns: int, stamp_ns: int | None = None) -> None:
         """Record a rejected message.
 
         Args:
@@ -288,10 +288,10 @@ class InputRecords:
             receive_ns: time of the rejection by the node's clock.
             stamp_ns: stamp of the message; None if it is unusable.
         """
-        if refusal.reason is Reason.FAILED:
-            self.failed(f"{topic}: {refusal.text}")
+        if rejection.reason is Reason.FAILED:
+            self.failed(f"{topic}: {rejection.text}")
         waiting_ns = receive_ns if self._waiting_ns is None else self._waiting_ns
-        self.records[topic].add_rejected(refusal, waiting_ns, receive_ns, stamp_ns)
+        self.records[topic].add_rejected(rejection, waiting_ns, receive_ns, stamp_ns)
 
     def noted(self, topic: str, reason: Reason) -> None:
         """Record a remark (such as COVARIANCE_UNKNOWN) on a message that is used."""

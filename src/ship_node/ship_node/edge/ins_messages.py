@@ -14,7 +14,7 @@ from ship_node.edge.columns_in import imu_quaternions, ship_rates, stamps
 from ship_node.edge.messages_in import (
     NOT_GIVEN,
     ReadMessage,
-    Refused,
+    MessageRejected,
     covariance_3x3,
     frame,
     imu_quaternion,
@@ -78,7 +78,7 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     try:
         frame(first.header.frame_id, config.frame_id)
         covariance = covariance_3x3(first.orientation_covariance, "orientation_covariance")
-    except Refused:
+    except MessageRejected:
         # The first message is rejected by ins_sample, with its reason.
         numbers, covariance = numbers[:0], None
     times_ns, timely = stamps(numbers, receive_ns)

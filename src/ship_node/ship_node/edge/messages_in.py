@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ship_bags.stamps import duration_text
-from ship_estimation.refusals import Reason, Refusal, shortened
+from ship_estimation.refusals import Reason, Rejection, shortened
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 
@@ -54,11 +54,11 @@ class ReadMessage(Generic[Value]):
 
     value: Value
     covariance_known: bool = True
-    rejected_parts: tuple[tuple[str, Refusal], ...] = ()
+    rejected_parts: tuple[tuple[str, Rejection], ...] = ()
     empty: bool = False
 
 
-class Refused(Exception):
+class MessageRejected(Exception):
     """A message is rejected.
 
     Attributes:
@@ -66,8 +66,8 @@ class Refused(Exception):
     """
 
     def __init__(self, reason: Reason, text: str) -> None:
-        self.refusal = Refusal(reason, text)
-        super().__init__(f"{reason.word}: {self.refusal.text}")
+        self.rejection = Rejection(reason, text)
+        super().__init__(f"{reason.word}: {self.rejection.text}")
 
 
 def quoted_id(name: str) -> str:
@@ -83,13 +83,13 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
             ``receive_ns``.
     """
     if header.stamp.nanosec >= _SECOND_NS:
-        raise Refused(Reason.BAD_STAMP, f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second")
+        raise MessageRejected(Reason.BAD_STAMP, f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second")
     ns = int(header.stamp.sec) * _SECOND_NS + int(header.stamp.nanosec)
     if ns <= 0:
-        raise Refused(Reason.BAD_STAMP, f"header.stamp is {ns} ns: expected POSIX time")
+        raise MessageRejected(Reason.BAD_STAMP, f"header.stamp is {ns} ns: expected POSIX time")
     if ns > receive_ns + FUTURE_TOLERANCE_NS:
         ahead = duration_text(ns - receive_ns)
-        raise Refused(Reason.FUTURE, f"stamp is {ahead} ahead of the node's clock: check both clocks")
+        raise MessageRejected(Reason.FUTURE, f"stamp is {ahead} ahead of the node's clock: check both clocks")
     return ns
 
 
@@ -100,7 +100,7 @@ def frame(frame_id: str, expected: str) -> None:
         Refused: FRAME.
     """
     if expected and frame_id != expected:
-        raise Refused(Reason.FRAME, f"frame_id is {quoted_id(frame_id)}: expected '{expected}'")
+        raise MessageRejected(Reason.FRAME, f"frame_id is {quoted_id(frame_id)}: expected '{expected}'")
 
 
 def device_id(what: str, given: str, expected: str) -> None:
@@ -110,7 +110,7 @@ def device_id(what: str, given: str, expected: str) -> None:
         Refused: UNKNOWN_SENSOR.
     """
     if given != expected:
-        raise Refused(Reason.UNKNOWN_SENSOR, f"{what} is {quoted_id(given)}: expected '{expected}'")
+        raise MessageRejected(Reason.UNKNOWN_SENSOR, f"{what} is {quoted_id(given)}: expected '{expected}'")
 
 
 def finite_numbers(what: str, *values: float) -> None:
@@ -121,7 +121,7 @@ def finite_numbers(what: str, *values: float) -> None:
     """
     for value in values:
         if not math.isfinite(value):
-            raise Refused(Reason.NON_FINITE, f"{what} holds {value}")
+            raise MessageRejected(Reason.NON_FINITE, f"{what} holds {value}")
 
 
 def exposure_length_s(exposure_s: float, longest_s: float) -> float:
@@ -134,7 +134,7 @@ def exposure_length_s(exposure_s: float, longest_s: float) -> float:
         return 0.0
     finite_numbers("exposure_s", exposure_s)
     if not 0.0 <= exposure_s <= longest_s:
-        raise Refused(Reason.UNITS, f"exposure_s is {exposure_s:.6g}: expected seconds, {longest_s:g} at most")
+        raise MessageRejected(Reason.UNITS, f"exposure_s is {exposure_s:.6g}: expected seconds, {longest_s:g} at most")
     return float(exposure_s)
 
 
@@ -158,10 +158,10 @@ def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
     finite_numbers(what, *numbers)
     norm = math.sqrt(sum(number * number for number in numbers))
     if norm < LEAST_QUATERNION_NORM:
-        raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
+        raise MessageRejected(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
         # hypot avoids the overflow of squares.
-        raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {math.hypot(*numbers):.6g}: expected 1")
+        raise MessageRejected(Reason.BAD_QUATERNION, f"norm of {what} is {math.hypot(*numbers):.6g}: expected 1")
     return np.array(numbers) / norm
 
 
@@ -174,9 +174,9 @@ def sigma_given(sigma: float, largest: float) -> float | None:
     if math.isnan(sigma) or sigma == 0.0:
         return None
     if math.isinf(sigma):
-        raise Refused(Reason.NON_FINITE, "sigma holds infinity")
+        raise MessageRejected(Reason.NON_FINITE, "sigma holds infinity")
     if not 0.0 < sigma <= largest:
-        raise Refused(Reason.BAD_COVARIANCE, f"sigma is {sigma:.6g}: expected a positive number up to {largest:.3g}")
+        raise MessageRejected(Reason.BAD_COVARIANCE, f"sigma is {sigma:.6g}: expected a positive number up to {largest:.3g}")
     return float(sigma)
 
 
@@ -191,8 +191,8 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatAr
     """
     try:
         return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes())
-    except Refused as refused:
-        raise Refused(refused.refusal.reason, f"{what} {refused.refusal.text}") from None
+    except MessageRejected as refused:
+        raise MessageRejected(refused.rejection.reason, f"{what} {refused.rejection.text}") from None
 
 
 def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
@@ -206,7 +206,7 @@ def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
         largest = max(covariance.diagonal().tolist())
         if not largest <= LARGEST_VARIANCE:
             text = f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
-            raise Refused(Reason.BAD_COVARIANCE, text)
+            raise MessageRejected(Reason.BAD_COVARIANCE, text)
     return covariance
 
 
@@ -221,20 +221,20 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
     if numbers[0] == NOT_GIVEN or not any(numbers):
         return None
     if not all(map(math.isfinite, numbers)):
-        raise Refused(Reason.NON_FINITE, "holds NaN or infinity")
+        raise MessageRejected(Reason.NON_FINITE, "holds NaN or infinity")
     variances = numbers[::4]
     if min(variances) < 0.0:
-        raise Refused(Reason.BAD_COVARIANCE, f"holds a negative variance: {min(variances):.6g}")
+        raise MessageRejected(Reason.BAD_COVARIANCE, f"holds a negative variance: {min(variances):.6g}")
     # Relative to the sigmas, so that small and large axes are checked equally.
     first, second, third = map(math.sqrt, variances)
     limits = first * second, first * third, second * third
     above, below = (numbers[1], numbers[2], numbers[5]), (numbers[3], numbers[6], numbers[7])
     asymmetry = [abs(one - other) for one, other in zip(above, below, strict=True)]
     if not all(differs <= COVARIANCE_TOLERANCE * limit for differs, limit in zip(asymmetry, limits, strict=True)):
-        raise Refused(Reason.BAD_COVARIANCE, f"is not symmetric: elements differ by {max(asymmetry):.3g}")
+        raise MessageRejected(Reason.BAD_COVARIANCE, f"is not symmetric: elements differ by {max(asymmetry):.3g}")
     xy, xz, yz = beside = [0.5 * one + 0.5 * other for one, other in zip(above, below, strict=True)]
     if not all(abs(one) <= limit * (1.0 + COVARIANCE_TOLERANCE) for one, limit in zip(beside, limits, strict=True)):
-        raise Refused(Reason.BAD_COVARIANCE, "is not positive semidefinite: a correlation exceeds 1")
+        raise MessageRejected(Reason.BAD_COVARIANCE, "is not positive semidefinite: a correlation exceeds 1")
     symmetric = np.array([[variances[0], xy, xz], [xy, variances[1], yz], [xz, yz, variances[2]]])
     if not _clearly_definite(beside, limits):
         symmetric = _without_negative_variance(symmetric, np.array([first, second, third]))
@@ -269,7 +269,7 @@ def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray) -> Floa
     eigenvalues, vectors = np.linalg.eigh(correlation)
     if eigenvalues[0] < -COVARIANCE_TOLERANCE:
         text = f"is not positive semidefinite: eigenvalue {eigenvalues[0]:.3g} of correlations"
-        raise Refused(Reason.BAD_COVARIANCE, text)
+        raise MessageRejected(Reason.BAD_COVARIANCE, text)
     if eigenvalues[0] < 0.0:
         # Rounding errors are accepted, but no filter may receive a negative variance.
         correlation = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
@@ -285,7 +285,7 @@ def ship_rate(angular_velocity: Any) -> FloatArray:
     """
     rate_ros = finite_vector(angular_velocity, "angular_velocity")
     if np.max(np.abs(rate_ros)) > LARGEST_RATE:
-        raise Refused(Reason.UNITS, f"angular_velocity {rate_ros.tolist()}: too large for a ship in rad/s")
+        raise MessageRejected(Reason.UNITS, f"angular_velocity {rate_ros.tolist()}: too large for a ship in rad/s")
     return rate_ros
 
 
@@ -301,7 +301,7 @@ def imu_quaternion(message: Any, accept_unset_covariance: bool) -> FloatArray:
     """
     if message.orientation_covariance[0] == NOT_GIVEN and not accept_unset_covariance:
         text = "orientation_covariance[0] is -1: no orientation is given (sensor_msgs/Imu)"
-        raise Refused(Reason.NOT_GIVEN, f"{text}; if the driver gives one nevertheless, set accept_unset_covariance")
+        raise MessageRejected(Reason.NOT_GIVEN, f"{text}; if the driver gives one nevertheless, set accept_unset_covariance")
     return unit_quaternion(message.orientation)
 
 

@@ -14,7 +14,7 @@ from ship_bags.cdr_template import HEADER, CdrMessage
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Decision
 from ship_estimation.protection import IntegrityConfig, IntegrityReport, IntegrityState
-from ship_estimation.refusals import Reason, Refusal, shortened
+from ship_estimation.refusals import Reason, Rejection, shortened
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -141,11 +141,11 @@ def judged_input(factory: MessageFactory, source: str, decision: Decision[Any]) 
     )
 
 
-def refused_input(
+def rejection_message(
     factory: MessageFactory,
     source: str,
     time_ns: int,
-    refusal: Refusal,
+    rejection: Rejection,
     components: Sequence[str] = (),
     residual: FloatArray = _NOTHING,
     sigma: FloatArray = _NOTHING,
@@ -174,8 +174,8 @@ def refused_input(
         nis=nis,
         gate=float("nan"),
         accepted=False,
-        reason=int(refusal.reason),
-        reason_text=refusal.text,
+        reason=int(rejection.reason),
+        reason_text=rejection.text,
     )
 
 

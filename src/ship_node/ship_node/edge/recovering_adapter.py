@@ -108,8 +108,8 @@ class RecoveringAdapter(BlockAdapter):
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
     ) -> list[Published]:
         """See :class:`ReportingAdapter`; a usable message shows that its source is present."""
-        refusal = None if outcome is None else outcome.refusal
-        if outcome is not None and (refusal is None or refusal.reason in SHOWS_SOURCE):
+        rejection = None if outcome is None else outcome.refusal
+        if outcome is not None and (rejection is None or rejection.reason in SHOWS_SOURCE):
             self._last_usable_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
         return super().told(feed, reading, outcome, receive_ns, waiting_ns)
 

@@ -19,7 +19,7 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import duration_text, ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError, changed
-from ship_estimation.refusals import Reason, Refusal, failure
+from ship_estimation.refusals import Reason, Rejection, failure
 from ship_estimation.told_levels import ToldLevels
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
@@ -27,7 +27,7 @@ from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.blocks import BlockFeed, StampArray
 from ship_node.edge.contested import ContestedInputs, StreamQuantity
 from ship_node.edge.input_health import InputHealthBook
-from ship_node.edge.messages_in import ReadMessage, Refused
+from ship_node.edge.messages_in import ReadMessage, MessageRejected
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
 from ship_node.edge.overload import Overload
 from ship_node.edge.time_base import TimeBase
@@ -41,7 +41,7 @@ OWN_OUTPUTS = (
 )
 """Output topics that every node has for its own state."""
 
-_TAKEN_OUT = Refusal(Reason.OFF, "switched off by sources_off")
+_TAKEN_OUT = Rejection(Reason.OFF, "switched off by sources_off")
 _SLOW_TOPICS = "slow topics"
 _OF_ATTITUDE = (3, 3)
 """Shape of the covariance of an attitude's innovation."""
@@ -197,10 +197,10 @@ class ReportingAdapter(ABC):
         """
         return None
 
-    def rejected_part_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
+    def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
         """Return the ship_msgs/Innovation of a rejected part (a star, a light) of a measurement."""
-        told = Refusal(refusal.reason, f"{name}: {refusal.text}")
-        return messages_out.refused_input(self.factory, source, time_ns, told)
+        text = Rejection(rejection.reason, f"{name}: {rejection.text}")
+        return messages_out.rejection_message(self.factory, source, time_ns, text)
 
     # -- called by the node runtime and the replay ----------------------------------------------------------
 
@@ -217,19 +217,19 @@ class ReportingAdapter(ABC):
             reading = feed.read(message, receive_ns=receive_ns)
             if is_off:
                 return self.set_aside(feed, reading, receive_ns, waiting_ns)
-            refusal = self.check_clock(feed, reading.value.time_ns, receive_ns, waiting_ns)
-            if refusal is not None:
-                raise Refused(refusal.reason, refusal.text)
+            rejection = self.check_clock(feed, reading.value.time_ns, receive_ns, waiting_ns)
+            if rejection is not None:
+                raise MessageRejected(rejection.reason, rejection.text)
             self.see(feed, reading)
             outcome = None if reading.empty else feed.take(reading.value, waiting_ns)
-        except Refused as refused:
-            reason = refused.refusal.reason
+        except MessageRejected as refused:
+            reason = refused.rejection.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
             if reading is None and reason is Reason.FUTURE and not is_off:
                 # A stamp ahead of the node's clock may reveal a step of all clocks.
                 self.check_clock(feed, time_ns, receive_ns, waiting_ns)
-            self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.refusal)
-            return [self.rejection_message(feed.source, time_ns, refused.refusal)]
+            self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.rejection)
+            return [self.rejection_message(feed.source, time_ns, refused.rejection)]
         except Exception:
             # The message has arrived nevertheless; the node runtime reports the exception.
             self.health.arrived(topic, waiting_ns)
@@ -249,14 +249,14 @@ class ReportingAdapter(ABC):
             waiting_ns: receive time by the timeout clock.
         """
         time_ns = reading.value.time_ns
-        refusal = None if outcome is None else outcome.refusal
+        rejection = None if outcome is None else outcome.refusal
         used = not feed.judged or outcome is None
-        self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, refusal, used)
+        self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, rejection, used)
         published: list[Published] = []
         for name, left_out in reading.rejected_parts:
             published.append(self._rejected_part(feed.source, time_ns, name, left_out))
-        if refusal is not None:
-            published.append(self.rejection_message(feed.source, time_ns, refusal))
+        if rejection is not None:
+            published.append(self.rejection_message(feed.source, time_ns, rejection))
         return published if outcome is None else published + self.report_outcome(outcome, receive_ns, waiting_ns)
 
     def see(self, feed: Feed, reading: ReadMessage[Any]) -> None:
@@ -278,7 +278,7 @@ class ReportingAdapter(ABC):
         self.health.contested(topic, text)
         self.core.contest(feed.measured_by or feed.source, "" if self.is_off(topic) else text)
 
-    def check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Refusal | None:
+    def check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Rejection | None:
         """Return why a message with this stamp is rejected, after processing a time step that it reveals."""
         topic, clocks = feed.input.topic, self.time_base
         step_ns = clocks.add_arrival(topic, time_ns, receive_ns, waiting_ns)
@@ -292,9 +292,9 @@ class ReportingAdapter(ABC):
             ahead_ns = clocks.ahead_ns(topic)
             if ahead_ns:
                 text = f"stamp is {duration_text(ahead_ns)} ahead of the other inputs: check the clock of {feed.source}"
-                return Refusal(Reason.FUTURE, text)
+                return Rejection(Reason.FUTURE, text)
         if feed.source.startswith(_STARS) and clocks.is_misdated(time_ns, waiting_ns):
-            return Refusal(Reason.CLOCK, _LEAP_SECOND)
+            return Rejection(Reason.CLOCK, _LEAP_SECOND)
         return None
 
     def is_off(self, topic: str) -> bool:
@@ -333,7 +333,7 @@ class ReportingAdapter(ABC):
         for topic, count in change.cut.items():
             text = f"{count} messages cut: {why}"
             self.health.cut_behind(topic, count, text, waiting_ns)
-            published.append(self.rejection_message(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
+            published.append(self.rejection_message(self.feeds[topic].source, now_ns, Rejection(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
         self.published_levels = ToldLevels()  # those published before do not apply to the next output
         self._invalid_due_ns = waiting_ns
@@ -407,8 +407,8 @@ class ReportingAdapter(ABC):
                 published.append(self._rejected_part(source, time_ns, name, left_out))
             message = messages_out.judged_input(self.factory, source, decision)
             published.append((self.innovation_topic, message))
-        for time_ns, refusal in outcome.failures:
-            published.append(self.failed(self.main_topic, time_ns, refusal))
+        for time_ns, rejection in outcome.failures:
+            published.append(self.failed(self.main_topic, time_ns, rejection))
         for estimate in outcome.estimates if self.behind is None else ():
             self.latest = estimate
             self.budget_due = None if estimate.status is Status.INVALID else estimate
@@ -417,17 +417,17 @@ class ReportingAdapter(ABC):
             published += self._estimate_messages(estimate)
         return published
 
-    def rejection_message(self, source: str, time_ns: int, refusal: Refusal) -> Published:
+    def rejection_message(self, source: str, time_ns: int, rejection: Rejection) -> Published:
         """Return the message about a rejected input."""
-        return self.innovation_topic, messages_out.refused_input(self.factory, source, time_ns, refusal)
+        return self.innovation_topic, messages_out.rejection_message(self.factory, source, time_ns, rejection)
 
-    def failed(self, what: str, time_ns: int, refusal: Refusal) -> Published:
+    def failed(self, what: str, time_ns: int, rejection: Rejection) -> Published:
         """Record that an output could not be computed and return the message about it."""
-        self.health.failed(f"{what}: {refusal.text}")
-        return self.rejection_message(what, time_ns, refusal)
+        self.health.failed(f"{what}: {rejection.text}")
+        return self.rejection_message(what, time_ns, rejection)
 
-    def _rejected_part(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Published:
-        return self.innovation_topic, self.rejected_part_message(source, time_ns, name, refusal)
+    def _rejected_part(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Published:
+        return self.innovation_topic, self.rejected_part_message(source, time_ns, name, rejection)
 
     # -- the node itself ------------------------------------------------------------------------------------
 
@@ -469,7 +469,7 @@ class ReportingAdapter(ABC):
             return []
         self._invalid_due_ns = waiting_ns + _SECOND_NS
         text = self.behind.text(self.node_name)
-        published = [self.rejection_message(self.node_name, now_ns, Refusal(Reason.BEHIND, text))]
+        published = [self.rejection_message(self.node_name, now_ns, Rejection(Reason.BEHIND, text))]
         invalid = self.no_output(now_ns, text)
         if invalid is not None:
             self.latest, self.budget_due = invalid, None

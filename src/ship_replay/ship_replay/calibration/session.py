@@ -44,13 +44,13 @@ class InputCount:
     """
 
     used: int
-    refused: int
+    rejected_count: int
     reasons: dict[str, int]
 
     @property
     def improbable(self) -> int:
         """Number of messages rejected as improbable."""
-        return min(self.refused, sum(self.reasons.get(reason, 0) for reason in _IMPROBABLE))
+        return min(self.rejected_count, sum(self.reasons.get(reason, 0) for reason in _IMPROBABLE))
 
     @property
     def words(self) -> str:

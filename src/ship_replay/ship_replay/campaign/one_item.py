@@ -78,7 +78,7 @@ def _told(evaluation: Evaluation, summary: ReplaySummary) -> Result:
         "errors": {errors.label: _statistics(errors) for errors in evaluation.errors},
         "values": _plain(evaluation.flat()),
         "statuses": {topic: dict(sorted(course.counts.items())) for topic, course in sorted(summary.statuses.items())},
-        "refused": {topic: dict(sorted(reasons.items())) for topic, reasons in sorted(summary.refused.items())},
+        "refused": {topic: dict(sorted(reasons.items())) for topic, reasons in sorted(summary.rejected.items())},
     }
 
 

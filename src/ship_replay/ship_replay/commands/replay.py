@@ -122,7 +122,7 @@ def _report(options: argparse.Namespace) -> None:
 def _print(summary: ReplaySummary) -> None:
     print(f"in:  {_counts(summary.inputs)}")
     print(f"out: {_counts(summary.outputs)}")
-    for topic, reasons in sorted(summary.refused.items()):
+    for topic, reasons in sorted(summary.rejected.items()):
         print(f"rejected: {topic}: {_counts(reasons)}")
     for topic, reasons in sorted(summary.noted.items()):
         print(f"noted: {topic}: {_counts(reasons)}")

@@ -19,7 +19,7 @@ from ship_bags.parameter_yaml import anywhere
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import namespace_of_outputs, relative_topics
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, attitude_sources
 from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, SourceInnovations
@@ -106,7 +106,7 @@ class Evaluation:
         return json.dumps(values, indent=1) + "\n"
 
 
-class RefusedMessages:
+class MalformedMessages:
     """Malformed messages excluded from an evaluation, by topic."""
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class RefusedMessages:
         """Add a message to the collector of its topic; record it if it is malformed."""
         try:
             take(message)
-        except Refused as refused:
+        except MessageRejected as refused:
             self._texts.setdefault(topic, []).append(str(refused))
 
     def lines(self) -> list[str]:
@@ -160,8 +160,8 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     star = _config(bags, StarAttitudeConfig, "star_attitude")
     theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
     collectors = attitude_sources(_truths(named), ship, star, theodolite)
-    refused = RefusedMessages()
-    targets = _true_targets(named, refused)
+    malformed = MalformedMessages()
+    targets = _true_targets(named, malformed)
     innovations = InnovationBook()
     last: dict[str, BagRecord] = {}
     for candidate, topics in _reading_plan(named, bag, [*collectors, *_RESULTS, TARGET_DIRECTION]):
@@ -170,17 +170,17 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
             if topic in _INNOVATION_TOPICS:
                 innovations.add(record.decode())
             elif topic == TARGET_DIRECTION:
-                refused.offer(topic, targets.take, record.decode())
+                malformed.offer(topic, targets.take, record.decode())
             elif topic in _ESTIMATES:
                 last[_ESTIMATES[topic]] = record
             else:
-                refused.offer(topic, collectors[topic].take, record.decode())
+                malformed.offer(topic, collectors[topic].take, record.decode())
     start_ns = bag.start_ns or 0
     skip_to_ns = start_ns + round(skip_s * NS_PER_S)
     found = [errors for source in collectors.values() for errors in source.errors()]
     errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]
     problems = [problem for candidate in bags for problem in candidate.problems]
-    problems += [*refused.lines(), *_missing_source_lines(collectors, errors)]
+    problems += [*malformed.lines(), *_missing_source_lines(collectors, errors)]
     if not errors and not innovations.sources and not last:
         raise BadInput(
             "nothing to evaluate: expected topics "
@@ -245,13 +245,13 @@ def _truths(named: _Named) -> dict[str, Truth]:
     return truths
 
 
-def _true_targets(named: _Named, refused: RefusedMessages) -> TargetDirections:
+def _true_targets(named: _Named, malformed: MalformedMessages) -> TargetDirections:
     """Return targets with the truth of the first bag that contains any."""
     targets = TargetDirections()
     for bag, names in named.items():
         if TARGET_TRUTH in names and not len(targets):
             for record in bag.records({names[TARGET_TRUTH]}):
-                refused.offer(TARGET_TRUTH, targets.add_truth, record.decode())
+                malformed.offer(TARGET_TRUTH, targets.add_truth, record.decode())
     return targets
 
 

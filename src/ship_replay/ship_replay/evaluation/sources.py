@@ -17,7 +17,7 @@ from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 from ship_replay.evaluation.statistics import AttitudeErrors, attitude_errors
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
@@ -139,7 +139,7 @@ class PublishedAttitude(AttitudeSource):
                 ("rotation_covariance", message.rotation_covariance),
             ):
                 if np.any(np.isinf(numbers)):
-                    raise Refused(Reason.NON_FINITE, f"{what} is infinite")
+                    raise MessageRejected(Reason.NON_FINITE, f"{what} is infinite")
             covariance_n = _total_covariance_n(message, angles[0], angles[1])
             self._keep(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
 

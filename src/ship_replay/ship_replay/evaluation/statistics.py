@@ -184,12 +184,12 @@ class SourceInnovations:
     """
 
     compared: dict[int, Judged] = field(default_factory=dict)
-    refused: Counter[str] = field(default_factory=Counter)
+    rejected: Counter[str] = field(default_factory=Counter)
 
     def since(self, start_ns: int) -> "SourceInnovations":
         """Return the innovations stamped at or after a time; the rejections remain those of the whole run."""
         kept = {stamp_ns: value for stamp_ns, value in self.compared.items() if stamp_ns >= start_ns}
-        return SourceInnovations(kept, self.refused)
+        return SourceInnovations(kept, self.rejected)
 
     def components(self) -> list[str]:
         """Return the names of all components, in order of their first occurrence."""
@@ -208,7 +208,7 @@ class SourceInnovations:
 
     def statistics(self) -> dict[str, float]:
         """Return quantity → value: counts, mean and standard deviation of each residual, NIS."""
-        values = {"accepted": float(len(self.compared)), "refused": float(sum(self.refused.values()))}
+        values = {"accepted": float(len(self.compared)), "refused": float(sum(self.rejected.values()))}
         for name in self.components():
             _, residual, sigma = self.series(name)
             if len(residual):
@@ -243,7 +243,7 @@ class InnovationBook:
             source.compared[stamp_ns] = Judged(axes, residual, sigma, float(message.nis))
             return
         if not message.accepted:
-            source.refused[reason_name(message)] += 1
+            source.rejected[reason_name(message)] += 1
             if message.reason == message.GATE or message.reason == message.REVISED:
                 # A later decision on a measurement that was accepted at first.
                 source.compared.pop(stamp_ns, None)

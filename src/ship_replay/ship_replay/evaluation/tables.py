@@ -95,7 +95,7 @@ def innovation_table(evaluation: Evaluation) -> Table:
         table.add_column(column, justify="right")
     for source, innovations in evaluation.innovations.items():
         values = innovations.statistics()
-        reasons = ", ".join(f"{name} {count}" for name, count in sorted(innovations.refused.items()))
+        reasons = ", ".join(f"{name} {count}" for name, count in sorted(innovations.rejected.items()))
         share = values.get("nis_windows_in_band")
         per_source = [
             f"{values['nis_mean']:.2f} ({values['nis_degrees']:.3g})" if "nis_mean" in values else "-",

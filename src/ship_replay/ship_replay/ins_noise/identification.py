@@ -116,9 +116,9 @@ class Identification:
                 "sensors' own noise hides it, or their messages state too much noise"
             )
         used = len(session.pairs)
-        if session.refused > _EXPECTED_REFUSED * (used + session.refused):
+        if session.rejected_count > _EXPECTED_REFUSED * (used + session.rejected_count):
             lines.append(
-                f"{session.refused} of {used + session.refused} star measurements were not used: see replay --report"
+                f"{session.rejected_count} of {used + session.rejected_count} star measurements were not used: see replay --report"
             )
         if not session.config.gravity.is_modelled:
             lines.append("gravity.deflection is none: the deflection of the vertical is part of the error found")

@@ -68,7 +68,7 @@ class StarComparisons:
     """
 
     found: dict[tuple[str, int], StarPair] = field(default_factory=dict)
-    refused: set[tuple[str, int]] = field(default_factory=set)
+    rejected: set[tuple[str, int]] = field(default_factory=set)
 
     def take(self, core: ShipAttitudeCore, decisions: Iterable[AttitudeDecision]) -> None:
         """Add the decisions of a node; a revised decision replaces the earlier one."""
@@ -79,10 +79,10 @@ class StarComparisons:
         measurement = decision.measurement
         key = measurement.source, measurement.time_ns
         self.found.pop(key, None)
-        self.refused.discard(key)
+        self.rejected.discard(key)
         linearised = core.linearised(measurement) if decision.accepted else None
         if linearised is None:
-            self.refused.add(key)
+            self.rejected.add(key)
             return
         assert core.vertical is not None
         linear, here = linearised.compared.linear, core.vertical.at(measurement.time_ns)
@@ -113,7 +113,7 @@ class NoiseSession:
     model: ShipStateModel
     pairs: list[StarPair]
     common_n: Mapping[str, FloatArray]
-    refused: int
+    rejected_count: int
     problems: list[str]
 
 
@@ -122,7 +122,7 @@ def noise_session(
 ) -> NoiseSession:
     """Return the session of a core that has processed a whole bag."""
     pairs = sorted(comparisons.found.values(), key=lambda pair: (pair.time_ns, pair.source))
-    return NoiseSession(name, config, core.filter.model, pairs, dict(core.state.common_n), len(comparisons.refused), problems)
+    return NoiseSession(name, config, core.filter.model, pairs, dict(core.state.common_n), len(comparisons.rejected), problems)
 
 
 def run_session(
@@ -175,7 +175,7 @@ def run_session(
         unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
         problems = [*left_out, *bag.problems, *unread]
         if not comparisons.found:
-            counts = f"{len(comparisons.refused)} received, all rejected" if comparisons.refused else "none received"
+            counts = f"{len(comparisons.rejected)} received, all rejected" if comparisons.rejected else "none received"
             raise BadInput(f"no star measurement was used ({counts}): the INS error is not observable", file=bag.path)
         return noise_session(bag_path.name, adapter.configured, adapter.core, comparisons, problems)
 

@@ -224,7 +224,7 @@ class _BoxReplay:
             self._compare_values(f"~/{event.name}", time_ns, "success", event.success, success)
             self._compare_values(f"~/{event.name}", time_ns, "message", event.message, message)
         elif isinstance(event, ParametersChanged):
-            refused = self._call("parameters", time_ns, lambda: _refusal(adapter, event))
+            refused = self._call("parameters", time_ns, lambda: _parameter_error(adapter, event))
             self._compare_values("parameters", time_ns, "refused", event.refused, refused)
         elif isinstance(event, ChangeRefused):
             self._result.used["parameters refused"] += 1
@@ -303,7 +303,7 @@ class _BoxReplay:
             self._awaited.clear()
 
 
-def _refusal(adapter: Adapter, event: ParametersChanged) -> str | None:
+def _parameter_error(adapter: Adapter, event: ParametersChanged) -> str | None:
     """Return the adapter's error about live parameters; None if it accepts them."""
     try:
         adapter.set_parameters(event.changes)

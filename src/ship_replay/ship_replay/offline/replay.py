@@ -103,7 +103,7 @@ def _tell_of_node(
             summary.reasons += reasons_for(course, adapter, config, summary.times, health)
     for topic, counts in adapter.health.refused_and_noted().items():
         name = topic if is_alone else f"{adapter.node_name}: {topic}"
-        for kept, reasons in zip((summary.refused, summary.noted), counts, strict=True):
+        for kept, reasons in zip((summary.rejected, summary.noted), counts, strict=True):
             if reasons:
                 kept[name] = {reason.word: count for reason, count in reasons.items()}
 

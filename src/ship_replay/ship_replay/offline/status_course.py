@@ -181,12 +181,12 @@ def hardly_used(health: Any) -> str:
         return f"no messages on '{health.topic}'"
     if 2 * health.accepted > health.received:
         return ""
-    reason, count = most_frequent_refusal(health)
+    reason, count = most_frequent_rejection(health)
     told = f", {count} times for {reason}" if reason else ""
     return f"of {health.received} messages on '{health.topic}' {health.accepted} were used{told}"
 
 
-def most_frequent_refusal(health: Any) -> tuple[str, int]:
+def most_frequent_rejection(health: Any) -> tuple[str, int]:
     """Return the most frequent rejection reason of an input and its count; empty and 0 for none."""
     counts = dict(zip(health.reasons, map(int, health.reason_counts), strict=True))
     counts.pop(_NOTED, None)

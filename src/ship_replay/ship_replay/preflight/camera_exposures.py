@@ -15,9 +15,9 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import StarExposure, identified
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 
 _FEWEST_PAIRS = 5
 _LEAST_PAIR_ANGLE = np.deg2rad(0.2)
@@ -97,10 +97,10 @@ def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, watc
     for message, receive_ns in record.messages:
         try:
             exposure = star_exposure(message, sensor_id, "", geometry, camera, watch.catalogue, receive_ns).value
-        except Refused:
+        except MessageRejected:
             continue
         moment = watch.at(exposure.time_ns)
-        if isinstance(moment, Refusal):
+        if isinstance(moment, Rejection):
             continue
         if axes is not AS_EXPECTED:
             exposure = replace(exposure, directions_s=exposure.directions_s @ axes.expected_s.T)
@@ -128,7 +128,7 @@ def _angle_ratio(exposures: list[StarExposure], watch: SkyWatch) -> float | None
         if len(named) < 2:
             continue
         moment = watch.at(named.time_ns)
-        assert not isinstance(moment, Refusal)
+        assert not isinstance(moment, Rejection)
         places_n = moment.apparent(named.positions).direction_n
         first, second = np.triu_indices(len(named), 1)
         true = angle_between(places_n[first], places_n[second])

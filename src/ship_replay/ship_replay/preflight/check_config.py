@@ -61,7 +61,7 @@ class CheckedNode:
     file: ParameterFile
     config: Any
     adapter: Adapter
-    refused: frozenset[str] = frozenset()
+    replaced_parameters: frozenset[str] = frozenset()
 
     def place(self, path: Path, parameter: str) -> str:
         """Return file and line of a parameter or its nearest group; only the file if it contains neither."""

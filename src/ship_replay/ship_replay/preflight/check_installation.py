@@ -75,7 +75,7 @@ def check_installation(check: BagCheck) -> None:
         for is_error, parameter, text in _contradictions(mountings, node.config, check.bag):
             said = f"{node.place(check.path, parameter)}: {text}"
             # Replaced values are already reported.
-            if said not in told and parameter not in node.refused:
+            if said not in told and parameter not in node.replaced_parameters:
                 told.add(said)
                 check.say(is_error, said)
 

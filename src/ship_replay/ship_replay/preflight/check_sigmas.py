@@ -13,7 +13,7 @@ from ship_estimation.refusals import Reason
 from ship_estimation.verdicts import InnovationDiagnosis, DiagnosisKind
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_node.edge.ins_messages import ins_sample
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 
@@ -116,7 +116,7 @@ def _contradicts_ins(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
             break
         try:
             sample = ins_sample(record.decode(), node.config.ins, record.log_time_ns).value
-        except (Refused, BadInput):
+        except (MessageRejected, BadInput):
             continue
         if sample.rate_d is not None:
             times.append(sample.time_ns)

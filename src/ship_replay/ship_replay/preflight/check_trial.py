@@ -11,7 +11,7 @@ from ship_node.edge.blocks import StampArray
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.replay_run import ReplaySummary
-from ship_replay.offline.status_course import hardly_used, most_frequent_refusal
+from ship_replay.offline.status_course import hardly_used, most_frequent_rejection
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 from ship_replay.preflight.check_sigmas import check_sigmas
 
@@ -97,7 +97,7 @@ def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> N
         line = hardly_used(health) if health.received >= _FEWEST else ""
         if not line:
             continue
-        word = most_frequent_refusal(health)[0]
+        word = most_frequent_rejection(health)[0]
         said = f"{check.bag.path}: {span}{node.adapter.node_name}: {line}"
         if not health.accepted and word in _words(_OF_THE_CONFIGURATION):
             check.findings.errors.append(said)
@@ -105,7 +105,7 @@ def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> N
             check.findings.warnings.append(said)
         else:
             share = f" ({100.0 * health.rejected / health.received:.0f} % not used)"
-            check.findings.unused.append(said + share + _reason_and_advice(records[health.topic].last_refusal, word))
+            check.findings.unused.append(said + share + _reason_and_advice(records[health.topic].last_rejection, word))
 
 
 def _words(reasons: Sequence[Reason]) -> Iterator[str]:

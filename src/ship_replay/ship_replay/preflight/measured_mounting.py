@@ -22,10 +22,10 @@ from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.stamps import NS_PER_S, stamp_of_bytes
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.ins_messages import ins_sample
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 from ship_replay.preflight.attitude_tracks import ENCODER_TOPIC, AttitudeTracks, offset_ns
 from ship_replay.preflight.camera_exposures import CameraRecord
 from ship_replay.preflight.measured_camera import MeasuredCamera, measure_camera
@@ -165,7 +165,7 @@ def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, 
             tracks.ship.insert(replace(mount_messages_in.ship_attitude(message, config, receive_ns).value, rate_d=None))
         elif watch is not None:
             watch.surroundings.insert(surroundings_reader(topic, config.sky)(message, receive_ns=receive_ns).value)
-    except (Refused, BadInput):
+    except (MessageRejected, BadInput):
         return
 
 
@@ -197,7 +197,7 @@ def _attitudes(
                 measurement = in_horizon(inertial, watch)
             else:
                 measurement = star_measurement(message, id_, device, receive_ns).value
-        except Refused:
+        except MessageRejected:
             continue
-        if not isinstance(measurement, Refusal):
+        if not isinstance(measurement, Rejection):
             yield measurement.time_ns, measurement.rotation_nv

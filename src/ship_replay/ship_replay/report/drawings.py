@@ -77,7 +77,7 @@ def svg(figure: Figure, name: str) -> str:
 def source_colours(night: Night, evaluation: Evaluation) -> dict[str, str]:
     """Return one colour for each source, the same in all figures of a report."""
     named = [errors.label for errors in evaluation.errors]
-    named += [*evaluation.innovations, *(source_of(refusal.source) for refusal in night.refusals)]
+    named += [*evaluation.innovations, *(source_of(refusal.source) for refusal in night.rejections)]
     first = [name for name in _FIRST_SOURCES if name in named]
     names = [*first, *sorted({*named} - {*first})]
     return {name: _SOURCE_COLOURS[number % len(_SOURCE_COLOURS)] for number, name in enumerate(names)}
@@ -184,10 +184,10 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
     return svg(figure, "budget-" + topic.partition("/")[0])
 
 
-def refusals_svg(night: Night, colours: Mapping[str, str]) -> str:
+def rejections_svg(night: Night, colours: Mapping[str, str]) -> str:
     """Return the times at which measurements were not used: one row per source, one bar per second."""
     rows: dict[str, set[int]] = {}
-    for refusal in night.refusals:
+    for refusal in night.rejections:
         if not refusal.is_note:
             rows.setdefault(f"{refusal.source} ({refusal.by})", set()).add(refusal.utc_ns // NS_PER_S)
     if not rows:
@@ -262,7 +262,7 @@ def thin_innovations(part: SourceInnovations) -> SourceInnovations:
     values = np.array(residuals)
     worst, least = np.fmax.reduceat(np.abs(values), starts), np.fmin.reduceat(values, starts)
     kept = thinned(np.column_stack([worst, least]), MOST_POINTS)
-    return SourceInnovations({stamp: part.compared[stamp] for stamp in stamps[kept].tolist()}, part.refused)
+    return SourceInnovations({stamp: part.compared[stamp] for stamp in stamps[kept].tolist()}, part.rejected)
 
 
 def _budget_colours(points: Sequence[BudgetPoint]) -> dict[str, str]:

@@ -57,7 +57,7 @@ class AlertTold:
 
 
 @dataclass(frozen=True)
-class RefusalTold:
+class Rejection:
     """A measurement that was not used: source, reason, and whether the node or the filter rejected it.
 
     A note is no rejection: the measurement was used.
@@ -112,7 +112,7 @@ class Night:
     events: list[Event] = field(default_factory=list)
     alerts: list[AlertTold] = field(default_factory=list)
     alerts_are_recorded: bool = False
-    refusals: list[RefusalTold] = field(default_factory=list)
+    rejections: list[Rejection] = field(default_factory=list)
     budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
     before: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
     after: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
@@ -276,7 +276,7 @@ class _Reading:
     def _note_innovation(self, message: Any) -> None:
         if not message.accepted:
             stamp_ns = ns_from_stamp(message.header.stamp)
-            self._night.refusals.append(RefusalTold(stamp_ns, str(message.source), reason_name(message), "filter"))
+            self._night.rejections.append(Rejection(stamp_ns, str(message.source), reason_name(message), "filter"))
 
     def _note_health(self, message: Any) -> None:
         """Record rejections and notes from input_health.
@@ -292,7 +292,7 @@ class _Reading:
             self._counts[topic, str(reason)] = int(count)
             more = int(count) - (before if count >= before else 0)
             if more:
-                self._night.refusals.append(RefusalTold(stamp_ns, topic, str(reason), "node", more, is_note))
+                self._night.rejections.append(Rejection(stamp_ns, topic, str(reason), "node", more, is_note))
 
     def _note_recorded(self, picture: Picture) -> None:
         """Record the changes of published alerts."""

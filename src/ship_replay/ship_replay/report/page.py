@@ -14,11 +14,11 @@ from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT
 from ship_node.black_box.versions import LIBRARIES, SUITE_PACKAGES, package_versions
 from ship_replay.report.consistency import consistency
-from ship_replay.report.drawings import budget_svg, errors_svg, refusals_svg, source_colours, status_svg
+from ship_replay.report.drawings import budget_svg, errors_svg, rejections_svg, source_colours, status_svg
 from ship_replay.report.event_groups import event_rows
 from ship_replay.report.night import Night
 from ship_replay.report.summary import summary
-from ship_replay.report.tables import before_after, outage_rows, refusal_rows, shares
+from ship_replay.report.tables import before_after, outage_rows, rejection_rows, shares
 from ship_replay.report.told import ToldNight
 from ship_replay.report.wording import duration, number, utc
 
@@ -52,7 +52,7 @@ def page(told: ToldNight) -> str:
     drawn = _drawn({
         "status": partial(status_svg, night, [row.from_ns // NS_PER_S for row in events]),
         "errors": partial(errors_svg, evaluation, colours),
-        "refusals": partial(refusals_svg, night, colours),
+        "refusals": partial(rejections_svg, night, colours),
         **{topic: partial(budget_svg, topic, points, start_ns) for topic, points in sorted(night.budgets.items())},
     })
     return render(
@@ -75,7 +75,7 @@ def page(told: ToldNight) -> str:
         drawn_errors=drawn["errors"],
         budgets=[(topic, drawn[topic]) for topic in sorted(night.budgets)],
         alignment=[(topic, before_after(night.before[topic], night.after[topic])) for topic in sorted(night.after)],
-        refusals=refusal_rows(night),
+        refusals=rejection_rows(night),
         refusal_drawing=drawn["refusals"],
         suite={name: data.decode(errors="replace") for name, data in sorted(night.attachments.items())
                if name.endswith((".yaml", ".yml"))},

@@ -16,7 +16,7 @@ from ship_replay.report.pair_tables import (
     difference_rows,
     error_rows,
     only_one_has,
-    refusal_rows_of_both,
+    rejection_rows_of_both,
 )
 from ship_replay.report.pair_verdict import pair_verdict
 from ship_replay.report.pair_warnings import pair_warnings
@@ -74,7 +74,7 @@ def pair_page(pair: Pair) -> str:
         alignment=alignment_tables(pair),
         alerts=alerts_only_one_has(pair),
         events=only_one_has(pair),
-        refusals=refusal_rows_of_both(pair),
+        refusals=rejection_rows_of_both(pair),
         parameters=parameters,
         texts=text_differences(a, b),
         only_topics=[(letter, sorted(mine.keys() - others.keys()))

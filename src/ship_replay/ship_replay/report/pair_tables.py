@@ -208,9 +208,9 @@ def alerts_only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
     ], both
 
 
-def refusal_rows_of_both(pair: Pair) -> list[dict[str, str]]:
+def rejection_rows_of_both(pair: Pair) -> list[dict[str, str]]:
     """Return a row for each source, place and reason: counts in A and in B; rejections before notes."""
-    a, b = (_refusals(night) for night in pair.nights)
+    a, b = (_rejection_counts(night) for night in pair.nights)
     return [
         {
             "source": key[1], "by": key[2], "reason": key[3] + (" (note: used)" if key[0] else ""),
@@ -267,9 +267,9 @@ def _alignment_row(
     return row
 
 
-def _refusals(night: Night) -> Counter[tuple[bool, str, str, str]]:
+def _rejection_counts(night: Night) -> Counter[tuple[bool, str, str, str]]:
     counts: Counter[tuple[bool, str, str, str]] = Counter()
-    for refusal in night.refusals:
+    for refusal in night.rejections:
         counts[refusal.is_note, refusal.source, refusal.by, refusal.reason] += refusal.count
     return counts
 

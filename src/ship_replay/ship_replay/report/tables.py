@@ -103,11 +103,11 @@ def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShow
     return rows
 
 
-def refusal_rows(night: Night) -> list[dict[str, str]]:
+def rejection_rows(night: Night) -> list[dict[str, str]]:
     """Return a row for each source, place and reason: count, first and last time; rejections before notes."""
     counts: Counter[tuple[bool, str, str, str]] = Counter()
     times: dict[tuple[bool, str, str, str], tuple[int, int]] = {}
-    for refusal in night.refusals:
+    for refusal in night.rejections:
         key = refusal.is_note, refusal.source, refusal.by, refusal.reason
         first, last = times.get(key, (refusal.utc_ns, refusal.utc_ns))
         counts[key] += refusal.count

@@ -70,18 +70,18 @@ class FinalError:
     angles: FloatArray
     sigma: FloatArray
     nees: float
-    refused: int
+    rejected_count: int
 
 
 def final_error(scenario: Scenario, seed: int) -> FinalError:
     """Simulate a run, filter it, and return the error at the last INS sample."""
     run = simulate(scenario, seed)
-    estimate, refused = feed_attitude(core_for(scenario), run)
-    return error_at_end(run, seed, estimate.rotation_nd, estimate.covariance_n, refused)
+    estimate, rejected_count = feed_attitude(core_for(scenario), run)
+    return error_at_end(run, seed, estimate.rotation_nd, estimate.covariance_n, rejected_count)
 
 
 def error_at_end(
-    run: SimulatedRun, seed: int, rotation_nd: FloatArray, covariance_n: FloatArray, refused: int = 0
+    run: SimulatedRun, seed: int, rotation_nd: FloatArray, covariance_n: FloatArray, rejected_count: int = 0
 ) -> FinalError:
     """Return the error of an attitude at the last INS sample of a run.
 
@@ -97,7 +97,7 @@ def error_at_end(
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
     sigma = np.sqrt(np.diagonal(to_angles @ covariance_n @ to_angles.T))
     nees = float(normalized_error_squared(error_n, covariance_n))
-    return FinalError(seed, to_angles @ error_n, sigma, nees, refused)
+    return FinalError(seed, to_angles @ error_n, sigma, nees, rejected_count)
 
 
 def core_for(scenario: Scenario) -> ShipAttitudeCore:
@@ -108,14 +108,14 @@ def core_for(scenario: Scenario) -> ShipAttitudeCore:
 
 def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEstimate, int]:
     """Process a run with a core, in order of arrival; return the last estimate and the number of rejections."""
-    estimate, refused = None, 0
+    estimate, rejected_count = None, 0
     for outcome in attitude_outcomes(core, run, {int(run.ins.time_ns[-1])}):
-        refused += (outcome.refusal is not None) + sum(not decision.accepted for decision in outcome.decisions)
+        rejected_count += (outcome.rejection is not None) + sum(not decision.accepted for decision in outcome.decisions)
         if outcome.estimates:
             estimate = outcome.estimates[-1]
     if estimate is None:
         raise ValueError("the run holds no INS sample that the core used")
-    return estimate, refused
+    return estimate, rejected_count
 
 
 def attitude_outcomes(
@@ -267,7 +267,7 @@ class PointingErrors:
     mode: np.ndarray
     ins_encoder: FloatArray
     sightings: int
-    refused: int
+    rejected_count: int
 
     @property
     def on_sky(self) -> FloatArray:
@@ -287,7 +287,7 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
     """Simulate a session, filter it, and return the errors wherever a pointing is valid."""
     run = simulate(scenario, seed)
     core = pointing_core_for(scenario)
-    estimates, sightings, refused = feed_pointing(core, run)
+    estimates, sightings, rejected_count = feed_pointing(core, run)
     theodolite, start_ns = theodolite_of(run), run.start_ns
     truth = theodolite.truth
     rows = {int(stamp): row for row, stamp in enumerate(theodolite.encoder.time_ns[truth.encoder_index])}
@@ -303,7 +303,7 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
         mode=np.array([found.mode for found in kept], dtype=Mode),
         ins_encoder=_ins_encoder_errors(run)[kept_rows],
         sightings=sightings,
-        refused=refused,
+        rejected_count=rejected_count,
     )
 
 
@@ -340,13 +340,13 @@ def _ins_encoder_errors(run: SimulatedRun) -> FloatArray:
 def feed_pointing(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[PointingEstimate], int, int]:
     """Process a run with a core, in order of arrival; return pointings, exposures used, and number of rejections."""
     estimates: list[PointingEstimate] = []
-    sightings = refused = 0
+    sightings = rejected_count = 0
     for outcome in pointing_outcomes(core, run):
         accepted = sum(decision.accepted for decision in outcome.decisions)
         sightings += accepted
-        refused += (outcome.refusal is not None) + len(outcome.decisions) - accepted
+        rejected_count += (outcome.rejection is not None) + len(outcome.decisions) - accepted
         estimates += outcome.estimates
-    return estimates, sightings, refused
+    return estimates, sightings, rejected_count
 
 
 def pointing_outcomes(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:

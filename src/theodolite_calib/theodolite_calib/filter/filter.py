@@ -70,7 +70,7 @@ class CalibrationState:
     separation: FloatArray
     ship_covariance_n: FloatArray | None = None
     refusals: int = 0
-    refused_for: str = ""
+    rejection_text: str = ""
     used_ns: int | None = None
     light_count: int = 0
     stars_ns: int | None = None

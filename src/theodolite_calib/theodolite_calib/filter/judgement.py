@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.lights.image import Camera
@@ -60,7 +60,7 @@ class SightingJudge:
         if self._passes(comparison):
             return self._acceptance(exposure, sighting, comparison)
         if len(sighting.names) == 1:
-            return Judgement(self._disagreement(exposure, sighting, comparison))
+            return Judgement(self._gate_rejection(exposure, sighting, comparison))
         return self._look_closer(state, sighting, exposure, comparison)
 
     def _passes(self, comparison: Comparison) -> bool:
@@ -87,7 +87,7 @@ class SightingJudge:
             text = _angles_text(sighting, camera, prediction.lines)
             decision = self._decision(exposure, sighting, comparison)
             return Judgement(replace(decision, reason=Reason.LIGHT_CONFLICT, text=text))
-        decision = self._disagreement(exposure, sighting, comparison)
+        decision = self._gate_rejection(exposure, sighting, comparison)
         if not check.attitude.solved:
             return Judgement(decision)
         sigma = float(np.sqrt(np.max(np.diagonal(check.attitude.covariance_n))))
@@ -126,8 +126,8 @@ class SightingJudge:
             return None
         _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
         judgement = self._acceptance(exposure, others, comparison)
-        refused = sighting.names[row], Refusal(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it")
-        return replace(judgement, decision=replace(judgement.decision, left_out=(refused,)))
+        rejected = sighting.names[row], Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it")
+        return replace(judgement, decision=replace(judgement.decision, left_out=(rejected,)))
 
     def _acceptance(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
         """Return the decision for a sighting that passes the gate."""
@@ -141,7 +141,7 @@ class SightingJudge:
         )
         return Judgement(decision, sighting, comparison)
 
-    def _disagreement(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
+    def _gate_rejection(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
         """Return the decision for beacons that are inconsistent with encoders and ship."""
         decision = self._decision(exposure, sighting, comparison)
         return replace(decision, text=f"NIS {decision.nis:.1f} exceeds gate {decision.gate:.1f}")

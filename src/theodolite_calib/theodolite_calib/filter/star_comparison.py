@@ -23,7 +23,7 @@ from ship_attitude_star.stars.scale_check import learned_contradiction
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.hypotheses import FilterInnovations, compare_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import axis_chain
 from theodolite_calib.chain.parallelism import telescope_from_main
@@ -122,7 +122,7 @@ class StarModel:
         prior: StarPrior,
         watch: SkyWatch,
         near_ns: FloatArray | None = None,
-    ) -> StarResiduals | Refusal:
+    ) -> StarResiduals | Rejection:
         """Return the residuals of the stars against the camera's attitude; see :func:`star_residuals`."""
         to_camera = camera.rotation_ns.T @ camera.turn_n
         stars = star_residuals(
@@ -136,11 +136,11 @@ class StarModel:
             near_ns,
             self._lens_rows[sighting.camera_id],
         )
-        if not isinstance(stars, Refusal):
+        if not isinstance(stars, Rejection):
             stars.jacobian[:] *= self._in_sigmas
         return stars
 
-    def optics_rejection(self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting) -> Refusal | None:
+    def optics_rejection(self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting) -> Rejection | None:
         """Return the rejection of an exposure that moves the focal length far from the configured one, or None.
 
         Args:
@@ -157,7 +157,7 @@ class StarModel:
 
     def compare(
         self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, watch: SkyWatch
-    ) -> StarComparison | Refusal:
+    ) -> StarComparison | Rejection:
         """Compare an exposure with a state propagated to its time, or return the reason why no star of it is usable.
 
         The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the least
@@ -176,7 +176,7 @@ class StarModel:
         prior, reached, near_ns = camera.prior(covariance), mean, None
         for _ in range(_STEPS):
             stars = self.residuals(camera, reached, sighting, prior, watch, near_ns)
-            if isinstance(stars, Refusal):
+            if isinstance(stars, Rejection):
                 return stars
             measurement = self._measurement(camera, stars, reached - mean)
             innovations = compare_rows(mean[None], covariance[None], measurement, mean, stars.by_turn)

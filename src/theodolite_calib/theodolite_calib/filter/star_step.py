@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import CHAIN
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -54,7 +54,7 @@ class StarStep:
         sighting = replace(sighting, exposure=exposure)
         try:
             found = self._filter.stars.compare(predicted.mean, predicted.covariance, sighting, self._watch)
-            if not isinstance(found, Refusal):
+            if not isinstance(found, Rejection):
                 return self._compared(state, predicted, sighting, found)
         except np.linalg.LinAlgError:
             found = singular_covariance()
@@ -79,7 +79,7 @@ class StarStep:
             noise=measurement.noise,
             nis=nis,
             gate=gate,
-            rejected_parts=found.stars.refused,
+            rejected_parts=found.stars.rejected,
         )
         # Written so that NaN fails.
         if not nis <= gate:

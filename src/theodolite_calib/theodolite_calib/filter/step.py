@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ship_estimation.exclusion import ExcludedSource
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.protection import Factors, IntegrityConfig, factors, separation_sigma
-from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, Alternatives, light_compared
@@ -83,8 +83,8 @@ class SightingStep:
         try:
             after, decision = self._judged(state, predicted, sighting, exposure)
         except np.linalg.LinAlgError:
-            refusal = singular_covariance()
-            after, decision = state, ExposureDecision(exposure, refusal.reason, text=refusal.text)
+            rejection = singular_covariance()
+            after, decision = state, ExposureDecision(exposure, rejection.reason, text=rejection.text)
         return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded)))
 
     def _jumped(
@@ -144,7 +144,7 @@ class SightingStep:
         held = replace(held, trust=trust)
         if comparison is None:
             return held_back(held, decision, self._gate, "lights")
-        return self._refused(held, unknown, chosen, comparison, decision)
+        return self._record_rejected(held, unknown, chosen, comparison, decision)
 
     def _learnt(
         self,
@@ -179,7 +179,7 @@ class SightingStep:
             after = replace(after, trust=self._fault_detector.disagreed(after.fault_state, spread_n, lasting=True))
         return after, decision
 
-    def _refused(
+    def _record_rejected(
         self,
         held: CalibrationState,
         predicted: CalibrationState,
@@ -233,10 +233,10 @@ class SightingStep:
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Exclude an isolated source; ``explaining_subfilter`` is set if the source has no subfilter of its own."""
         why = f"{source} is inconsistent with the other sources, which are consistent without it"
-        refused_m = float(np.max(np.abs(decision.residual), initial=0.0)) * self._filter.sightings.focal_length_m(
+        rejected_residual_m = float(np.max(np.abs(decision.residual), initial=0.0)) * self._filter.sightings.focal_length_m(
             state.mean
         )
-        exclusion = ExclusionRecord(ExcludedSource(decision.measurement.time_ns), why, refused_m)
+        exclusion = ExclusionRecord(ExcludedSource(decision.measurement.time_ns), why, rejected_residual_m)
         state = self._excluded(state, source, exclusion, source if source in self._filter.subfilters.sources else explaining_subfilter)
         text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
         return replace(state, refusals=0), replace(decision, text=text)
@@ -267,12 +267,12 @@ class SightingStep:
             if comparison is not None:
                 measurement = comparison.measurement
                 compared = light_compared(measurement.residual, comparison.covariance, measurement.noise)
-                refused_m = self._refused_m(trust.exclusions[BEACON + name], comparison, others)
-                trust = self._fault_detector.monitor_beacon(trust, name, compared, sighting.time_ns, refused_m)
+                expected_rejection_m = self._expected_rejection_m(trust.exclusions[BEACON + name], comparison, others)
+                trust = self._fault_detector.monitor_beacon(trust, name, compared, sighting.time_ns, expected_rejection_m)
         return trust
 
     @staticmethod
-    def _refused_m(exclusion: ExclusionRecord, comparison: Comparison, others: bool) -> float:
+    def _expected_rejection_m(exclusion: ExclusionRecord, comparison: Comparison, others: bool) -> float:
         """Return the size on the detector of the residual that the fault would cause now, m."""
         direction_n = comparison.prediction.lines.direction_n[0]
         across_m = np.linalg.norm(np.cross(exclusion.jumped_n, direction_n))
@@ -281,10 +281,10 @@ class SightingStep:
         if np.any(exclusion.jumped_n):
             # A jump along the line of sight is not observable: no reinstatement then.
             return max(by_jump, np.finfo(float).tiny)
-        return 0.0 if others else exclusion.refused_m
+        return 0.0 if others else exclusion.rejected_residual_m
 
-    def _exclusion_rejection(self, state: CalibrationState, name: str) -> tuple[str, Refusal]:
-        return name, Refusal(Reason.EXCLUDED, state.fault_state.exclusions[BEACON + name].why)
+    def _exclusion_rejection(self, state: CalibrationState, name: str) -> tuple[str, Rejection]:
+        return name, Rejection(Reason.EXCLUDED, state.fault_state.exclusions[BEACON + name].why)
 
 
 @functools.lru_cache(maxsize=16)

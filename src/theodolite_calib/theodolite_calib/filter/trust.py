@@ -56,7 +56,7 @@ class ExclusionRecord:
 
     exclusion: ExcludedSource
     why: str
-    refused_m: float = 0.0
+    rejected_residual_m: float = 0.0
     jumped_n: FloatArray = field(default_factory=lambda: np.zeros(3))
     jumped_sigma_m: float = 0.0
     jump_ns: int = 0
@@ -249,7 +249,7 @@ class FaultDetector:
         if fault_state.excluded or fault_state.conflict is not None or not np.any(fault_state.innovation_means.excess[0, is_recent] > _DRIFT_INDICATION_RATIO):
             return False
         row = 1 + self._subfilters.sources.index(SHIP)
-        return bool(np.all(fault_state.innovation_means.excess[row, is_recent] <= CONSISTENT_RATIO) and np.all(fault_state.innovation_means.refused[row, is_recent] == 0))
+        return bool(np.all(fault_state.innovation_means.excess[row, is_recent] <= CONSISTENT_RATIO) and np.all(fault_state.innovation_means.rejection_counts[row, is_recent] == 0))
 
     def without(self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None) -> FaultState:
         """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
@@ -275,7 +275,7 @@ class FaultDetector:
         return replace(fault_state, means=means, left_out={**fault_state.exclusions, source: again})
 
     def monitor_beacon(
-        self, fault_state: FaultState, name: str, compared: FilterInnovations, time_ns: int, refused_m: float
+        self, fault_state: FaultState, name: str, compared: FilterInnovations, time_ns: int, expected_rejection_m: float
     ) -> FaultState:
         """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
 
@@ -294,7 +294,7 @@ class FaultDetector:
         means = observed(fault_state.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
         exclusion, returns = evaluate_reinstatement(record.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
-        if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
+        if 0.0 < expected_rejection_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
         return self._watched(replace(fault_state, means=means), source, exclusion, returns)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
@@ -51,16 +51,16 @@ class BaselineTrack(VectorTrack[BaselineSample]):
 
     keeps_ns = _LONGEST_NS
 
-    def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Refusal:
+    def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Rejection:
         """Return the baseline at a time (N, U, E), m, with the covariance of its white error, m²; or the rejection."""
         interval = self._interval(time_ns)
         if interval is None:
-            return Refusal(Reason.GAP, "no baselines on both sides of the exposure")
+            return Rejection(Reason.GAP, "no baselines on both sides of the exposure")
         left, fraction = interval
         around = self._samples[left : left + (1 if fraction == 0.0 else 2)]
         for sample in around:
-            if sample.refusal is not None:
-                return sample.refusal
+            if sample.rejection is not None:
+                return sample.rejection
         baseline = self.at(time_ns)
         assert baseline is not None  # in an interval of good samples
         nearest = around[0] if fraction < 0.5 else around[-1]
@@ -109,5 +109,5 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         return BaselineJump(samples[place].time_ns, jump_m, sigma_m)
 
     def _joined(self, left: int) -> bool:
-        both_good = self._samples[left].refusal is None and self._samples[left + 1].refusal is None
+        both_good = self._samples[left].rejection is None and self._samples[left + 1].rejection is None
         return both_good and super()._joined(left)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_estimation.value_guards import (
     Continuation,
@@ -67,7 +67,7 @@ class JudgedReading(NamedTuple):
         jump: slip that is accepted with this reading, whether the reading is used or not; None if there is none.
     """
 
-    refusal: Refusal | None = None
+    rejection: Rejection | None = None
     jump: EncoderJump | None = None
 
 
@@ -120,7 +120,7 @@ class EncoderWatch:
         return math.hypot(self._steps.off_rad, 0.0 if self._stepped is None else self._stepped[1])
 
     def judge(
-        self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Refusal | None = None
+        self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Rejection | None = None
     ) -> JudgedReading:
         """Check a reading.
 
@@ -129,15 +129,15 @@ class EncoderWatch:
             track: accepted readings so far, against which a reading that comes after later ones is checked.
             late: rejection of a reading that comes too late; None if it does not. Its unit is checked in any case.
         """
-        refusal = self._units_refusal(sample, counts=late is None) or late
-        if refusal is not None:
-            return JudgedReading(refusal)
+        rejection = self._units_rejection(sample, counts=late is None) or late
+        if rejection is not None:
+            return JudgedReading(rejection)
         if self._newest_ns is not None and sample.time_ns <= self._newest_ns:
             match = self._match(_before(track, sample.time_ns), sample)
-            return JudgedReading(None if match is None or match.fits else _gate_refusal(match))
+            return JudgedReading(None if match is None or match.fits else _gate_rejection(match))
         self._newest_ns = sample.time_ns
         judged = self._judge_jump(sample)
-        if judged.refusal is not None:
+        if judged.rejection is not None:
             return judged
         if judged.jump is not None:
             self._unconfirmed = Unconfirmed(judged.jump.time_ns, "the encoders have jumped", "lights")
@@ -152,7 +152,7 @@ class EncoderWatch:
             self._steps.restart()
             self._unconfirmed = Unconfirmed(sample.time_ns, "the encoders were stuck", "lights")
             text = "both encoders stuck: unchanged while, by the lights, the telescope rotates in the deck"
-            return JudgedReading(Refusal(Reason.STUCK, text))
+            return JudgedReading(Rejection(Reason.STUCK, text))
         return judged
 
     def see_lights(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
@@ -174,7 +174,7 @@ class EncoderWatch:
         if self._stepped is not None and time_ns > self._stepped[0]:
             self._stepped = None
 
-    def _units_refusal(self, sample: EncoderSample, counts: bool) -> Refusal | None:
+    def _units_rejection(self, sample: EncoderSample, counts: bool) -> Rejection | None:
         """Return the rejection of a reading that cannot be in radians; None if it can.
 
         A run of such readings shows that the unit is wrong: then all are rejected until a run of valid ones.
@@ -188,20 +188,20 @@ class EncoderWatch:
         if not (beyond or self._wrong_unit):
             return None
         text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians, elevation within a turn; degrees?"
-        return Refusal(Reason.UNITS, text)
+        return Rejection(Reason.UNITS, text)
 
     def _judge_jump(self, sample: EncoderSample) -> JudgedReading:
         """Check a reading later than all before against the prediction from the two readings before."""
         match = self._match(self._taken, sample)
         step = match if self._all is self._taken else self._match(self._all, sample)
         fits = match is None or (match.fits if step is None else match.fits_again(step))
-        after_refused = self._jumps.refused > 0
+        is_after_rejection = self._jumps.rejected_count > 0
         verdict = self._jumps.judge(sample.time_ns, fits, step is None or step.fits)
-        if verdict is JumpVerdict.REFUSED:
+        if verdict is JumpVerdict.REJECTED:
             assert match is not None
-            first_refused = self._jumps.refused == 1
-            self._all = (_extrapolate_back(sample, *self._taken) if first_refused else self._all[-1], sample)
-            return JudgedReading(_gate_refusal(match))
+            is_first_rejection = self._jumps.rejected_count == 1
+            self._all = (_extrapolate_back(sample, *self._taken) if is_first_rejection else self._all[-1], sample)
+            return JudgedReading(_gate_rejection(match))
         healthy = self._all is self._taken
         self._all = (*self._all[-1:], sample)
         if verdict is JumpVerdict.JUMPED:
@@ -209,7 +209,7 @@ class EncoderWatch:
             self._taken = self._all
             return JudgedReading(jump=EncoderJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad))
         self._taken = self._all if healthy else (*self._taken[-1:], sample)
-        if match is not None and not after_refused:
+        if match is not None and not is_after_rejection:
             self._continuation.learn(match.difference)
         return JudgedReading()
 
@@ -224,7 +224,7 @@ class EncoderWatch:
             return JudgedReading()
         self._unconfirmed = Unconfirmed(step.time_ns, "the encoders have jumped", "lights")
         text = f"step of {step_rad / ARCSEC:.0f}″: the mount can reach {reached_rad / ARCSEC:.0f}″"
-        return JudgedReading(Refusal(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
+        return JudgedReading(Rejection(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
 
     def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> Match | None:
         """Compare a reading with the prediction from two before it; None without two, or if they are too old."""
@@ -275,7 +275,7 @@ def _extrapolate_back(sample: EncoderSample, first: EncoderSample, second: Encod
     return replace(second, vector=sample.vector - ratio * short_way(second.vector - first.vector))
 
 
-def _gate_refusal(match: Match) -> Refusal:
+def _gate_rejection(match: Match) -> Rejection:
     off, bound = size(match.difference) / ARCSEC, match.bound_rad / ARCSEC
     text = f"{off:.0f}″ from the predicted reading: the mount can reach {bound:.0f}″"
-    return Refusal(Reason.GATE, text)
+    return Rejection(Reason.GATE, text)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.outcome import Decision, Outcome, Status
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import FloatArray
@@ -101,7 +101,7 @@ class BaselineSample(VectorSample):
     """
 
     covariance_n: FloatArray
-    refusal: Refusal | None = None
+    rejection: Rejection | None = None
 
     @cached_property
     def variance_m2(self) -> float:
@@ -110,7 +110,7 @@ class BaselineSample(VectorSample):
 
     def content(self) -> bytes:
         """See :meth:`VectorSample.content`."""
-        return super().content() + self.covariance_n.tobytes() + repr(self.refusal).encode()
+        return super().content() + self.covariance_n.tobytes() + repr(self.rejection).encode()
 
 
 @dataclass(frozen=True)

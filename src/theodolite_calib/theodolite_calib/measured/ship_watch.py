@@ -61,7 +61,7 @@ class ShipWatch:
         if judged.jumps:
             since_ns = judged.jumps[-1].time_ns + self._shift_ns
             self._unconfirmed = Unconfirmed(since_ns, f"{self._source} has jumped", "lights")
-        if judged.refusal is None:
+        if judged.rejection is None:
             if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
                 self._stated = sample.correlated_covariance_n
             known = self._used.get(sample.time_ns)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.exposure_mean import Nodes
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -76,8 +76,8 @@ class Assembled:
     """
 
     sighting: Sighting | None
-    refusal: Refusal | None
-    lights_refused: tuple[tuple[str, Refusal], ...]
+    rejection: Rejection | None
+    rejected_beacons: tuple[tuple[str, Rejection], ...]
     jumps: tuple[tuple[str, BaselineJump], ...] = ()
 
 
@@ -97,19 +97,19 @@ class SightingAssembler:
         """Return the samples at the middle of an exposure."""
         ship, encoder = self._tracks.ship_at(exposure.time_ns), self._tracks.encoder_at(exposure.time_ns)
         if encoder is None:
-            return Assembled(None, Refusal(Reason.GAP, "no encoder readings on both sides of it"), ())
+            return Assembled(None, Rejection(Reason.GAP, "no encoder readings on both sides of it"), ())
         if ship is None:
-            return Assembled(None, Refusal(Reason.GAP, "no attitudes of the ship on both sides of it"), ())
+            return Assembled(None, Rejection(Reason.GAP, "no attitudes of the ship on both sides of it"), ())
         found: list[tuple[SeenLight, LightAt]] = []
-        refused: list[tuple[str, Refusal]] = []
+        rejected: list[tuple[str, Rejection]] = []
         for light in exposure.lights:
             placed = self._tracks.light_at(light.beacon_id, exposure.time_ns)
-            if isinstance(placed, Refusal):
-                refused.append((light.beacon_id, placed))
+            if isinstance(placed, Rejection):
+                rejected.append((light.beacon_id, placed))
             else:
                 found.append((light, placed))
         if not found:
-            return Assembled(None, refused[0][1], tuple(refused))
+            return Assembled(None, rejected[0][1], tuple(rejected))
         sighting = Sighting(
             exposure.time_ns,
             tuple(light.beacon_id for light, _ in found),
@@ -125,12 +125,12 @@ class SightingAssembler:
         )
         jumps = tuple((light.beacon_id, placed.jump) for light, placed in found if placed.jump is not None)
         if exposure.nodes is None:
-            return Assembled(sighting, None, tuple(refused), jumps)
+            return Assembled(sighting, None, tuple(rejected), jumps)
         at_middle = self._at_middle(sighting, exposure.nodes)
         if at_middle is None:
             text = f"no encoder readings or attitudes of the ship over its whole exposure of {exposure.exposure_s:g} s"
-            return Assembled(None, Refusal(Reason.GAP, text), tuple(refused))
-        return Assembled(at_middle, None, tuple(refused), jumps)
+            return Assembled(None, Rejection(Reason.GAP, text), tuple(rejected))
+        return Assembled(at_middle, None, tuple(rejected), jumps)
 
     def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
         """Return a sighting with its points at the middle of the exposure; None if samples are missing.

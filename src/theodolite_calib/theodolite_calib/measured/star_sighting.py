@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
 from theodolite_calib.chain.axes import AxisErrors
 from theodolite_calib.config import OpticalAxisConfig
@@ -36,7 +36,7 @@ class StarSighting:
 
 def star_sighting(
     exposure: StarExposure, config: OpticalAxisConfig, tracks: MeasuredTracks
-) -> StarSighting | Refusal:
+) -> StarSighting | Rejection:
     """Return the samples at the middle of an exposure, or the rejection that names what is missing.
 
     If the duration is known, the stars are compared with the mean over the exposure: the noise of encoders and ship is
@@ -51,9 +51,9 @@ def star_sighting(
     nodes = None if exposure.length is None else exposure.length.nodes
     ship, encoder = tracks.ship_at(time_ns), tracks.encoder_at(time_ns)
     if encoder is None:
-        return Refusal(Reason.GAP, "no encoder readings on both sides of it")
+        return Rejection(Reason.GAP, "no encoder readings on both sides of it")
     if ship is None:
-        return Refusal(Reason.GAP, "no attitudes of the ship on both sides of it")
+        return Rejection(Reason.GAP, "no attitudes of the ship on both sides of it")
     if exposure.length is None or nodes is None:
         return StarSighting(camera_id, exposure, ship, encoder)
     axes = AxisErrors.from_vector(config.axes.values)
@@ -61,7 +61,7 @@ def star_sighting(
     if turned_nm is None:
         length_s = exposure.length.exposure_s
         text = f"no encoder readings or attitudes of the ship over its whole exposure of {length_s:g} s"
-        return Refusal(Reason.GAP, text)
+        return Rejection(Reason.GAP, text)
     ship, encoder = tracks.ship_at(time_ns, nodes), tracks.encoder_at(time_ns, nodes)
     assert ship is not None  # as at the nodes
     assert encoder is not None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
@@ -260,17 +260,17 @@ class MeasuredTracks:
         samples = [sample for sample in ship if isinstance(sample, ShipSample)]
         return has_ship_drifted(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
 
-    def light_at(self, beacon_id: str, time_ns: int) -> LightAt | Refusal:
+    def light_at(self, beacon_id: str, time_ns: int) -> LightAt | Rejection:
         """Return the pose of a beacon at a time, or the rejection."""
         baseline = self.baselines[beacon_id].usable_at(time_ns)
-        if isinstance(baseline, Refusal):
+        if isinstance(baseline, Rejection):
             return baseline
         jump = self.baselines[beacon_id].latest_jump(time_ns)
         if beacon_id not in self.drones:
             return LightAt(*baseline, np.eye(3), jump)
         attitude = self.drones[beacon_id].at(time_ns)
         if attitude is None:
-            return Refusal(Reason.GAP, "no attitudes of the drone on both sides of the exposure")
+            return Rejection(Reason.GAP, "no attitudes of the drone on both sides of the exposure")
         lever_n = attitude.rotation_nd @ self._levers_b[beacon_id]
         by_turn = skew(lever_n)
         interpolated = by_turn @ attitude.error_covariance_n @ by_turn.T

@@ -11,7 +11,7 @@ from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -42,7 +42,7 @@ def pointing_by_stars(
         text: reason for a pointing from stars alone.
     """
     visible = visible_stars(exposure, watch, None)
-    if isinstance(visible, Refusal):
+    if isinstance(visible, Rejection):
         return None
     solution = solve_stars(visible[1])
     if solution.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):

@@ -20,7 +20,7 @@ from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.recovery.displacement import MemoryResidual
-from ship_estimation.refusals import Contradictions, Reason, Refusal
+from ship_estimation.refusals import Contradictions, Reason, Rejection
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
@@ -201,18 +201,18 @@ class OpticalAxisCore:
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         track, shell = self._tracks.encoder, self._shell
         judged = self._watch.judge(sample, track, shell.window.late(sample.time_ns))
-        outcome = PointingOutcome(judged.refusal)
-        self._note_own_fault(ENCODER, sample.time_ns, judged.refusal, judged.jump is not None)
+        outcome = PointingOutcome(judged.rejection)
+        self._note_own_fault(ENCODER, sample.time_ns, judged.rejection, judged.jump is not None)
         self._note_own_jump(sample.time_ns, judged)
         if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
             shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
-        if judged.refusal is not None:
-            shell.add_refused(ENCODER, track, sample)
+        if judged.rejection is not None:
+            shell.add_rejected(ENCODER, track, sample)
             self._watch_time()
             return outcome
         shell.add_sample(ENCODER, track, sample, outcome)
-        if outcome.refusal is not None:
-            self._note_own_fault(ENCODER, sample.time_ns, outcome.refusal)
+        if outcome.rejection is not None:
+            self._note_own_fault(ENCODER, sample.time_ns, outcome.rejection)
             self._watch_time()
         elif track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
@@ -223,16 +223,16 @@ class OpticalAxisCore:
     def add_ship(self, sample: ShipSample, arrival_ns: int | None = None) -> PointingOutcome:
         """Add an attitude of the ship; for the arrival see :meth:`add_encoder`."""
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
-        if outcome.refusal is None:
-            outcome.refusal, sample = self._judge_ship(sample, outcome)
+        if outcome.rejection is None:
+            outcome.rejection, sample = self._judge_ship(sample, outcome)
         source, track = self.config.ship.source, self._tracks.ship
-        if outcome.refusal is not None:
-            self._shell.add_refused(source, track, sample)
+        if outcome.rejection is not None:
+            self._shell.add_rejected(source, track, sample)
         elif self._shell.add_sample(source, track, sample, outcome):
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
             self._ship_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
-        if outcome.refusal is not None:
-            self._note_own_fault(SHIP, sample.time_ns, outcome.refusal)
+        if outcome.rejection is not None:
+            self._note_own_fault(SHIP, sample.time_ns, outcome.rejection)
             self._watch_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
@@ -244,8 +244,8 @@ class OpticalAxisCore:
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
         """Add a baseline to a drone. An unusable one is rejected, and no exposure waits for a better one."""
         outcome = self._add(f"baseline.{beacon_id}", self._tracks.baselines[beacon_id], sample)
-        if outcome.refusal is None:
-            outcome.refusal = sample.refusal
+        if outcome.rejection is None:
+            outcome.rejection = sample.rejection
         return outcome
 
     def add_drone_attitude(self, beacon_id: str, sample: AttitudeSample) -> PointingOutcome:
@@ -257,7 +257,7 @@ class OpticalAxisCore:
         """Add the ship's position, or the air; stars that were compared with another sky are compared again."""
         assert self._sky is not None
         surroundings, outcome = self._sky.surroundings, PointingOutcome()
-        outcome.refusal = surroundings.refusal(given)
+        outcome.rejection = surroundings.rejection(given)
         changed_after_ns = surroundings.insert(given)
         if changed_after_ns is not None:
             changed_ns: int = changed_after_ns
@@ -271,14 +271,14 @@ class OpticalAxisCore:
     def add_exposure(self, exposure: Exposure) -> PointingOutcome:
         """Add beacons on the detector, one or more."""
         outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
-        if outcome.refusal is None:
+        if outcome.rejection is None:
             self._shell.add(exposure, outcome)
         return outcome
 
     def add_stars(self, exposure: StarExposure, arrival_ns: int | None = None) -> PointingOutcome:
         """Add stars in a camera; for the arrival see :meth:`add_encoder`."""
         outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
-        if outcome.refusal is None and self._shell.add(exposure, outcome):
+        if outcome.rejection is None and self._shell.add(exposure, outcome):
             arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
             self._newest_stars = exposure, arrival_ns
             self._point_by_stars(outcome, arrival_ns)
@@ -290,7 +290,7 @@ class OpticalAxisCore:
         An image changes neither the state nor the window: all pointings are as without it.
         """
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
-        if outcome.refusal is None:
+        if outcome.rejection is None:
             waiting_ns = sample.time_ns if arrival_ns is None else arrival_ns
             self._targets.add(sample, waiting_ns, outcome)
             self._answer_targets(outcome)
@@ -322,7 +322,7 @@ class OpticalAxisCore:
         """Return an INVALID output with the given reason."""
         return invalid_pointing(self.filter, self.state, now_ns, text)
 
-    def estimates_due(self) -> list[tuple[slice, PointingRun | Refusal]]:
+    def estimates_due(self) -> list[tuple[slice, PointingRun | Rejection]]:
         """Return the pending pointings, as slices and series; see :meth:`PointingOutput.compute_pending`."""
         due, self.due = self.due or [], []
         return self._pointing.of_due(due)
@@ -420,7 +420,7 @@ class OpticalAxisCore:
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was accepted recently."""
         means, since_ns = self.state.fault_state.innovation_means, self._shell.window.newest_ns - MAX_MEASUREMENT_AGE_NS
-        used = (means.last_measured_ns >= since_ns) & (means.refused[0] == 0)
+        used = (means.last_measured_ns >= since_ns) & (means.rejection_counts[0] == 0)
         lights = [BEACON + id_ for id_ in self.filter.subfilters.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
@@ -453,11 +453,11 @@ class OpticalAxisCore:
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
-        if outcome.refusal is None:
+        if outcome.rejection is None:
             self._shell.add_sample(source, track, sample, outcome)
         return outcome
 
-    def _judge_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Refusal | None, ShipSample]:
+    def _judge_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Rejection | None, ShipSample]:
         """Check an attitude of the ship; return its rejection or None, and the attitude as it may be used."""
         judged = self._ship_watch.judge(sample, self._shell.window.oldest_ns)
         if judged.rates_wrong_after_ns is not None:
@@ -481,7 +481,7 @@ class OpticalAxisCore:
         assert isinstance(judged.sample, ShipSample)
         # With the INS alone the pointing uses its attitudes only, so that no wrong rate can affect it.
         by_ins = self.config.ship.source == "ins/imu"
-        return judged.refusal, replace(judged.sample, rate_d=None) if by_ins else judged.sample
+        return judged.rejection, replace(judged.sample, rate_d=None) if by_ins else judged.sample
 
     # -- model of the time-ordered estimator ----------------------------------------------------------------
 
@@ -497,18 +497,18 @@ class OpticalAxisCore:
             return self._step_by_stars(state, exposure)
         assembled = self._sightings.assemble(exposure)
         if assembled.sighting is None:
-            assert assembled.refusal is not None
-            reason, text = assembled.refusal.reason, assembled.refusal.text
-            return state, ExposureDecision(exposure, reason, text=text, rejected_parts=assembled.lights_refused)
+            assert assembled.rejection is not None
+            reason, text = assembled.rejection.reason, assembled.rejection.text
+            return state, ExposureDecision(exposure, reason, text=text, rejected_parts=assembled.rejected_beacons)
         state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
-        return state, replace(decision, left_out=assembled.lights_refused + decision.rejected_parts)
+        return state, replace(decision, left_out=assembled.rejected_beacons + decision.rejected_parts)
 
     def _step_by_stars(
         self, state: CalibrationState, exposure: StarExposure
     ) -> tuple[CalibrationState, ExposureDecision]:
         assert self._step_to_stars is not None
         sighting = star_sighting(exposure, self.config, self._tracks)
-        if isinstance(sighting, Refusal):
+        if isinstance(sighting, Rejection):
             return state, ExposureDecision(exposure, sighting.reason, text=sighting.text)
         return self._step_to_stars(state, sighting)
 
@@ -523,16 +523,16 @@ class OpticalAxisCore:
         """True if the ship's attitude departed from its own rates before a time; None if unknown."""
         return self._tracks.has_ship_drifted(time_ns)
 
-    def _note_own_fault(self, source: str, time_ns: int, refusal: Refusal | None, jumped: bool = False) -> None:
+    def _note_own_fault(self, source: str, time_ns: int, rejection: Rejection | None, jumped: bool = False) -> None:
         """Record that the encoder or ship stream was stuck, jumped or repeated a stamp."""
-        if jumped or (refusal is not None and refusal.reason in _STREAM_FAULT_REASONS):
+        if jumped or (rejection is not None and rejection.reason in _STREAM_FAULT_REASONS):
             self._stream_fault_ns[source] = max(time_ns, self._stream_fault_ns.get(source, time_ns))
 
     def _note_own_jump(self, time_ns: int, judged: JudgedReading) -> None:
         """Record a jump or a stuck reading of the encoders."""
         if judged.jump is not None:
             self._own_jumps.append(OwnJump(judged.jump))
-        stands = judged.refusal is not None and judged.refusal.reason is Reason.STUCK
+        stands = judged.rejection is not None and judged.rejection.reason is Reason.STUCK
         if stands and not self._stands:
             self._own_jumps.append(stood_still(time_ns))
         self._stands = stands

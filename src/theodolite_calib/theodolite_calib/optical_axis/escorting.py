@@ -79,7 +79,7 @@ class Escort:
     def _newest(self, name: str, time_ns: int) -> BaselineSample | None:
         """Return the newest baseline to a drone; None if it is rejected or old."""
         sample = self._tracks.baselines[name].newest
-        if sample is None or sample.refusal is not None:
+        if sample is None or sample.rejection is not None:
             return None
         recent_ns = round(self._config.lights_recent_s * SECOND_NS)
         return sample if abs(time_ns - sample.time_ns) <= recent_ns else None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityReport, above_limit, separation_inflation
-from ship_estimation.refusals import Refusal, failure
+from ship_estimation.refusals import Rejection, failure
 from ship_geometry import compiled_mounts
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -169,9 +169,9 @@ class PointingOutput:
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
         self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
-    def of_due(self, due: Sequence[DuePointing]) -> list[tuple[slice, PointingRun | Refusal]]:
+    def of_due(self, due: Sequence[DuePointing]) -> list[tuple[slice, PointingRun | Rejection]]:
         """Compute pending pointings; return slices of them, each with its series or its failure."""
-        found: list[tuple[slice, PointingRun | Refusal]] = []
+        found: list[tuple[slice, PointingRun | Rejection]] = []
         for _, group in groupby(due, key=lambda one: (id(one.state), one.ship.correlated_covariance_n is None)):
             group_pointings, start = list(group), found[-1][0].stop if found else 0
             run = self._run_or_failure(group_pointings)
@@ -183,7 +183,7 @@ class PointingOutput:
                 found += [(slice(number, number + 1), one) for number, one in alone]
         return found
 
-    def _run_or_failure(self, due: Sequence[DuePointing]) -> PointingRun | Refusal:
+    def _run_or_failure(self, due: Sequence[DuePointing]) -> PointingRun | Rejection:
         try:
             return self._run_of(due)
         except Exception as error:
@@ -284,7 +284,7 @@ class PointingOutput:
             return Status.DEGRADED, unconfirmed_reason
         if state.refusals:
             text = "the last lights or stars were inconsistent with encoders and ship's attitude: "
-            return Status.DEGRADED, text + state.refused_for
+            return Status.DEGRADED, text + state.rejection_text
         if state.fault_state.conflict is not None:
             return Status.DEGRADED, "unresolved fault: lights are inconsistent with encoders and ship's attitude"
         for source, record in state.fault_state.exclusions.items():

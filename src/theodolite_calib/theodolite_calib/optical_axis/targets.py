@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ship_estimation.outcome import Decision, Status
-from ship_estimation.refusals import Contradictions, Reason, Refusal, failure
+from ship_estimation.refusals import Contradictions, Reason, Rejection, failure
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_chain
@@ -72,10 +72,10 @@ class TargetAnswers:
 
     def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
         """Add an image that is not late."""
-        outcome.refusal = self._waiting.add(sample, waiting_ns)
+        outcome.rejection = self._waiting.add(sample, waiting_ns)
         for overflowing in self._waiting.overflowing():
             text = "too many images of targets wait for the pointing: the oldest is rejected"
-            outcome.decisions.append(_refused(overflowing, Refusal(Reason.OVERFLOW, text)))
+            outcome.decisions.append(_refused(overflowing, Rejection(Reason.OVERFLOW, text)))
 
     def was_put_out(self, due: DuePointing, oldest_ns: int) -> None:
         """Record a published pointing; images may come for times from ``oldest_ns`` on."""
@@ -117,29 +117,29 @@ class TargetAnswers:
         except Exception as error:
             outcome.failures.append((sample.time_ns, failure(error)))
             found = failure(error)
-        if isinstance(found, Refusal):
+        if isinstance(found, Rejection):
             outcome.decisions.append(_refused(sample, found))
             found = invalid_direction(sample, found.text)
         outcome.targets.append(found)
 
-    def _direction(self, sample: TargetSample, state: CalibrationState) -> TargetEstimate | Refusal:
+    def _direction(self, sample: TargetSample, state: CalibrationState) -> TargetEstimate | Rejection:
         """Return the direction of a target, or the reason why there is no pointing for it."""
         beside = self._beside(sample.time_ns)
         tracks, nodes = self._tracks, sample.nodes
         ship, encoder = tracks.ship_at(sample.time_ns), tracks.encoder_at(sample.time_ns)
         if encoder is None:
-            return Refusal(Reason.GAP, "no encoder readings on both sides of it")
+            return Rejection(Reason.GAP, "no encoder readings on both sides of it")
         if ship is None:
-            return Refusal(Reason.GAP, "no attitudes of the ship on both sides of it")
+            return Rejection(Reason.GAP, "no attitudes of the ship on both sides of it")
         if beside is None:
-            return Refusal(Reason.GAP, "no pointing was published on both sides of it")
+            return Rejection(Reason.GAP, "no pointing was published on both sides of it")
         point_m = sample.point_m
         if nodes is not None:
             moments_ns = [time_ns for time_ns, _ in nodes.moments(sample.time_ns)]
             turned_nm = self._tracks.main_axis_at(moments_ns, self._axes)
             if turned_nm is None:
                 text = f"no encoder readings or attitudes of the ship over its exposure of {sample.exposure_s:g} s"
-                return Refusal(Reason.GAP, text)
+                return Rejection(Reason.GAP, text)
             way_m = self._directions.way_m(sample, turned_nm, turned_nm[nodes.offset_ns.index(0)])
             point_m = point_m - (nodes.mean(way_m) - point_m)
             # The point is the mean over the exposure, so the noise of encoders and ship is that of their means.
@@ -302,5 +302,5 @@ def invalid_direction(sample: TargetSample, text: str) -> TargetEstimate:
     )
 
 
-def _refused(sample: TargetSample, refusal: Refusal) -> Decision[TargetSample]:
-    return Decision(sample, refusal.reason, text=refusal.text)
+def _refused(sample: TargetSample, rejection: Rejection) -> Decision[TargetSample]:
+    return Decision(sample, rejection.reason, text=rejection.text)

@@ -9,7 +9,7 @@ from ship_estimation.frame_names import FRAME_NAMES
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason, shortened
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
-from ship_node.edge.messages_in import ReadMessage, Refused, angular_covariance, finite_vector, frame, stamp_ns
+from ship_node.edge.messages_in import ReadMessage, MessageRejected, angular_covariance, finite_vector, frame, stamp_ns
 from theodolite_calib.ros.messages_in import LONGEST_TARGET_ID
 from theodolite_calib.target.common_moments import DirectionSample
 
@@ -37,21 +37,21 @@ def direction(
     frame(message.header.frame_id, horizon)
     if message.status not in list(Status):
         expected = ", ".join(status.name for status in Status)
-        raise Refused(Reason.UNITS, f"status {message.status} is unknown: expected one of {expected}")
+        raise MessageRejected(Reason.UNITS, f"status {message.status} is unknown: expected one of {expected}")
     status, vector, covariance_n = Status(message.status), np.full(3, np.nan), np.full((3, 3), np.nan)
     if status is not Status.INVALID:
         direction_enu = finite_vector(message.direction, "direction")
         norm = math.hypot(*direction_enu.tolist())
         if not abs(norm - 1.0) <= _NORM_TOLERANCE:
-            raise Refused(Reason.UNITS, f"norm of direction is {norm:.6g}: expected 1")
+            raise MessageRejected(Reason.UNITS, f"norm of direction is {norm:.6g}: expected 1")
         covariance_enu = angular_covariance(message.direction_covariance, "direction_covariance")
         if covariance_enu is None:
-            raise Refused(Reason.BAD_COVARIANCE, "direction_covariance is not given: required for the position")
+            raise MessageRejected(Reason.BAD_COVARIANCE, "direction_covariance is not given: required for the position")
         vector, covariance_n = ENU_FROM_HORIZON.T @ direction_enu / norm, horizon_covariance(covariance_enu)
         across = np.linalg.svd(vector[None])[2][1:]
         least, greatest = np.linalg.eigvalsh(across @ covariance_n @ across.T).tolist()
         if not least > _LEAST_SHARE * greatest:
-            raise Refused(Reason.BAD_COVARIANCE, "direction_covariance is singular across the direction")
+            raise MessageRejected(Reason.BAD_COVARIANCE, "direction_covariance is singular across the direction")
     return ReadMessage(
         DirectionSample(
             time_ns=time_ns,

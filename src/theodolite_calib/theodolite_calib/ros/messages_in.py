@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, Refusal, shortened
+from ship_estimation.refusals import Reason, Rejection, shortened
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.frames import angles_from_rotation, rotation_vector_covariance
@@ -21,7 +21,7 @@ from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import (
     LARGEST_VARIANCE,
     ReadMessage,
-    Refused,
+    MessageRejected,
     covariance_3x3,
     device_id,
     exposure_length_s,
@@ -65,7 +65,7 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMes
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.encoder.frame_id)
     if message.status == ENCODER_INVALID:
-        raise Refused(Reason.GAP, "the encoder itself reports a fault")
+        raise MessageRejected(Reason.GAP, "the encoder itself reports a fault")
     finite_numbers("azimuth, elevation", message.azimuth, message.elevation)
     sigma = sigma_given(message.sigma, 2.0 * np.pi)
     angles = np.array([message.azimuth, message.elevation])
@@ -82,9 +82,9 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.ship.frame_id)
     if message.status == Status.INVALID:
-        raise Refused(Reason.GAP, "the source reports INVALID")
+        raise MessageRejected(Reason.GAP, "the source reports INVALID")
     if message.status not in list(Status):
-        raise Refused(Reason.UNITS, f"status {message.status} is unknown: expected VALID, COASTING or DEGRADED")
+        raise MessageRejected(Reason.UNITS, f"status {message.status} is unknown: expected VALID, COASTING or DEGRADED")
     rotation_nd = rotation_from_quaternion(unit_quaternion(message.orientation))
     total_n = _ship_covariance(message, rotation_nd)
     rate = message.angular_velocity
@@ -117,9 +117,9 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
         Refused: with the reason.
     """
     time_ns = baseline_stamp_ns(message, beacon.rtk, receive_ns)
-    refusal = fix_rejection(message, least_fix)
-    if refusal is not None:
-        return ReadMessage(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
+    rejection = fix_rejection(message, least_fix)
+    if rejection is not None:
+        return ReadMessage(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), rejection))
     vector_n, covariance_n = baseline_vector(message)
     if covariance_n is None:
         return ReadMessage(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
@@ -151,20 +151,20 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMe
     sightings = message.beacons[:MOST_LIGHTS]
     names = [sighting.beacon_id for sighting in sightings]
     lights: dict[str, SeenLight] = {}
-    refused: list[tuple[str, Refusal]] = []
+    rejected: list[tuple[str, Rejection]] = []
     known = True
     for sighting in sightings:
         light = _light_or_refusal(sighting, names, config)
-        if isinstance(light, Refusal):
-            refused.append((sighting.beacon_id, light))
+        if isinstance(light, Rejection):
+            rejected.append((sighting.beacon_id, light))
         else:
             lights[sighting.beacon_id], sigma_known = light
             known &= sigma_known
     if len(message.beacons) > MOST_LIGHTS:
         text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are used"
-        refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
+        rejected.append((message.beacons[MOST_LIGHTS].beacon_id, Rejection(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
-    return ReadMessage(Exposure(time_ns, ordered, exposure_s), known, tuple(refused), empty=not lights)
+    return ReadMessage(Exposure(time_ns, ordered, exposure_s), known, tuple(rejected), empty=not lights)
 
 
 def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[TargetSample]:
@@ -176,14 +176,14 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
     time_ns, detector = stamp_ns(message.header, receive_ns), config.main_detector
     if detector.focal_length_m == 0.0:
         text = f"main detector {quoted_id(message.header.frame_id)} is unknown: main_detector.focal_length_m is not set"
-        raise Refused(Reason.UNKNOWN_SENSOR, text)
+        raise MessageRejected(Reason.UNKNOWN_SENSOR, text)
     frame(message.header.frame_id, detector.frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
     finite_numbers("x, z, detector_rotation", message.x, message.z, message.detector_rotation)
     if max(abs(message.x), abs(message.z)) > _LARGEST_DETECTOR_M:
-        raise Refused(Reason.UNITS, f"x {message.x:.6g}, z {message.z:.6g}: expected metres on the detector")
+        raise MessageRejected(Reason.UNITS, f"x {message.x:.6g}, z {message.z:.6g}: expected metres on the detector")
     if abs(message.detector_rotation) > 2.0 * np.pi:
-        raise Refused(Reason.UNITS, f"detector_rotation {message.detector_rotation:.6g}: expected radians")
+        raise MessageRejected(Reason.UNITS, f"detector_rotation {message.detector_rotation:.6g}: expected radians")
     sigma = sigma_given(message.sigma, _LARGEST_DETECTOR_M)
     sample = TargetSample(
         time_ns=time_ns,
@@ -204,15 +204,15 @@ def _length(value: float, what: str) -> float:
         return math.nan
     finite_numbers(what, value)
     if not 0.0 < value <= _LONGEST_RANGE_M:
-        raise Refused(Reason.UNITS, f"{what} is {value:.6g}: expected metres above 0, {_LONGEST_RANGE_M:g} at most")
+        raise MessageRejected(Reason.UNITS, f"{what} is {value:.6g}: expected metres above 0, {_LONGEST_RANGE_M:g} at most")
     return float(value)
 
 
-def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Refusal:
+def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Rejection:
     try:
         return _seen_light(sighting, names, config)
-    except Refused as error:
-        return error.refusal
+    except MessageRejected as error:
+        return error.rejection
 
 
 def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool]:
@@ -220,12 +220,12 @@ def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> t
     name = sighting.beacon_id
     if name not in config.beacons:
         expected = ", ".join(sorted(config.beacons)) or "none: beacons.<id> is empty"
-        raise Refused(Reason.UNKNOWN_SENSOR, f"beacon_id {quoted_id(name)} is unknown: expected {expected}")
+        raise MessageRejected(Reason.UNKNOWN_SENSOR, f"beacon_id {quoted_id(name)} is unknown: expected {expected}")
     if names.count(name) > 1:
-        raise Refused(Reason.CONFLICT, f"{quoted_id(name)} is in one image {names.count(name)} times")
+        raise MessageRejected(Reason.CONFLICT, f"{quoted_id(name)} is in one image {names.count(name)} times")
     finite_numbers("x, z", sighting.x, sighting.z)
     if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
-        raise Refused(Reason.UNITS, f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
+        raise MessageRejected(Reason.UNITS, f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
     sigma = sigma_given(sighting.sigma, _LARGEST_DETECTOR_M)
     point_m = np.array([sighting.x, sighting.z])
     return SeenLight(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
@@ -244,7 +244,7 @@ def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None
         total_n = rotation_vector_covariance(angles, heading, pitch)
     largest = float(np.max(np.diagonal(total_n)))
     if not largest <= LARGEST_VARIANCE:
-        raise Refused(Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
+        raise MessageRejected(Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
     return total_n
 
 

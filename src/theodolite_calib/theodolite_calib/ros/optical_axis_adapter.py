@@ -14,7 +14,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.recovery.displacements import TOGETHER
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
@@ -31,7 +31,7 @@ from ship_node.edge.messages_out import (
     TF_TYPE,
     DiagnosticStatus,
     Level,
-    refused_input,
+    rejection_message,
 )
 from ship_node.edge.recovering_adapter import SHOWS_SOURCE, RecoveringAdapter
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
@@ -240,11 +240,11 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         rows = pointing_rows(self.factory, self._lever, PointingNumbers.of(runs), self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
-    def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
+    def left_out_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
         """Return ship_msgs/Innovation of a beacon rejected within its exposure, by name; of a star as elsewhere."""
         if source != "lights":
-            return super().rejected_part_message(source, time_ns, name, refusal)
-        return refused_input(self.factory, f"light.{name}", time_ns, refusal)
+            return super().rejected_part_message(source, time_ns, name, rejection)
+        return rejection_message(self.factory, f"light.{name}", time_ns, rejection)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """Return budget and errors of the latest pointing, advice for the drones, and the calibration."""
@@ -282,7 +282,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return ()
-        lacking = {name for name, refusal in decision.rejected_parts if refusal.reason not in SHOWS_SOURCE}
+        lacking = {name for name, rejection in decision.rejected_parts if rejection.reason not in SHOWS_SOURCE}
         return [BEACON + light.beacon_id for light in exposure.lights if light.beacon_id not in lacking]
 
     def may_be_valid(self, there: Set[str]) -> bool:

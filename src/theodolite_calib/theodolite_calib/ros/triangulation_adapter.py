@@ -10,7 +10,7 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.messages_out import INNOVATION_TYPE, DiagnosticStatus, Level, refused_input
+from ship_node.edge.messages_out import INNOVATION_TYPE, DiagnosticStatus, Level, rejection_message
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from theodolite_calib.measured.samples import TargetEstimate
@@ -113,8 +113,8 @@ def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[Pub
         text=estimate.text,
     )
     published: list[Published] = [(POSITION_TOPIC, target_message(factory, told, ORIGIN_FRAME))]
-    if estimate.refusal is not None:
+    if estimate.rejection is not None:
         nis = math.nan if estimate.compared is None else estimate.compared.chi_square
-        refused = refused_input(factory, "stations", estimate.time_ns, estimate.refusal, nis=nis)
-        published.append((INNOVATION_TOPIC, refused))
+        rejected = rejection_message(factory, "stations", estimate.time_ns, estimate.rejection, nis=nis)
+        published.append((INNOVATION_TOPIC, rejected))
     return published

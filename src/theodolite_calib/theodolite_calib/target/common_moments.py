@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample, VectorTrack
@@ -105,7 +105,7 @@ class PlacedTarget:
     """
 
     time_ns: int
-    place: TriangulatedPlace | Refusal
+    place: TriangulatedPlace | Rejection
     stations: tuple[str, ...]
     status: Status
 

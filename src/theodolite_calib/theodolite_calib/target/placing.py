@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ship_estimation.outcome import Decision, Measurement, Outcome, Status
-from ship_estimation.refusals import Contradictions, Reason, Refusal, failure, same_stamp
+from ship_estimation.refusals import Contradictions, Reason, Rejection, failure, same_stamp
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.target.common_moments import DirectionSample, SeenByStation, leads, placed_at
@@ -29,7 +29,7 @@ pending directions get no position."""
 MOST_WAITING = 1000
 """Maximum number of pending directions to one target; beyond it the oldest are answered without waiting."""
 
-_LATE = Refusal(Reason.LATE, "later positions were published, or its target dropped, before it came")
+_LATE = Rejection(Reason.LATE, "later positions were published, or its target dropped, before it came")
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class PlaceEstimate:
     text: str
     stations: tuple[str, ...]
     compared: TriangulatedPlace | None
-    refusal: Refusal | None
+    rejection: Rejection | None
 
 
 PlacingOutcome = Outcome[Decision[Measurement], PlaceEstimate]
@@ -142,14 +142,14 @@ class TriangulationCore:
         target = self._targets.get(sample.target_id)
         if target is None:
             if sample.time_ns <= self._forgotten_ns:
-                outcome.refusal = _LATE
+                outcome.rejection = _LATE
                 return outcome
             target = self._add_target(sample.target_id, outcome)
         if target.reports[number].add(sample.time_ns, waiting_ns):
             # The first target in the order is dropped first.
             self._targets[sample.target_id] = self._targets.pop(sample.target_id)
-        outcome.refusal = self._take(target, number, sample, waiting_ns)
-        if outcome.refusal is None or outcome.refusal.reason not in (Reason.DUPLICATE, Reason.LATE):
+        outcome.rejection = self._take(target, number, sample, waiting_ns)
+        if outcome.rejection is None or outcome.rejection.reason not in (Reason.DUPLICATE, Reason.LATE):
             self._answer(sample.target_id, target, waiting_ns, outcome)
         return outcome
 
@@ -176,34 +176,34 @@ class TriangulationCore:
     def _forget(self, target_id: str, outcome: PlacingOutcome) -> None:
         """Drop a target; its pending directions are answered, and no later position of it gets an earlier stamp."""
         target = self._targets.pop(target_id)
-        refusal = Refusal(Reason.OVERFLOW, f"more than {MOST_TARGETS} targets: '{target_id}' is dropped")
+        rejection = Rejection(Reason.OVERFLOW, f"more than {MOST_TARGETS} targets: '{target_id}' is dropped")
         for time_ns, number in sorted(target.waiting):
             target.done_ns = time_ns
             if leads(number, time_ns, target.seen_by):
-                outcome.estimates.append(_invalid_position(target_id, time_ns, (), None, refusal))
+                outcome.estimates.append(_invalid_position(target_id, time_ns, (), None, rejection))
         self._forgotten_ns = max(self._forgotten_ns, target.done_ns)
 
-    def _take(self, target: _Target, number: int, sample: DirectionSample, waiting_ns: int) -> Refusal | None:
+    def _take(self, target: _Target, number: int, sample: DirectionSample, waiting_ns: int) -> Rejection | None:
         track, key = target.seen_by[number].track, (sample.time_ns, number)
         known = track.get(sample.time_ns)
-        refusal = None
+        rejection = None
         if known is not None:
-            takes_its_place, refusal = same_stamp(known, sample)
-            self._contradictions.note(sample.source, sample.time_ns, refusal)
+            takes_its_place, rejection = same_stamp(known, sample)
+            self._contradictions.note(sample.source, sample.time_ns, rejection)
             if not takes_its_place:
-                return refusal
+                return rejection
         if sample.status is Status.INVALID:
             track.insert(sample)
             target.waiting.pop(key, None)
             # No position is computed at its stamp, which would drop old samples.
             oldest_ns = min([time_ns for time_ns, _ in target.waiting], default=sample.time_ns)
             track.drop_before(min(oldest_ns, sample.time_ns - self._lag_ns))
-            return refusal or Refusal(Reason.GAP, "the theodolite reports INVALID")
+            return rejection or Rejection(Reason.GAP, "the theodolite reports INVALID")
         if sample.time_ns <= target.done_ns:
-            return refusal or _LATE
+            return rejection or _LATE
         track.insert(sample)
         target.waiting.setdefault(key, waiting_ns)
-        return refusal
+        return rejection
 
     def _answer(self, target_id: str, target: _Target, waiting_ns: int, outcome: PlacingOutcome) -> None:
         """Answer the directions that need not wait any longer, in the order of their stamps."""
@@ -243,10 +243,10 @@ class TriangulationCore:
             outcome.failures.append((time_ns, failure(error)))
             return _invalid_position(target_id, time_ns, (), None, failure(error))
         place = placed.place
-        if isinstance(place, Refusal):
+        if isinstance(place, Rejection):
             return _invalid_position(target_id, time_ns, placed.stations, None, place)
-        if place.refusal is not None:
-            return _invalid_position(target_id, time_ns, placed.stations, place, place.refusal)
+        if place.rejection is not None:
+            return _invalid_position(target_id, time_ns, placed.stations, place, place.rejection)
         status, text = placed.status, ""
         if status is not Status.VALID:
             text = f"a direction to it is {status.name}"
@@ -264,10 +264,10 @@ class TriangulationCore:
 
 
 def _invalid_position(
-    target_id: str, time_ns: int, stations: tuple[str, ...], compared: TriangulatedPlace | None, refusal: Refusal
+    target_id: str, time_ns: int, stations: tuple[str, ...], compared: TriangulatedPlace | None, rejection: Rejection
 ) -> PlaceEstimate:
     """Return an INVALID position."""
     unknown, unknown_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
     return PlaceEstimate(
-        time_ns, target_id, unknown, unknown_covariance, Status.INVALID, refusal.text, stations, compared, refusal
+        time_ns, target_id, unknown, unknown_covariance, Status.INVALID, rejection.text, stations, compared, rejection
     )

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.lights.image import unit_vector_jacobian
@@ -91,12 +91,12 @@ class TriangulatedPlace:
     sigma: FloatArray
     chi_square: float
     gate: float
-    refusal: Refusal | None
+    rejection: Rejection | None
 
 
 def triangulated(
     origin: GeodeticPosition, directions: Sequence[StationDirection], air: Air, gate_probability: float = 0.999
-) -> TriangulatedPlace | Refusal:
+) -> TriangulatedPlace | Rejection:
     """Triangulate a target from the directions of two theodolites or more.
 
     Args:
@@ -111,21 +111,21 @@ def triangulated(
             distance is unknown.
     """
     if len(directions) < 2:
-        return Refusal(Reason.GAP, f"{len(directions)} theodolite sees the target: a position needs two or more")
+        return Rejection(Reason.GAP, f"{len(directions)} theodolite sees the target: a position needs two or more")
     numbers = [value for each in directions for value in (*each.direction_n, *each.covariance_n.ravel())]
     if not np.all(np.isfinite(numbers)):
-        return Refusal(Reason.NON_FINITE, "a direction holds NaN or infinity")
+        return Rejection(Reason.NON_FINITE, "a direction holds NaN or infinity")
     rotation_ne = rotation_horizon_from_ecef(float(origin.latitude), float(origin.longitude))
     origin_m = ecef_from_geodetic(origin)
     lines = [_Line.of(each, rotation_ne, origin_m) for each in directions]
     found = _nearest(lines)
     if found is None:
         names = ", ".join(line.name for line in lines)
-        return Refusal(Reason.GATE, f"the directions of {names} are parallel: no intersection")
+        return Rejection(Reason.GATE, f"the directions of {names} are parallel: no intersection")
     for _ in range(_STEPS):
         behind = [line.name for line in lines if not line.measured_n @ (found - line.foot_n) > 0.0]
         if behind:
-            return Refusal(Reason.GATE, f"the directions meet behind {', '.join(behind)}")
+            return Rejection(Reason.GATE, f"the directions meet behind {', '.join(behind)}")
         residual, jacobian, noise = _compared(lines, found, air)
         weighted = np.linalg.solve(noise, jacobian)
         covariance_n = np.linalg.inv(jacobian.T @ weighted)
@@ -139,12 +139,12 @@ def triangulated(
     residual, _, noise = _compared(lines, found, air)
     chi_square = float(residual @ np.linalg.solve(noise, residual))
     gate = chi_square_gate(gate_probability, len(residual) - 3)
-    refusal = None
+    rejection = None
     if not chi_square <= gate:
         text = f"the directions are inconsistent: chi-square {chi_square:.1f} exceeds {gate:.1f}"
-        refusal = Refusal(Reason.GATE, text)
+        rejection = Rejection(Reason.GATE, text)
     sigma = np.sqrt(np.diagonal(noise))
-    return TriangulatedPlace(found, covariance_n, residual, sigma, chi_square, gate, refusal)
+    return TriangulatedPlace(found, covariance_n, residual, sigma, chi_square, gate, rejection)
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
     return nearest
 
 
-def _distance_rejection(lines: Sequence[_Line], place_n: FloatArray, covariance_n: FloatArray) -> Refusal | None:
+def _distance_rejection(lines: Sequence[_Line], place_n: FloatArray, covariance_n: FloatArray) -> Rejection | None:
     """Return the rejection of a position whose distance from a theodolite is too uncertain; None if it is not."""
     for line in lines:
         path_n = place_n - line.foot_n
@@ -208,7 +208,7 @@ def _distance_rejection(lines: Sequence[_Line], place_n: FloatArray, covariance_
             sigma_m = float(np.sqrt(variance_m2)) if variance_m2 >= 0.0 else float("nan")
             text = f"the distance from {line.name}, {distance_m:.3g} m, has sigma {sigma_m:.2g} m, more than "
             text += f"{_WORST_DISTANCE:g} of it: set the theodolites further apart, or measure a range"
-            return Refusal(Reason.GATE, text)
+            return Rejection(Reason.GATE, text)
     return None
 
 

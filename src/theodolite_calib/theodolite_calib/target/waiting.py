@@ -5,7 +5,7 @@ Images affect nothing else: the pointings and their inputs are, to the last bit,
 
 from collections import deque
 
-from ship_estimation.refusals import Contradictions, Refusal, same_stamp
+from ship_estimation.refusals import Contradictions, Rejection, same_stamp
 from theodolite_calib.measured.samples import TargetSample
 
 MOST_WAITING = 1000
@@ -33,17 +33,17 @@ class WaitingTargets:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, sample: TargetSample, waiting_ns: int) -> Refusal | None:
+    def add(self, sample: TargetSample, waiting_ns: int) -> Rejection | None:
         """Add an image; return its rejection, or that of the image it replaces."""
         key = sample.time_ns, sample.target_id
         waits = self._waiting.get(key)
         known = waits[0] if waits is not None else self._answered.get(key)
         if known is not None:
-            takes_its_place, refusal = same_stamp(known, sample)
-            self._contradictions.note(sample.source, sample.time_ns, refusal)
+            takes_its_place, rejection = same_stamp(known, sample)
+            self._contradictions.note(sample.source, sample.time_ns, rejection)
             if takes_its_place and waits is not None:
                 self._waiting[key] = sample, waits[1]
-            return refusal
+            return rejection
         self._waiting[key] = sample, waiting_ns
         return None
 

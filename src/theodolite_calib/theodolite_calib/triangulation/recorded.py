@@ -7,7 +7,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag, watched
 from ship_bags.stamps import END_OF_TIME_NS
 from ship_estimation.outcome import Status
-from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_in import MessageRejected
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.target_messages import TARGET_TYPE
 from theodolite_calib.target.common_moments import DirectionSample, PlacedTarget, SeenByStation, leads, placed_at
@@ -51,7 +51,7 @@ def _recorded(path: Path, topic: str, station: str, target_id: str) -> list[Dire
             message = record.decode()
             try:
                 sample = direction(message, station, END_OF_TIME_NS).value
-            except Refused:
+            except MessageRejected:
                 continue
             if sample.target_id != target_id:
                 others.add(sample.target_id)

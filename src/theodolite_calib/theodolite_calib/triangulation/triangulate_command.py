@@ -13,7 +13,7 @@ from ship_bags.output_files import add_force, check_file, write_csv
 from ship_bags.parameter_yaml import read_plain
 from ship_bags.stamps import utc_text
 from ship_estimation.parameters import ParameterError, build
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Rejection
 from theodolite_calib.target.common_moments import PlacedTarget
 from theodolite_calib.target.triangulation import TriangulatedPlace
 from theodolite_calib.triangulation.config import RecordedTriangulationConfig
@@ -68,21 +68,21 @@ def _run(options: argparse.Namespace) -> int:
     found = list(placed_targets(config, recorded))
     placed = [(one, one.place) for one in found if isinstance(one.place, TriangulatedPlace)]
     # Times with one direction only are not reported.
-    refused = [one.place for one in found if isinstance(one.place, Refusal) and len(one.stations) > 1]
-    why = f", the first one because {refused[0].text}" if refused else ""
+    rejected = [one.place for one in found if isinstance(one.place, Rejection) and len(one.stations) > 1]
+    why = f", the first one because {rejected[0].text}" if rejected else ""
     if not placed:
         names = ", ".join(config.stations)
         text = f"no position of '{options.target}': no two directions of {names} at one time intersect"
         raise BadInput(f"{text} (max_gap_s = {config.max_gap_s:g}){why}", file=options.stations)
     write_csv(options.out, COLUMNS, _rows(placed))
-    misfits = sum(place.refusal is not None for _, place in placed)
+    misfits = sum(place.rejection is not None for _, place in placed)
     sigma_m = np.sqrt(np.median([np.trace(place.covariance_n) for _, place in placed]))
     sys.stdout.write(
         f"{options.out}: {len(placed)} positions of '{options.target}', error {sigma_m:.3g} m (1 sigma in space, "
         f"median), {misfits} with inconsistent directions\n"
     )
-    if refused:
-        sys.stdout.write(f"at {len(refused)} further times the directions give no position{why}\n")
+    if rejected:
+        sys.stdout.write(f"at {len(rejected)} further times the directions give no position{why}\n")
     return EXIT_BOUND_NOT_MET if misfits else EXIT_DONE
 
 
@@ -115,7 +115,7 @@ def _rows(placed: Sequence[tuple[PlacedTarget, TriangulatedPlace]]) -> Iterator[
             *(f"{product_m2:.6g}" for product_m2 in products_m2),
             f"{found.chi_square:.2f}",
             f"{found.gate:.2f}",
-            int(found.refusal is None),
+            int(found.rejection is None),
             one.status.name.lower(),
             " ".join(one.stations),
         ]
