@@ -13,7 +13,7 @@ from ship_estimation.parameters import ParameterError
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.input_health import InputHealthBook
-from ship_node.edge.messages_in import MessageRejected, frame, stamp_ns, unit_quaternion
+from ship_node.edge.messages_in import MessageRejected, check_frame, stamp_ns, unit_quaternion
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, diagnostic_array
 from ship_node.edge.overload import Overload
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
@@ -82,7 +82,7 @@ class RelayAdapter:
             raise RuntimeError("a defect of the adapter")
         try:
             time_ns = stamp_ns(message.header, receive_ns)
-            frame(message.header.frame_id, self.config.frame_id)
+            check_frame(message.header.frame_id, self.config.frame_id)
             x, y, z, w = unit_quaternion(message.orientation)
         except MessageRejected as refused:
             self.health.rejected(topic, refused.rejection, receive_ns)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.guards.stream_guards import PlausibilityChecks
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import MountingConfig
@@ -36,7 +36,7 @@ def sample(time_ms: int, offset_s: float = 0.0, white_n: np.ndarray | None = Non
 
 
 def motion(config: StarInsConfig, *samples: AttitudeSample) -> InsMotion:
-    result = InsMotion(config, StreamGuards(config))
+    result = InsMotion(config, PlausibilityChecks(config))
     for one in samples:
         assert result.add(one) is None
     return result
@@ -116,7 +116,7 @@ def test_excess_noise_counts_in_a_rotation() -> None:
     squares = variances = 0.0
     for draw in range(draws):
         noise = exp_rotation(20.0 * ARCSEC * np.random.default_rng(draw).standard_normal((len(true), 3)))
-        some = InsMotion(config, StreamGuards(config))
+        some = InsMotion(config, PlausibilityChecks(config))
         for one, turned in zip(true, noise, strict=True):
             some.add(replace(one, rotation_nd=turned @ one.rotation_nd))
         turn, covariance_d = turn_of(some, 5000, 5150)
@@ -145,7 +145,7 @@ def test_rotations_over_short_times_have_only_the_noise_not_shared(
     shares = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])
     squares, variance = np.zeros(len(shares)), np.zeros(len(shares))
     for _ in range(draws):
-        some = InsMotion(config, StreamGuards(config))
+        some = InsMotion(config, PlausibilityChecks(config))
         for one in true:
             noise = exp_rotation(ARCSEC * rng.standard_normal(3))
             some.track.insert(replace(one, rotation_nd=noise @ one.rotation_nd))
@@ -204,7 +204,7 @@ def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
     """While the INS contradicts itself it is not used."""
     decks, later_ms = [], [10_030, 10_070, 10_110]
     for pair in ((one, other), (other, one)):
-        some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
+        some = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig()))
         refusals = [some.add(s) for s in (sample(0), pair[0], pair[1], sample(80))]
         assert [None if r is None else r.reason for r in refusals] == [None, None, Reason.CONFLICT, None]
         assert some.deck_prior(START_NS + 40 * MS) is None
@@ -232,7 +232,7 @@ def test_dropped_data_are_not_needed() -> None:
 
 def jumped_motion(size_rad: float) -> InsMotion:
     """Its attitude jumps about Up at 0.8 s; five samples are rejected."""
-    some, step = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig())), np.array([0.0, size_rad, 0.0])
+    some, step = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig())), np.array([0.0, size_rad, 0.0])
     refusals = []
     for one in map(sample, range(0, 2000, 40)):
         late = one.time_ns >= START_NS + 800 * MS
@@ -253,7 +253,7 @@ def test_after_a_jump_the_covariance_holds_it_and_no_rotation_spans_it() -> None
 
 
 def test_faulty_rates_are_removed_from_the_track() -> None:
-    some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
+    some = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig()))
     for one in map(sample, range(0, 1000, 40)):
         assert some.add(replace(one, rate_d=np.zeros(3))) is None
     turn, _ = turn_of(some, 20, 500)

@@ -157,7 +157,7 @@ def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cy
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _judged(learns: cython.longlong, first_rad: cython.double) -> cython.bint:
+def _is_checked(learns: cython.longlong, first_rad: cython.double) -> cython.bint:
     """True if a single sample is checked by its own step."""
     return learns >= _LEARNT_ONE or first_rad < INFINITY
 
@@ -191,7 +191,7 @@ def _set(
         # An infinite bound is not used: the ratio of a step to it would be zero in the statistics.
         if p == 0 and learns < _LEARNT_ONE and bound < first_rad < INFINITY:
             bound = first_rad
-        if learns < _LEARNT_ALL and not (p == 0 and _judged(learns, first_rad)):
+        if learns < _LEARNT_ALL and not (p == 0 and _is_checked(learns, first_rad)):
             bound += _UNKNOWN_RAD
         bounds[p] = bound
         for m in range(weights.shape[1]):
@@ -231,7 +231,7 @@ def set_bounds(
     check("bounds", least_rad.shape[0] == shares.shape[0] == bounds.shape[0] == places and high.shape[0] >= places)
     check("scaled", scaled.shape[0] == places and scaled.shape[1] == weights.shape[1])
     _set(weights, least_rad, shares, high, learns, coarse_rad, feigned_rad, first_rad, bounds, scaled)
-    return bool(_judged(learns, first_rad))
+    return bool(_is_checked(learns, first_rad))
 
 
 @cython.cfunc

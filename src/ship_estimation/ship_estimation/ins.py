@@ -51,7 +51,7 @@ class InsInputConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GuardedInsConfig(InsInputConfig):
+class CheckedInsConfig(InsInputConfig):
     """Parameters of an INS whose attitudes are checked for jumps."""
 
     jump_samples: int = parameter(
@@ -75,7 +75,7 @@ class GuardedInsConfig(InsInputConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StarInsConfig(GuardedInsConfig):
+class StarInsConfig(CheckedInsConfig):
     """Parameters of an INS that measures the ship's rotation during star exposures."""
 
     untold_acceleration_deg_per_s2: float = parameter(

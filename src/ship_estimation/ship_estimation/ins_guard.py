@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from ship_estimation.excess_noise import ExcessNoise
-from ship_estimation.ins import GuardedInsConfig, InsJump, clock_step_s
+from ship_estimation.ins import CheckedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
 from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StampArray
 from ship_estimation.rate_guard import RateGuard, Rates
@@ -108,9 +108,9 @@ class InsGuard:
     'GATE'
     """
 
-    def __init__(self, config: GuardedInsConfig) -> None:
-        self._stuck, self._rates, self._jumps = StuckGuard(), RateGuard(), JumpGuard()
-        self._integrator, self._steps, self._leads = RateIntegrator(), StepWatch(ARCSEC, 0.0), Leads(self._stuck)
+    def __init__(self, config: CheckedInsConfig) -> None:
+        self._stuck_check, self._rate_check, self._jump_check = StuckGuard(), RateGuard(), JumpGuard()
+        self._integrator, self._steps, self._leads = RateIntegrator(), StepWatch(ARCSEC, 0.0), Leads(self._stuck_check)
         self._slopes = SlopeWatch()
         self._previous: SeenSample | None = None
         self._taken: SeenSample | None = None
@@ -128,12 +128,12 @@ class InsGuard:
         self.by_rates: Witness | None = None
         self.reconfigure(config)
 
-    def reconfigure(self, config: GuardedInsConfig) -> None:
+    def reconfigure(self, config: CheckedInsConfig) -> None:
         """Set the noise and the other parameters of a new configuration; the noise is an arcsecond at least."""
         self._stated_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
         self._rate_sigma = config.rate_sigma_arcsec_per_s * ARCSEC
         self._new_noise = self._excess.reconfigure(self._stated_rad) or self._new_noise
-        self._jumps.samples = config.jump_samples
+        self._jump_check.samples = config.jump_samples
         self._leads.drift.with_earth = config.rate_has_earth_rate
         self._set_sigma()
 
@@ -142,12 +142,12 @@ class InsGuard:
         self._sigma_rad = self._excess.sigma_rad
         self._leads.by_rates.sigma_rad = self._leads.by_motion.sigma_rad = self._sigma_rad
         self._steps.reconfigure(self._sigma_rad, self._rate_sigma)
-        self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
+        self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
 
     @property
     def rates(self) -> Rates:
         """Status of the rates."""
-        return self._rates.rates
+        return self._rate_check.rates
 
     @property
     def excess_text(self) -> str:
@@ -155,7 +155,7 @@ class InsGuard:
         found = self._excess.found
         return "" if found is None else found.text(self._stated_rad)
 
-    def judge(
+    def check(
         self, sample: AttitudeSample, used: AttitudeTrack, motion_references: Mapping[str, Witness], told_rad: float = 0.0
     ) -> JudgedIns:
         """Check a sample against those before it in time.
@@ -175,7 +175,7 @@ class InsGuard:
             judged = JudgedIns(sample, self._late_rejection(sample, used.last_before(sample.time_ns - 1)))
         else:
             judged = self._with_noise(self._judge_next(sample, previous, motion_references))
-        if self._rates.usable or sample.rate_d is None:
+        if self._rate_check.usable or sample.rate_d is None:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
 
@@ -187,7 +187,7 @@ class InsGuard:
     def looks_ahead(self, time_ns: int) -> bool:
         """True if a block may be checked from this stamp on: rates are confirmed, and no check is unresolved."""
         taken = self._taken
-        if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
+        if taken is None or self._previous is not taken or self._rate_check.rates is not Rates.MEASURED:
             return False
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
         return in_order and self._unresolved_jump is None and self._steps.judges and not self._excess.collects
@@ -206,7 +206,7 @@ class InsGuard:
         if not self.looks_ahead(samples[0].time_ns):
             return followed
         self._leads.told_rad = 0.0
-        fresh = self._stuck.new_values(samples[0].time_ns, block.rotations_nd)
+        fresh = self._stuck_check.new_values(samples[0].time_ns, block.rotations_nd)
         while followed.count < fresh and followed.last is None:
             start = followed.count
             rest = block.some(slice(start, fresh))
@@ -216,7 +216,7 @@ class InsGuard:
                 break
         return followed
 
-    def arrive(self, values: FloatArray, followed: Followed, motion_references: Mapping[str, Witness]) -> None:
+    def arrive(self, values: FloatArray, checked: Followed, motion_references: Mapping[str, Witness]) -> None:
         """Commit the samples that :meth:`check_block` checked.
 
         Args:
@@ -224,11 +224,11 @@ class InsGuard:
             checked: result of :meth:`check_block`.
             motion_references: as in :meth:`check`, at the last sample.
         """
-        by_rates = followed.by_rates(followed.count - 1)
+        by_rates = checked.by_rates(checked.count - 1)
         # The stuck check uses the rates as they were before their check with the last sample.
-        self._stuck.follow(by_rates.time_ns, values, {**motion_references, "rate": by_rates})
-        self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
-        self.by_rates = by_rates if self._rates.usable else None
+        self._stuck_check.follow(by_rates.time_ns, values, {**motion_references, "rate": by_rates})
+        self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
+        self.by_rates = by_rates if self._rate_check.usable else None
         self._smooth_since_taken = True
 
     def _follow_run(
@@ -238,7 +238,7 @@ class InsGuard:
         start, joined, drift_rad_per_s = 0, len(integrated.missed_rad), self._leads.drift.bound_rad_per_s
         while start < joined and followed.last is None:
             # The rates are checked with the sample that reaches the due time.
-            due = start + 1 + int(block.times_ns[start:joined].searchsorted(self._rates.due_ns))
+            due = start + 1 + int(block.times_ns[start:joined].searchsorted(self._rate_check.due_ns))
             some = slice(start, min(due, joined))
             times_ns, learnt = block.times_ns[some], self._learnt
             count, followed.last = self._follow(samples[some], block.some(some), integrated.some(some), due - start)
@@ -265,7 +265,7 @@ class InsGuard:
         taken = self._taken
         if taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
             return 0, None
-        count = self._steps.follow(*block, integrated, self._leads.by_rates.noise_rad, self._stuck.coarseness_rad)
+        count = self._steps.follow(*block, integrated, self._leads.by_rates.noise_rad, self._stuck_check.coarseness_rad)
         if count == 0:
             return 0, None
         last = samples[count - 1]
@@ -279,7 +279,7 @@ class InsGuard:
         wrong_after_ns = self._judge_rates(previous, seen) if count == due else None
         if not jumps and wrong_after_ns is None and self._new_noise is None:
             return count, None
-        sample = last if self._rates.usable else replace(last, rate_d=None)
+        sample = last if self._rate_check.usable else replace(last, rate_d=None)
         return count, self._with_noise(JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns))
 
     @staticmethod
@@ -301,13 +301,13 @@ class InsGuard:
         number, before = (0, None) if previous is None else (previous.number + 1, previous.sample)
         self._previous = seen = SeenSample(sample, number, before, integrated)
         self.by_rates = None
-        if integrated is not None and self._rates.usable:
+        if integrated is not None and self._rate_check.usable:
             self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, self._leads.drift.bound_rad_per_s)
             motion_references = {**motion_references, "rate": self.by_rates}
-        stuck = self._stuck.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, motion_references)
-        self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
+        stuck = self._stuck_check.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, motion_references)
+        self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
         if stuck:
-            self._rates.restart()
+            self._rate_check.restart()
             self._steps.restart()
             self._smooth_since_taken = False
             return JudgedIns(sample, _STUCK)
@@ -319,11 +319,11 @@ class InsGuard:
 
     def _compare(self, taken: SeenSample, previous: SeenSample, seen: SeenSample) -> JudgedIns:
         """Check a sample against the last accepted one and the one before it."""
-        sample, on_line, measured = seen.sample, None, self._rates.rates is Rates.MEASURED
+        sample, on_line, measured = seen.sample, None, self._rate_check.rates is Rates.MEASURED
         if measured and seen.integrated is not None:
             if self._leads.told_rad and self._leads.told_rad > self._steps.smallest_rad:
                 self._steps.restart()
-            errors_rad = self._leads.by_rates.noise_rad, self._stuck.coarseness_rad
+            errors_rad = self._leads.by_rates.noise_rad, self._stuck_check.coarseness_rad
             on_line = self._steps.look(sample, seen.integrated, *errors_rad)
             if on_line is False:
                 self._excess.start_collecting(sample.time_ns, self._leads.by_rates.typical_rad)
@@ -333,7 +333,7 @@ class InsGuard:
             # Nearly all samples of a healthy INS take this branch.
             jumps = self._kept(seen)
             self._take(seen, None if jumps else taken)
-            due = sample.time_ns >= self._rates.due_ns
+            due = sample.time_ns >= self._rate_check.due_ns
             return JudgedIns(sample, _stepped(jumps), jumps, self._judge_rates(previous, seen) if due else None)
         match = self._leads.match(taken, seen, measured) if on_line is None else self._steps.match()
         step = match if previous is taken else self._leads.match(previous, seen, measured)
@@ -346,14 +346,14 @@ class InsGuard:
             # Confirmed rates reject inconsistent attitudes. If the rates are then found to be wrong, these attitudes
             # are accepted, provided that each of them continued the motion before it.
             fits = smooth and not measured
-        verdict = self._jumps.judge(sample.time_ns, fits, step.fits)
+        verdict = self._jump_check.judge(sample.time_ns, fits, step.fits)
         if verdict is JumpVerdict.REJECTED:
-            if self._jumps.rejected_count == 1:
+            if self._jump_check.rejected_count == 1:
                 self._jumps_with = sample
                 self._previous = seen._replace(before=moved_back(sample, taken))
             wrong_after_ns = self._judge_rates(previous, seen)
             if wrong_after_ns is not None and measured:
-                self._unresolved_jump = InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad)
+                self._unresolved_jump = InsJump(self._jump_check.since_ns - 1, match.difference, match.sigma_rad)
             return JudgedIns(sample, _gate_rejection(match), (), wrong_after_ns)
         return self._taken_after_all(taken, previous, seen, match, step is match, verdict is JumpVerdict.JUMPED)
 
@@ -378,20 +378,20 @@ class InsGuard:
         wrong_after_ns = self._judge_rates(previous, seen)
         # The typical difference is estimated from steps of one sample.
         if not jumps and next_one:
-            if self._rates.rates is not Rates.MEASURED:
+            if self._rate_check.rates is not Rates.MEASURED:
                 self._learn_unproven(taken, seen, match, one)
             elif one:
                 self._leads.by_rates.learn(match.difference)
-        if self._rates.rates is Rates.WRONG_UNITS:
+        if self._rate_check.rates is Rates.WRONG_UNITS:
             refusal = self._units_rejection()
         return JudgedIns(seen.sample, refusal, jumps, wrong_after_ns)
 
     def _accepted_jump(self, match: Match) -> InsJump:
         """Return the jump that is accepted after samples that were rejected for it."""
         first, clock_s = self._jumps_with, math.nan
-        if first is not None and first.rate_d is not None and self._rates.rates is Rates.MEASURED:
+        if first is not None and first.rate_d is not None and self._rate_check.rates is Rates.MEASURED:
             clock_s = clock_step_s(match.difference, match.sigma_rad, first.rotation_nd @ first.rate_d)
-        return InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad, clock_s)
+        return InsJump(self._jump_check.since_ns - 1, match.difference, match.sigma_rad, clock_s)
 
     def _kept(self, seen: SeenSample) -> tuple[InsJump, ...]:
         """Add a sample to the line by which the next ones are checked; return the jump that it shows."""
@@ -399,7 +399,7 @@ class InsGuard:
         if found is None:
             return self._drift_jumps(seen.sample)
         self._excess.start_collecting(seen.sample.time_ns, self._leads.by_rates.typical_rad)
-        self._rates.restart()
+        self._rate_check.restart()
         moments_ns = sorted({found.first_ns, found.last_ns})
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
@@ -429,29 +429,29 @@ class InsGuard:
 
     def _late_rejection(self, sample: AttitudeSample, before: AttitudeSample | None) -> Rejection | None:
         """Return the rejection of a sample that arrives after later ones, by the accepted one before it in time."""
-        if self._stuck.is_frozen(sample.rotation_nd):
+        if self._stuck_check.is_frozen(sample.rotation_nd):
             return _STUCK
-        if self._rates.rates is Rates.WRONG_UNITS:
+        if self._rate_check.rates is Rates.WRONG_UNITS:
             return self._units_rejection()
         if before is None:
             return None
-        match = self._leads.match_by_two_rates(before, sample, self._rates.rates is Rates.MEASURED)
+        match = self._leads.match_by_two_rates(before, sample, self._rate_check.rates is Rates.MEASURED)
         return None if match.fits else _gate_rejection(match)
 
     def _judge_rates(self, previous: SeenSample, seen: SeenSample) -> int | None:
         """Check the rates if the attitude is plausible; return the stamp after which they are wrong, or None."""
         sample, integrated = seen.sample, seen.integrated
-        if integrated is None or not one_run(previous.integrated, integrated) or self._stuck.repeated:
+        if integrated is None or not one_run(previous.integrated, integrated) or self._stuck_check.repeated:
             return None
         reach_rad = FASTEST_RAD_PER_S * seconds_between(previous.sample, sample)
         # 0.75 of the chord between two matrices exceeds the rotation: good samples need no logarithm.
         chord = math.hypot(*(sample.rotation_nd - previous.sample.rotation_nd).ravel().tolist())
         if not (0.75 * chord <= reach_rad <= 1.0 or self._leads.match_by_time(previous.sample, sample).fits):
-            self._rates.restart()
+            self._rate_check.restart()
             return None
         # The noise of a rate, as it adds to an attitude integrated from sample to sample, each axis.
         rate_noise_rad = self._leads.by_rates.typical_rad / math.sqrt(6.0)
-        wrong_after_ns = self._rates.observe(
+        wrong_after_ns = self._rate_check.observe(
             sample.time_ns, seen.number, sample.rotation_nd, integrated, self.noise_rad, rate_noise_rad
         )
         if wrong_after_ns is not None:
@@ -460,7 +460,7 @@ class InsGuard:
             self._slopes.reset()
             self._excess.reset()
         # The status of the rates may have changed with this sample.
-        if not self._rates.usable:
+        if not self._rate_check.usable:
             self.by_rates = None
         elif self.by_rates is None:
             self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, self._leads.drift.bound_rad_per_s)
@@ -477,11 +477,11 @@ class InsGuard:
         """Update the bounds with a good sample while the rates are not confirmed: by motion, and by usable rates."""
         if match.led:
             self._leads.by_motion.learn(match.difference)
-        if self._rates.usable and one:
+        if self._rate_check.usable and one:
             self._leads.by_rates.learn(self._leads.match_by_rates(taken, seen).difference)
 
     def _units_rejection(self) -> Rejection:
-        text = f"angular velocity turns {self._rates.slope:.3g} times as fast as the orientation: degrees for radians?"
+        text = f"angular velocity turns {self._rate_check.slope:.3g} times as fast as the orientation: degrees for radians?"
         return Rejection(Reason.UNITS, f"{text} ins/imu must be in rad/s")
 
 

@@ -104,7 +104,7 @@ class Leads:
     def __init__(self, stuck: StuckGuard) -> None:
         self.by_rates, self.by_motion, self.drift = Continuation(0.0), Continuation(0.0), RateDrift()
         self.told_rad = 0.0
-        self._stuck = stuck
+        self._stuck_check = stuck
 
     def match(self, start: SeenSample, end: SeenSample, rates_measured: bool) -> Match:
         """Compare two samples by the rates between them or, without an unbroken run, by continued motion."""
@@ -129,7 +129,7 @@ class Leads:
             return self.match_by_time(start.sample, end.sample)
         turn_d = seconds / turned_s * log_rotation(before.rotation_nd.T @ start.sample.rotation_nd)
         difference_n = log_rotation(end.sample.rotation_nd @ (start.sample.rotation_nd @ exp_rotation(turn_d)).T)
-        step = step_by_motion(turned_s, seconds, _LARGEST_ACCELERATION, self._stuck.coarseness_rad)
+        step = step_by_motion(turned_s, seconds, _LARGEST_ACCELERATION, self._stuck_check.coarseness_rad)
         return self.by_motion.match(difference_n, step)
 
     def match_by_two_rates(self, start: AttitudeSample, end: AttitudeSample, rates_measured: bool) -> Match:
@@ -162,7 +162,7 @@ class Leads:
 
     def _step(self, seconds: float, uncertain_rad: float, samples: int = 1) -> Step:
         uncertain_rad += self.told_rad
-        return Step(seconds, samples, uncertain_rad, 2.0, self._stuck.coarseness_rad, self.drift.bound_rad_per_s)
+        return Step(seconds, samples, uncertain_rad, 2.0, self._stuck_check.coarseness_rad, self.drift.bound_rad_per_s)
 
 
 def moved_back(sample: AttitudeSample, taken: SeenSample) -> AttitudeSample | None:

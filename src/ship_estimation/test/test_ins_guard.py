@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.ins import GuardedInsConfig, InsJump
+from ship_estimation.ins import CheckedInsConfig, InsJump
 from ship_estimation.ins_guard import InsGuard
 from ship_estimation.rate_guard import Rates
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -20,9 +20,9 @@ NOTHING_LATE = AttitudeTrack(500_000_000)
 
 def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:
     """Return the rejection reason of each sample, the checks after them, and the number of jumps."""
-    guard, results, jumps = InsGuard(GuardedInsConfig()), [], 0
+    guard, results, jumps = InsGuard(CheckedInsConfig()), [], 0
     for sample in samples:
-        result = guard.judge(sample, NOTHING_LATE, {})
+        result = guard.check(sample, NOTHING_LATE, {})
         results.append("" if result.rejection is None else result.rejection.reason.name)
         jumps += bool(result.jumps)
     return results, guard, jumps
@@ -78,8 +78,8 @@ def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
         replace(s, rotation_nd=_turned_east(2.75e-9 * max(s.time_ns - drifts_ns, 0)) @ frozen.rotation_nd)
         for s in samples[1000:1500]
     ]
-    guard = InsGuard(GuardedInsConfig())
-    found = [guard.judge(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *lying]]
+    guard = InsGuard(CheckedInsConfig())
+    found = [guard.check(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *lying]]
     reasons = {result.rejection.reason.name for result in found if result.rejection is not None}
     assert reasons == {"GATE", "STUCK"}
     taken = next(n for n in range(1080, 1500) if found[n].rejection is None)
@@ -94,8 +94,8 @@ def _turned_east(arcsec: float) -> np.ndarray:
 @pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0, 10.0, 2.0])
 @pytest.mark.parametrize("factor", [0.0, -1.0])
 def test_wrong_rates_are_detected_early(rate_hz: float, factor: float) -> None:
-    guard, samples = InsGuard(GuardedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
-    results = [guard.judge(sample, NOTHING_LATE, {}) for sample in samples]
+    guard, samples = InsGuard(CheckedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
+    results = [guard.check(sample, NOTHING_LATE, {}) for sample in samples]
     assert all(result.rejection is None for result in results)
     dropped = [n for n, result in enumerate(results) if result.rates_wrong_after_ns is not None]
     assert len(dropped) == 1
@@ -116,7 +116,7 @@ def test_wrong_unit_is_identified_and_right_rates_are_confirmed_again(factor: fl
     results, guard, _ = judged(wrong)
     assert 5.0 <= results.index("UNITS") / 50.0 <= 6.5
     assert set(results[results.index("UNITS") :]) == {"UNITS"}
-    back = [guard.judge(sample, NOTHING_LATE, {}) for sample in right[1000:]]
+    back = [guard.check(sample, NOTHING_LATE, {}) for sample in right[1000:]]
     refused = [n for n, result in enumerate(back) if result.rejection is not None]
     assert max(refused) < 2.5 * 50.0
     assert guard.rates is Rates.MEASURED
@@ -129,7 +129,7 @@ def test_rates_at_rest_are_not_checked() -> None:
     _, guard, _ = judged(still)
     assert guard.rates is Rates.UNPROVEN
     # At the start of the swell, attitude and motion jump.
-    assert [guard.judge(sample, NOTHING_LATE, {}).rejection for sample in moving][8:] == [None] * (len(moving) - 8)
+    assert [guard.check(sample, NOTHING_LATE, {}).rejection for sample in moving][8:] == [None] * (len(moving) - 8)
     assert guard.rates is Rates.NOT_MEASURED
 
 
@@ -164,11 +164,11 @@ def test_changed_noise_applies_at_once() -> None:
     samples = stream(20.0, 50.0)
     samples[700] = replace(samples[700], rotation_nd=exp_rotation(np.full(3, 40.0 * ARCSEC)) @ samples[700].rotation_nd)
     for sigma_arcsec, refused in ((1.0, {"", "GATE"}), (20.0, {""})):
-        guard = InsGuard(GuardedInsConfig())
+        guard = InsGuard(CheckedInsConfig())
         for sample in samples[:500]:
-            guard.judge(sample, NOTHING_LATE, {})
-        guard.reconfigure(GuardedInsConfig(white_sigma_arcsec=sigma_arcsec))
-        later = [guard.judge(sample, NOTHING_LATE, {}).rejection for sample in samples[500:]]
+            guard.check(sample, NOTHING_LATE, {})
+        guard.reconfigure(CheckedInsConfig(white_sigma_arcsec=sigma_arcsec))
+        later = [guard.check(sample, NOTHING_LATE, {}).rejection for sample in samples[500:]]
         assert {"" if refusal is None else refusal.reason.name for refusal in later} == refused
         assert Counter(refusal is None for refusal in later)[False] <= 1
 
@@ -197,8 +197,8 @@ def test_clock_step_of_an_ins_is_identified(step_s: float, rate_hz: int) -> None
         rotation = exp_rotation(noise) @ exp_rotation(np.array([roll, 0.0, 0.0]))
         return AttitudeSample(round(stamp_s * 1e9), rotation, np.array([rate, 0.0, 0.0]))
 
-    guard, times_s = InsGuard(GuardedInsConfig()), np.arange(0.0, 25.0, 1.0 / rate_hz)
-    results = [guard.judge(sample(t, t + step_s * (t >= 23.0)), NOTHING_LATE, {}) for t in times_s]
+    guard, times_s = InsGuard(CheckedInsConfig()), np.arange(0.0, 25.0, 1.0 / rate_hz)
+    results = [guard.check(sample(t, t + step_s * (t >= 23.0)), NOTHING_LATE, {}) for t in times_s]
     (jumps,) = [one.jumps for one in results if one.jumps]
     assert jumps[0].is_of_clock
     assert jumps[0].clock_s == pytest.approx(-step_s, rel=0.1)
@@ -211,9 +211,9 @@ def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_
     walk = np.cumsum(rng.normal(0.0, 0.3 / np.sqrt(50.0), len(samples)))
     creeps_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]
     off = walk + per_min_arcsec / 60.0 * np.array(creeps_s)
-    guard, told = InsGuard(GuardedInsConfig()), []
+    guard, told = InsGuard(CheckedInsConfig()), []
     for one, east, creeping_s in zip(samples, off, creeps_s, strict=True):
-        judged_one = guard.judge(replace(one, rotation_nd=_turned_east(east) @ one.rotation_nd), NOTHING_LATE, {})
+        judged_one = guard.check(replace(one, rotation_nd=_turned_east(east) @ one.rotation_nd), NOTHING_LATE, {})
         if judged_one.jumps:
             told.append(creeping_s)
             assert judged_one.jumps[0].is_drift

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi, chi2
 
-from ship_estimation.ins import GuardedInsConfig, InsJump
+from ship_estimation.ins import CheckedInsConfig, InsJump
 from ship_estimation.ins_guard import InsGuard
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
@@ -34,9 +34,9 @@ class Told(NamedTuple):
 
 
 def told(samples: Iterable[AttitudeSample], **config: Any) -> Told:
-    found = Told([], {}, InsGuard(GuardedInsConfig(**config)))
+    found = Told([], {}, InsGuard(CheckedInsConfig(**config)))
     for number, sample in enumerate(samples):
-        judged = found.guard.judge(sample, NOTHING_LATE, {})
+        judged = found.guard.check(sample, NOTHING_LATE, {})
         if judged.rejection is not None:
             found.refused.append(number)
         if judged.jumps:
@@ -247,12 +247,12 @@ def test_changed_rate_noise_applies_at_once() -> None:
         counts.append(seen)
     assert counts[0] <= 5
     assert counts[1] >= 8
-    guard = InsGuard(GuardedInsConfig())
+    guard = InsGuard(CheckedInsConfig())
     samples, first = stream(32.0, 100.0, rate_noise_arcsec_per_s=60.0), number_at(100.0, 30.0)
     samples, refused = stepped(samples, first, (0.0, 20.0, 0.0)), []
     for number, sample in enumerate(samples):
         if number == 100:
-            guard.reconfigure(GuardedInsConfig(rate_sigma_arcsec_per_s=60.0))
-        if guard.judge(sample, NOTHING_LATE, {}).rejection is not None:
+            guard.reconfigure(CheckedInsConfig(rate_sigma_arcsec_per_s=60.0))
+        if guard.check(sample, NOTHING_LATE, {}).rejection is not None:
             refused.append(number)
     assert refused[0] == first

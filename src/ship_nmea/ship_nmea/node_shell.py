@@ -27,7 +27,7 @@ from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Dia
 from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_node.live.node_clock import NodeClock
 from ship_node.live.node_events import NodeEvents
-from ship_node.live.node_report import Guard, StatusLog, name_status
+from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status
 from ship_node.live.node_shell import run_node
 from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
@@ -116,7 +116,7 @@ class NmeaNode:
     ) -> None:
         self.node: Node = ParameterNode(name, context=context)
         self.factory = RosidlFactory()
-        self.guard = Guard(self.node.get_logger(), time.monotonic_ns)
+        self.guard = ExceptionGuard(self.node.get_logger(), time.monotonic_ns)
         self._context = context
         self._full_name = self.node.get_fully_qualified_name()
         self._parameter_files = parameter_files

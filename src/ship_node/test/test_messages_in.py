@@ -10,10 +10,10 @@ from ship_node.edge.messages_in import (
     MessageRejected,
     angular_covariance,
     covariance_3x3,
-    device_id,
-    finite_numbers,
+    check_device_id,
+    check_finite,
     finite_vector,
-    frame,
+    check_frame,
     stamp_ns,
     unit_quaternion,
 )
@@ -125,15 +125,15 @@ def test_old_stamps_are_accepted():
 
 
 def test_frame_text_has_expected_and_given_frame():
-    frame("anything", "")
-    frame("ins", "ins")
-    refused = refusal(frame, "radar", "ins")
+    check_frame("anything", "")
+    check_frame("ins", "ins")
+    refused = refusal(check_frame, "radar", "ins")
     assert (refused.reason, refused.text) == (Reason.FRAME, "frame_id is 'radar': expected 'ins'")
 
 
 def test_numbers_and_vectors_must_be_finite():
-    finite_numbers("azimuth", 1.0, -2.0)
-    assert refusal(finite_numbers, "azimuth", 1.0, math.nan).text == "azimuth holds nan"
+    check_finite("azimuth", 1.0, -2.0)
+    assert refusal(check_finite, "azimuth", 1.0, math.nan).text == "azimuth holds nan"
     vector = SimpleNamespace(x=1.0, y=2.0, z=3.0)
     np.testing.assert_array_equal(finite_vector(vector, "angular_velocity"), [1.0, 2.0, 3.0])
     vector.y = math.inf
@@ -148,10 +148,10 @@ def test_every_reason_is_a_constant_of_the_message_and_keeps_its_number():
 
 def test_texts_of_messages_are_cut_with_an_ellipsis():
     endless = "x" * 10**6
-    refused = refusal(frame, endless, "ins")
+    refused = refusal(check_frame, endless, "ins")
     assert len(refused.text) < LONGEST_TEXT
     assert refused.text.endswith("x…': expected 'ins'")
-    assert len(refusal(device_id, "sensor_id", endless, "fore").text) < LONGEST_TEXT
+    assert len(refusal(check_device_id, "sensor_id", endless, "fore").text) < LONGEST_TEXT
     assert MessageRejected(Reason.FRAME, endless).rejection.text == "x" * (LONGEST_TEXT - 1) + "…"
     assert len(str(MessageRejected(Reason.FRAME, endless))) < LONGEST_TEXT + 10
     assert Rejection(Reason.FRAME, endless).text == shortened(endless)

@@ -13,7 +13,7 @@ from std_srvs.srv import SetBool
 
 from ship_node.edge.messages_out import Level
 from ship_node.live.node_events import LARGEST_MESSAGE_BYTES, MOST_EVENTS, Arrival, Inbox, NodeEvents
-from ship_node.live.node_report import Guard
+from ship_node.live.node_report import ExceptionGuard
 
 DEPTH = 100
 S = 1_000_000_000
@@ -31,7 +31,7 @@ def context(own_domain):
 def test_events_do_not_accumulate_in_the_executor(context):
     node = rclpy.create_node("flooded", context=context)
     steady_ns = 0
-    events = NodeEvents(context, Guard(node.get_logger(), time.monotonic_ns), lambda: steady_ns)
+    events = NodeEvents(context, ExceptionGuard(node.get_logger(), time.monotonic_ns), lambda: steady_ns)
     seen = []
 
     def take(data):
@@ -73,7 +73,7 @@ def test_events_do_not_accumulate_in_the_executor(context):
 @pytest.mark.live
 def test_no_message_or_request_is_late_after_dropped_events(context):
     node = rclpy.create_node("flooded", context=context)
-    events = NodeEvents(context, Guard(node.get_logger(), time.monotonic_ns), time.monotonic_ns)
+    events = NodeEvents(context, ExceptionGuard(node.get_logger(), time.monotonic_ns), time.monotonic_ns)
     seen, requests = [], []
 
     def take(data):

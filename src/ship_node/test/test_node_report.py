@@ -3,7 +3,7 @@
 import pytest
 
 from ship_node.edge.messages_out import DiagnosticStatus, Level
-from ship_node.live.node_report import Guard, StatusLog
+from ship_node.live.node_report import ExceptionGuard, StatusLog
 
 
 class Log:
@@ -26,14 +26,14 @@ def fail(text: str) -> None:
 
 
 def test_result_is_passed_through():
-    guard = Guard(Log(), Steady())
+    guard = ExceptionGuard(Log(), Steady())
     assert guard.call("sum", lambda a, b: a + b, 1, 2) == 3
     assert guard.status().level is Level.OK
 
 
 def test_logs_once_a_second_and_counts_the_rest():
     log, steady = Log(), Steady()
-    guard = Guard(log, steady)
+    guard = ExceptionGuard(log, steady)
     for tenth in range(12):
         steady.now_ns = tenth * 100_000_000
         assert guard.call("ins/imu", fail, f"number {tenth}") is None
@@ -46,7 +46,7 @@ def test_logs_once_a_second_and_counts_the_rest():
 
 def test_an_old_error_becomes_a_warning():
     steady = Steady()
-    guard = Guard(Log(), steady)
+    guard = ExceptionGuard(Log(), steady)
     guard.call("tick", fail, "no")
     steady.now_ns = 10_000_000_000
     assert guard.status().level is Level.ERROR

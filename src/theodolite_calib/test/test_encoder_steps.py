@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.measured.encoder_watch import EncoderWatch
+from theodolite_calib.measured.encoder_watch import EncoderCheck
 from theodolite_calib.measured.samples import EncoderSample
 
 RATE_HZ = 50
@@ -26,10 +26,10 @@ def motion(seconds, rng, sigma_arcsec=1.0):
 
 def check_readings(angles, acceleration=FAST, times_ns=None):
     """Return for each reading: True if unconfirmed after it; its rejection; the slip that it proves."""
-    watch, found = EncoderWatch(ARCSEC, acceleration), []
+    watch, found = EncoderCheck(ARCSEC, acceleration), []
     for number, row in enumerate(angles):
         time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
-        judged = watch.judge(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
+        judged = watch.check(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
         found.append((bool(watch.unconfirmed_reason), judged.rejection, judged.jump))
     return watch, found
 

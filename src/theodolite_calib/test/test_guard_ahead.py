@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.ins import GuardedInsConfig
+from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from theodolite_calib.measured.guard_ahead import GuardAhead, told_step_rad
 from theodolite_calib.measured.samples import ShipSample
 
-CONFIG = GuardedInsConfig(white_sigma_arcsec=2.0)
+CONFIG = CheckedInsConfig(white_sigma_arcsec=2.0)
 RATE_HZ, SECONDS = 50, 30
 STEP_NS = 1_000_000_000 // RATE_HZ
 COUNT = RATE_HZ * SECONDS
@@ -62,8 +62,8 @@ class Run:
 
     def _judged(self, sample: ShipSample, told_rad: float) -> JudgedIns:
         if isinstance(self.guard, InsGuard):
-            return self.guard.judge(sample, self._used, {}, told_rad)
-        return self.guard.judge(sample, self._used, told_rad)
+            return self.guard.check(sample, self._used, {}, told_rad)
+        return self.guard.check(sample, self._used, told_rad)
 
 
 def said(judged: JudgedIns) -> tuple[Any, ...]:
@@ -136,7 +136,7 @@ def test_partial_or_early_announcement_gives_the_same_results() -> None:
 
 def test_noise_change_within_a_batch() -> None:
     run, plain, samples = Run(GuardAhead(CONFIG)), Run(InsGuard(CONFIG)), VOYAGES["calm"]
-    louder = GuardedInsConfig(white_sigma_arcsec=20.0)
+    louder = CheckedInsConfig(white_sigma_arcsec=20.0)
     run.guard.expect(samples)
     for some in (slice(0, 1000), slice(1000, COUNT)):
         for one in (run, plain):
@@ -149,9 +149,9 @@ def test_unreported_step_is_checked_one_by_one() -> None:
     guard, used, samples = GuardAhead(CONFIG), AttitudeTrack(500_000_000), voyage()
     at = 6 * RATE_HZ
     for sample in samples[:at]:
-        used.insert(guard.judge(sample, used, 0.0).sample)
+        used.insert(guard.check(sample, used, 0.0).sample)
     guard.expect(samples[at : at + BLOCK])
-    guard.judge(samples[at], used, np.nan)
-    assert guard._followed is None
-    guard.judge(samples[at + 1], used, 0.0)
-    assert guard._followed is not None
+    guard.check(samples[at], used, np.nan)
+    assert guard._checked_block is None
+    guard.check(samples[at + 1], used, 0.0)
+    assert guard._checked_block is not None

@@ -23,7 +23,7 @@ from ship_testing.small_session import (
     session,
     stamp_of,
 )
-from theodolite_calib.measured.encoder_watch import EncoderWatch
+from theodolite_calib.measured.encoder_watch import EncoderCheck
 from theodolite_calib.measured.samples import EncoderSample
 
 PERIOD_NS = 10_000_000
@@ -35,17 +35,17 @@ def reading(number: int, azimuth: float, elevation: float = 0.5) -> EncoderSampl
     return EncoderSample(number * PERIOD_NS, np.array([azimuth, elevation]), ARCSEC)
 
 
-def check(watch: EncoderWatch, sample: EncoderSample) -> Rejection | None:
-    return watch.judge(sample, VectorTrack(PERIOD_NS)).rejection
+def check(encoder_check: EncoderCheck, sample: EncoderSample) -> Rejection | None:
+    return encoder_check.check(sample, VectorTrack(PERIOD_NS)).rejection
 
 
-def lights(watch: EncoderWatch, number: int, azimuth: float) -> None:
-    watch.see_lights(number * PERIOD_NS, rotation_from_angles(azimuth, 0.5, 0.0), 3.0 * ARCSEC)
+def lights(encoder_check: EncoderCheck, number: int, azimuth: float) -> None:
+    encoder_check.see_lights(number * PERIOD_NS, rotation_from_angles(azimuth, 0.5, 0.0), 3.0 * ARCSEC)
 
 
-def stopped(rate: float = 0.02) -> tuple[EncoderWatch, int]:
+def stopped(rate: float = 0.02) -> tuple[EncoderCheck, int]:
     """Return ten readings in motion, rad/s, and one equal to the last."""
-    watch = EncoderWatch(ARCSEC, FREE)
+    watch = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
         assert check(watch, reading(number, 1.0 + rate * number * 0.01)) is None
         assert not watch.unconfirmed_reason
@@ -64,7 +64,7 @@ def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
 
 def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
     """The first beacons fit any inflated estimate, also an axis that stands still while it rotates."""
-    watch = EncoderWatch(ARCSEC, max_acceleration=1.0)
+    watch = EncoderCheck(ARCSEC, max_acceleration=1.0)
     for number in range(10):
         check(watch, reading(number, 1.0 + 2e-4 * number))
     jumped = next(n for n in range(10, 40) if check(watch, reading(n, 1.3 + 2e-4 * n)) is None)
@@ -83,7 +83,7 @@ def test_slowly_stopping_readings_are_confirmed() -> None:
 
 
 def test_motion_across_the_wrap_is_no_jump() -> None:
-    watch = EncoderWatch(ARCSEC, FREE)
+    watch = EncoderCheck(ARCSEC, FREE)
     for number, azimuth in enumerate([2 * np.pi - 1e-4, 2 * np.pi - 5e-5, 1e-9, 1e-9 + 1e-6]):
         assert check(watch, reading(number, azimuth)) is None
     assert not watch.unconfirmed_reason
@@ -98,7 +98,7 @@ def test_a_mount_at_rest_is_never_stuck() -> None:
 
 
 def test_beacons_before_the_stop_are_no_reference() -> None:
-    watch = EncoderWatch(ARCSEC, FREE)
+    watch = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
         check(watch, reading(number, 1.0 + 0.01 * number))
     # The beacon of 5 is received only now; meanwhile the mount has come to rest.
@@ -122,18 +122,18 @@ def test_stuck_detection_and_recovery() -> None:
 
 
 def test_angles_are_taken_modulo_a_turn() -> None:
-    watch = EncoderWatch(ARCSEC, FREE)
+    watch = EncoderCheck(ARCSEC, FREE)
     # The mount counts on past a full turn, and its zero is set back by two turns at 50.
     turns = [6.2 + 0.01 * number - (4.0 * np.pi if number >= 50 else 0.0) for number in range(100)]
     refusals = [check(watch, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)]
     assert refusals == [None] * 100
     assert watch.unconfirmed_reason == ""
     # Plunged, the elevation goes up to three quarters of a turn.
-    assert check(EncoderWatch(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
+    assert check(EncoderCheck(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
 
 
 def test_degrees_are_rejected_until_radians_persist() -> None:
-    watch = EncoderWatch(ARCSEC, FREE)
+    watch = EncoderCheck(ARCSEC, FREE)
     assert check(watch, reading(0, 6.2, 0.5)) is None
     assert check(watch, reading(1, 355.0, 28.6)).reason is Reason.UNITS
     assert check(watch, reading(2, 6.2, 0.5)) is None

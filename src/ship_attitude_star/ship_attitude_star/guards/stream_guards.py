@@ -6,7 +6,7 @@ from ship_attitude_star.measurements.baseline import BaselineMeasurement
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.ins import GuardedInsConfig
+from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_guard import InsGuard
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Rejection
@@ -16,7 +16,7 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
 
 
-class StreamGuards:
+class PlausibilityChecks:
     """Plausibility checks of inputs by comparison with other sources.
 
     Args:
@@ -27,7 +27,7 @@ class StreamGuards:
         motion_references: last used attitude by source, as motion references for the checks of other sources.
     """
 
-    def __init__(self, config: GuardedInsConfig) -> None:
+    def __init__(self, config: CheckedInsConfig) -> None:
         self.ins = InsGuard(config)
         self.motion_references: dict[str, Witness] = {}
         self._stuck: dict[str, StuckGuard] = {}
@@ -45,10 +45,10 @@ class StreamGuards:
         source, time_ns = measurement.source, measurement.time_ns
         if time_ns <= self._latest_ns.get(source, time_ns - 1):
             return None
-        watched = _watched(measurement)
-        if watched is None:
+        checked = _watched(measurement)
+        if checked is None:
             return None
-        value, sigma_rad, stands_still = watched
+        value, sigma_rad, stands_still = checked
         # Exposures without stars may repeat, also on a moving ship.
         if len(value) > 0:
             references = {name: witness for name, witness in self.motion_references.items() if name != source}

@@ -35,9 +35,9 @@ from ship_node.edge.messages_in import (
     ReadMessage,
     MessageRejected,
     angular_covariance,
-    device_id,
-    finite_numbers,
-    frame,
+    check_device_id,
+    check_finite,
+    check_frame,
     imu_rotation,
     stamp_ns,
     unit_quaternion,
@@ -62,10 +62,10 @@ def star_measurement(
         MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.frame_id)
+    check_frame(message.header.frame_id, config.frame_id)
     if message.status == STAR_INVALID:
         raise MessageRejected(Reason.TOO_FEW_STARS, "the sensor reports status INVALID")
-    finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
+    check_finite("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
     azimuth, elevation, roll = message.azimuth, message.elevation, message.roll
     # Angles in degrees are detected if they exceed the range in radians.
     if abs(elevation) > LARGEST_ELEVATION or max(abs(azimuth), abs(roll)) > LARGEST_ANGLE:
@@ -138,8 +138,8 @@ def inertial_attitude(
         MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    device_id("sensor_id", message.sensor_id, sensor_id)
-    frame(message.header.frame_id, config.frame_id)
+    check_device_id("sensor_id", message.sensor_id, sensor_id)
+    check_frame(message.header.frame_id, config.frame_id)
     rotation_cs = celestial_rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"))
     covariance_flu = angular_covariance(message.covariance, "covariance")
     if covariance_flu is None:
@@ -158,7 +158,7 @@ def reference_measurement(
         MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.frame_id)
+    check_frame(message.header.frame_id, config.frame_id)
     rotation_nr = imu_rotation(message, config.convention, config.accept_unset_covariance)
     covariance_enu = angular_covariance(message.orientation_covariance, "orientation_covariance")
     if covariance_enu is None:
@@ -177,7 +177,7 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
         MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    finite_numbers("xi, eta", message.xi, message.eta)
+    check_finite("xi, eta", message.xi, message.eta)
     largest = max(abs(message.xi), abs(message.eta))
     if not largest <= _LARGEST_DEFLECTION:
         text = f"xi {message.xi:.4g}, eta {message.eta:.4g}: expected radians, 0.0015 (300 arcsec) at most"

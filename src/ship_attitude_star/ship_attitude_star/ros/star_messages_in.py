@@ -22,7 +22,7 @@ from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_node.edge.messages_in import ReadMessage, device_id, exposure_length_s, frame, stamp_ns
+from ship_node.edge.messages_in import ReadMessage, check_device_id, exposure_length_s, check_frame, stamp_ns
 
 MOST_STARS = 100
 """Maximum number of stars of an exposure; further stars are ignored, so that no message can block the node."""
@@ -96,8 +96,8 @@ def star_exposure(
         MessageRejected: the whole message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    device_id("sensor_id", message.sensor_id, sensor_id)
-    frame(message.header.frame_id, frame_id)
+    check_device_id("sensor_id", message.sensor_id, sensor_id)
+    check_frame(message.header.frame_id, frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
     told = _told(message.stars[:MOST_STARS], camera_config.centroid_sigma_px)
     # Squares of the largest doubles would overflow.

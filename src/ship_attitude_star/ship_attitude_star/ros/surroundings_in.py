@@ -16,7 +16,7 @@ from ship_estimation.refusals import Reason
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
 from ship_node.edge.contested import POSITION
-from ship_node.edge.messages_in import ReadMessage, MessageRejected, covariance_3x3, finite_numbers, stamp_ns
+from ship_node.edge.messages_in import ReadMessage, MessageRejected, covariance_3x3, check_finite, stamp_ns
 from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import InputTopic
 
@@ -35,7 +35,7 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
     time_ns = stamp_ns(message.header, receive_ns)
     if message.status.status <= _NO_FIX:
         raise MessageRejected(Reason.NO_FIX, "the receiver reports no fix (STATUS_NO_FIX)")
-    finite_numbers("latitude, longitude", message.latitude, message.longitude)
+    check_finite("latitude, longitude", message.latitude, message.longitude)
     if abs(message.latitude) > 90.0 or abs(message.longitude) > 360.0:
         text = f"latitude {message.latitude:.9g}, longitude {message.longitude:.9g}: expected degrees, ±90 and ±180"
         raise MessageRejected(Reason.UNITS, text)
@@ -101,8 +101,8 @@ def _reading(
     receive_ns: int,
 ) -> ReadMessage[SkyInput]:
     time_ns = stamp_ns(message.header, receive_ns)
-    finite_numbers(quantity, value)
-    finite_numbers(f"variance of {quantity}", message.variance)
+    check_finite(quantity, value)
+    check_finite(f"variance of {quantity}", message.variance)
     if not allowed[0] <= value <= allowed[1]:
         raise MessageRejected(Reason.UNITS, f"{quantity} {value:.6g}: expected {expected}")
     if message.variance < 0.0:

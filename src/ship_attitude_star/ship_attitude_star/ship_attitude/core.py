@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.guards.stream_guards import PlausibilityChecks
 from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix, SkyInput
 from ship_attitude_star.measurements.samples import (
     AttitudeDecision,
@@ -162,7 +162,7 @@ class ShipAttitudeCore:
         """Start from a state, without INS samples."""
         self._corrected = CorrectedIns(self.filter, state, self.config.horizon)
         self._track = AttitudeTrack(self._max_gap_ns)
-        self._guards = StreamGuards(self.config.ins)
+        self._plausibility = PlausibilityChecks(self.config.ins)
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
         self._lately: dict[str, RecentSource] = {}
@@ -173,7 +173,7 @@ class ShipAttitudeCore:
         self.config = config
         self.filter = self.filter_class(config, self.vertical)
         self._corrected = CorrectedIns(self.filter, self.state, config.horizon)
-        self._guards.ins.reconfigure(config.ins)
+        self._plausibility.ins.reconfigure(config.ins)
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """Add an INS sample.
@@ -186,7 +186,7 @@ class ShipAttitudeCore:
         if sample.time_ns < self._shell.window.oldest_ns:
             return AttitudeOutcome(self._shell.window.late(sample.time_ns))
         outcome = AttitudeOutcome()
-        judged = self._guards.ins.judge(sample, self._track, self._guards.motion_references)
+        judged = self._plausibility.ins.check(sample, self._track, self._plausibility.motion_references)
         return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsAhead | None:
@@ -203,7 +203,7 @@ class ShipAttitudeCore:
         """
         first_ns = int(block.times_ns[0])
         # The vertical at a sample may change with position fixes that arrive before the block ends.
-        if self.vertical is not None or not self._guards.ins.looks_ahead(first_ns):
+        if self.vertical is not None or not self._plausibility.ins.looks_ahead(first_ns):
             return None
         newest, before = self._track.newest, self._track.recent_rates()
         if newest is None or before is None or self._ins_arrival_ns is None:
@@ -219,7 +219,7 @@ class ShipAttitudeCore:
         if not len(block.times_ns):
             return None
         samples = block.samples()
-        followed = self._guards.ins.look_ahead(samples, block)
+        followed = self._plausibility.ins.look_ahead(samples, block)
         if not followed.count:
             return None
         extra = self._track.extra_noise(first_ns)
@@ -244,12 +244,12 @@ class ShipAttitudeCore:
             ahead.commit(self._shell.state_now, end, contradiction_texts)
             self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
             self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
-            self._guards.ins.by_rates = ahead.followed.by_rates(end - 1)
+            self._plausibility.ins.by_rates = ahead.followed.by_rates(end - 1)
 
     def end_ahead(self, ahead: InsAhead) -> AttitudeOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
         values, last = ahead.block.rotations_nd[: ahead.followed.count], ahead.followed.last
-        self._guards.ins.arrive(values, ahead.followed, self._guards.motion_references)
+        self._plausibility.ins.arrive(values, ahead.followed, self._plausibility.motion_references)
         if last is None:
             return None
         return self._use_ins(last, int(ahead.arrivals_ns[len(ahead.samples)]), AttitudeOutcome(), True)
@@ -334,7 +334,7 @@ class ShipAttitudeCore:
         if measurement.time_ns < self._shell.window.oldest_ns:
             return AttitudeOutcome(self._shell.window.late(measurement.time_ns))
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
-        outcome = AttitudeOutcome(self._guards.check(measurement, self._track))
+        outcome = AttitudeOutcome(self._plausibility.check(measurement, self._track))
         if outcome.rejection is not None or not self._shell.add(measurement, outcome):
             return outcome
         if self._shell.follows(measurement.time_ns) and self._may_carry(measurement.source):
@@ -481,12 +481,12 @@ class ShipAttitudeCore:
     @property
     def rates(self) -> Rates:
         """Result of the rate check of the INS: faulty rates are not used."""
-        return self._guards.ins.rates
+        return self._plausibility.ins.rates
 
     @property
     def excess_noise(self) -> str:
         """Text about INS attitude noise in excess of the stated noise; empty for none."""
-        return self._guards.ins.excess_text
+        return self._plausibility.ins.excess_text
 
     # -- functions of the estimator model --------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.guards.stream_guards import PlausibilityChecks
 from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, StampArray
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -165,10 +165,10 @@ class StarCore:
         self._begin()
 
     def _begin(self) -> None:
-        self._guards = StreamGuards(self._config.ins)
+        self._plausibility = PlausibilityChecks(self._config.ins)
         self._contradictions.reset()
         self._of_ins.reset()
-        self._ins = InsMotion(self._config.ins, self._guards, self._of_ins)
+        self._ins = InsMotion(self._config.ins, self._plausibility, self._of_ins)
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
         self._taken: dict[tuple[str, int], StarExposure] = {}
         self._waiting: list[_Waiting] = []
@@ -276,7 +276,7 @@ class StarCore:
             return False, refusal
         known = self._taken.get((exposure.source, exposure.time_ns))
         if known is None:
-            refusal = self._guards.check(exposure, self._ins.track)
+            refusal = self._plausibility.check(exposure, self._ins.track)
             return refusal is None, refusal
         told = same_stamp(known, exposure)[1]
         if told.reason is Reason.DUPLICATE:
@@ -349,7 +349,7 @@ class StarCore:
         if solved.sources:
             rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
             noise_s = rotation_ns.T @ covariance_n @ rotation_ns
-            self._guards.add_motion_reference(AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT))
+            self._plausibility.add_motion_reference(AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT))
         return placed, solved
 
     def _joint(self, group: list[PlacedExposure]) -> Solved:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.guards.stream_guards import PlausibilityChecks
 from ship_attitude_star.measurements.samples import StampArray
 from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
 from ship_attitude_star.stars.config import MountingConfig
@@ -94,10 +94,10 @@ class InsMotion:
     """
 
     def __init__(
-        self, config: StarInsConfig, guards: StreamGuards, contradictions: Contradictions | None = None
+        self, config: StarInsConfig, plausibility: PlausibilityChecks, contradictions: Contradictions | None = None
     ) -> None:
         self._config = config
-        self._guards = guards
+        self._plausibility = plausibility
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
         self._offset_ns = round(config.time_offset_s * SECOND_NS)
         self.track = AttitudeTrack(self._max_gap_ns)
@@ -107,11 +107,11 @@ class InsMotion:
     def reconfigure(self, config: StarInsConfig) -> None:
         """Continue with changed noise parameters."""
         self._config = config
-        self._guards.ins.reconfigure(config)
+        self._plausibility.ins.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Rejection | None:
         """Add a sample; return the rejection if it is not used."""
-        return self._use(self._guards.ins.judge(sample, self.track, self._guards.motion_references))
+        return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsTurns | None:
         """Check the samples of a block as one batch, up to the first sample that needs separate handling.
@@ -126,7 +126,7 @@ class InsMotion:
         Returns:
             The batch; None if the first sample needs separate handling.
         """
-        newest, guard = self.track.newest, self._guards.ins
+        newest, guard = self.track.newest, self._plausibility.ins
         if newest is None or not guard.looks_ahead(int(block.times_ns[0])):
             return None
         # No sample after a gap, and none that may be too late.
@@ -144,11 +144,11 @@ class InsMotion:
     def commit_batch(self, turns: InsTurns, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
         self.track.extend(turns.samples[turns.committed_count : stop])
-        turns.committed_count, self._guards.ins.by_rates = stop, turns.followed.by_rates(stop - 1)
+        turns.committed_count, self._plausibility.ins.by_rates = stop, turns.followed.by_rates(stop - 1)
 
     def end(self, turns: InsTurns) -> Rejection | None:
         """Finish a batch; use a last sample that needs separate handling and return its rejection, if any."""
-        self._guards.ins.arrive(turns.values, turns.followed, self._guards.motion_references)
+        self._plausibility.ins.arrive(turns.values, turns.followed, self._plausibility.motion_references)
         return None if turns.followed.last is None else self._use(turns.followed.last)
 
     def _use(self, judged: JudgedIns) -> Rejection | None:

@@ -159,7 +159,7 @@ def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
     values: dict[str, Any] = {name: float(field) for name, field in fields.items() if name not in _NO_NUMBERS}
     if "timestamp" in fields:
         values["timestamp"] = pynmea2.nmea_utils.timestamp(fields["timestamp"])
-    if any(not _is_angle(name, value) for name, value in values.items()):
+    if any(not _is_in_range(name, value) for name, value in values.items()):
         return Unusable(UNPARSED, OUT_OF_RANGE)
     return Sentence(kind, DialectContent(text, **values))
 
@@ -188,7 +188,7 @@ def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable
         return Unusable(UNPARSED, VOID)
     if any(isinstance(value, str) or not _is_finite(value) for value in values):
         return Unusable(UNPARSED)
-    if any(not _is_angle(field, value) for field, value in zip(needed, values, strict=True)):
+    if any(not _is_in_range(field, value) for field, value in zip(needed, values, strict=True)):
         return Unusable(UNPARSED, OUT_OF_RANGE)
     if kind == "ZDA" and not 1970 < content.year < 2038:
         return Unusable("year out of range")
@@ -202,7 +202,7 @@ def _is_finite(value: Any) -> bool:
     return not isinstance(value, (float, Decimal)) or number(value) is not None
 
 
-def _is_angle(field: str, value: Any) -> bool:
+def _is_in_range(field: str, value: Any) -> bool:
     """False for an angle outside its range; other fields have no range."""
     least, most = _RANGES_DEG.get(field, (None, None))
     return least is None or most is None or least <= float(value) <= most

@@ -30,7 +30,7 @@ from ship_node.edge.messages_out import (
     Level,
     diagnostic_array,
 )
-from ship_node.live.node_report import Guard
+from ship_node.live.node_report import ExceptionGuard
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alerts import AlertChange
 from ship_watch.limits import Limits, read_limits
@@ -115,7 +115,7 @@ class AlertNode:
         self._node = node
         self._full_name = node.get_fully_qualified_name()
         self._factory = RosidlFactory()
-        self._guard = Guard(node.get_logger(), time.monotonic_ns)
+        self._guard = ExceptionGuard(node.get_logger(), time.monotonic_ns)
         self._reader = TopicReader("alerts_reader", node.get_namespace(), _wanted)
         self._keeper = AlertKeeper(limits, state, steady_ns(), lambda text: node.get_logger().error(text))
         latched = QoSProfile(

@@ -7,7 +7,7 @@ import numpy as np
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.messages_in import MessageRejected, covariance_3x3, device_id, finite_vector, frame, stamp_ns
+from ship_node.edge.messages_in import MessageRejected, covariance_3x3, check_device_id, finite_vector, check_frame, stamp_ns
 
 _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
 _LONGEST_M = 1e5
@@ -36,13 +36,13 @@ def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
         Refused: the message is of other antennas, or its stamp is invalid.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, antennas.frame_id)
+    check_frame(message.header.frame_id, antennas.frame_id)
     for name, given, expected in (
         ("base_id", message.base_id, antennas.base_id),
         ("rover_id", message.rover_id, antennas.rover_id),
     ):
         if expected:
-            device_id(name, given, expected)
+            check_device_id(name, given, expected)
     return time_ns
 
 

@@ -85,7 +85,7 @@ class BlockAdapter(ReportingAdapter):
         """Commit the messages of a batch before index ``stop``; return what must be published at once."""
         block = self.feeds[pending.topic].block
         assert block is not None
-        block.core.commit_batch(pending.ahead, min(stop, pending.ahead.followed.usual))
+        block.core.commit_batch(pending.ahead, min(stop, pending.ahead.checked.usual))
         told, pending.ahead.told[:] = list(pending.ahead.told), []
         parts = []
         for place, outcome in told:
@@ -95,7 +95,7 @@ class BlockAdapter(ReportingAdapter):
 
     def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:
         """Finish a batch whose messages are all committed; return its remaining outputs."""
-        feed, usual, known = self.feeds[pending.topic], pending.ahead.followed.usual, pending.reading.covariance_known
+        feed, usual, known = self.feeds[pending.topic], pending.ahead.checked.usual, pending.reading.covariance_known
         assert feed.block is not None
         samples = pending.reading.samples.some(slice(len(pending.receive_ns)))
         self._contested.see_block(pending.topic, samples.times_ns, samples.rotations_nd)
@@ -124,9 +124,9 @@ class BlockAdapter(ReportingAdapter):
                 yield BatchOutput(place, [self.failed(self.main_topic, int(times_ns[place]), found)])
             return
         if self.integrity_topic:
-            checked_by = list(zip(*self.checked_by(found), strict=True))
+            redundancy_keys = list(zip(*self.redundancy_key(found), strict=True))
             directions, levels_before = self.directions(found), self.protection_level_messages
-            yield from outputs_with_levels(some.start, found, self.published_levels, checked_by, directions, levels_before)
+            yield from outputs_with_levels(some.start, found, self.published_levels, redundancy_keys, directions, levels_before)
         else:
             yield BatchOutput(some.start, [], found)
         self.latest = self.budget_due = found.one(len(found.time_ns) - 1)

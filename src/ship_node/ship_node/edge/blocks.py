@@ -41,7 +41,7 @@ class Ahead(Protocol):
         pending_outcomes: index of a sample and its outcome other than estimates, until it is published.
     """
 
-    followed: Followed
+    checked: Followed
     told: list[tuple[int, Any]]
 
 
@@ -129,7 +129,7 @@ def outputs_with_levels(
     place: int,
     run: Any,
     published: ToldLevels,
-    checked_by: list[tuple[Any, ...]],
+    redundancy_keys: list[tuple[Any, ...]],
     directions: FloatArray,
     levels_before: Callable[[Any], list[Published]],
 ) -> Iterator[BatchOutput]:
@@ -148,6 +148,6 @@ def outputs_with_levels(
         yield BatchOutput(place + start, levels_before(run.one(start)))
         rest = slice(start + 1, count)
         end = start + 1 + published.covered(run.time_ns[rest], run.covariance_n[rest], directions[rest])
-        end = next((other for other in range(start + 1, end) if checked_by[other] != published.redundancy_key), end)
+        end = next((other for other in range(start + 1, end) if redundancy_keys[other] != published.redundancy_key), end)
         yield BatchOutput(place + start, [], run if end - start == count else run.some(slice(start, end)))
         start = end

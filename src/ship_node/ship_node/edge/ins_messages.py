@@ -16,7 +16,7 @@ from ship_node.edge.messages_in import (
     ReadMessage,
     MessageRejected,
     covariance_3x3,
-    frame,
+    check_frame,
     imu_quaternion,
     ship_rate,
     stamp_ns,
@@ -54,7 +54,7 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMes
         Refused: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.frame_id)
+    check_frame(message.header.frame_id, config.frame_id)
     quaternion = imu_quaternion(message, config.accept_unset_covariance)
     covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
     (rotation_nd,) = _rotations_nd(quaternion[None], config)
@@ -76,7 +76,7 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     """
     first, numbers = messages.message(0), messages.numbers
     try:
-        frame(first.header.frame_id, config.frame_id)
+        check_frame(first.header.frame_id, config.frame_id)
         covariance = covariance_3x3(first.orientation_covariance, "orientation_covariance")
     except MessageRejected:
         # The first message is rejected by ins_sample, with its reason.

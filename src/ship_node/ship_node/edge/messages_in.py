@@ -93,7 +93,7 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
     return ns
 
 
-def frame(frame_id: str, expected: str) -> None:
+def check_frame(frame_id: str, expected: str) -> None:
     """Reject a message with another frame_id; an empty ``expected`` accepts any.
 
     Raises:
@@ -103,7 +103,7 @@ def frame(frame_id: str, expected: str) -> None:
         raise MessageRejected(Reason.FRAME, f"frame_id is {quoted_id(frame_id)}: expected '{expected}'")
 
 
-def device_id(what: str, given: str, expected: str) -> None:
+def check_device_id(what: str, given: str, expected: str) -> None:
     """Reject a message of another device than the topic's.
 
     Raises:
@@ -113,7 +113,7 @@ def device_id(what: str, given: str, expected: str) -> None:
         raise MessageRejected(Reason.UNKNOWN_SENSOR, f"{what} is {quoted_id(given)}: expected '{expected}'")
 
 
-def finite_numbers(what: str, *values: float) -> None:
+def check_finite(what: str, *values: float) -> None:
     """Reject NaN and infinity.
 
     Raises:
@@ -132,7 +132,7 @@ def exposure_length_s(exposure_s: float, longest_s: float) -> float:
     """
     if math.isnan(exposure_s):
         return 0.0
-    finite_numbers("exposure_s", exposure_s)
+    check_finite("exposure_s", exposure_s)
     if not 0.0 <= exposure_s <= longest_s:
         raise MessageRejected(Reason.UNITS, f"exposure_s is {exposure_s:.6g}: expected seconds, {longest_s:g} at most")
     return float(exposure_s)
@@ -144,7 +144,7 @@ def finite_vector(vector: Any, what: str) -> FloatArray:
     Raises:
         Refused: NON_FINITE.
     """
-    finite_numbers(what, vector.x, vector.y, vector.z)
+    check_finite(what, vector.x, vector.y, vector.z)
     return np.array([vector.x, vector.y, vector.z])
 
 
@@ -155,7 +155,7 @@ def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
         Refused: NON_FINITE, or BAD_QUATERNION if the norm differs from 1 by more than 1e-2.
     """
     numbers = quaternion.x, quaternion.y, quaternion.z, quaternion.w
-    finite_numbers(what, *numbers)
+    check_finite(what, *numbers)
     norm = math.sqrt(sum(number * number for number in numbers))
     if norm < LEAST_QUATERNION_NORM:
         raise MessageRejected(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")

@@ -131,7 +131,7 @@ class ReportingAdapter(ABC):
     """Topic of the protection levels; empty if the node has none."""
     quantities: ClassVar[tuple[str, ...]] = ()
     """Quantities that the protection levels bound."""
-    checked_by: ClassVar["attrgetter[tuple[Any, ...]]"]
+    redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"]
     """Attributes of an output on which, besides its state, the redundancy of its sources depends."""
     directions: ClassVar["attrgetter[np.ndarray]"]
     """Attribute of an output: matrix from the errors of its state to those of its angles."""
@@ -508,14 +508,14 @@ class ReportingAdapter(ABC):
 
     def protection_level_messages(self, estimate: Any) -> list[Published]:
         """Return the protection levels of an output if the published ones do not cover it."""
-        told, checked_by, directions = self.published_levels, self.checked_by(estimate), self.directions(estimate)
+        told, redundancy_key, directions = self.published_levels, self.redundancy_key(estimate), self.directions(estimate)
         # Runs for every output: the fast check comes first.
-        if told.state is estimate.state and told.redundancy_key == checked_by:
+        if told.state is estimate.state and told.redundancy_key == redundancy_key:
             one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
             if told.covered(*one):
                 return []
         report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * _SECOND_NS)
-        told.state, told.redundancy_key, told.directions = estimate.state, checked_by, directions
+        told.state, told.redundancy_key, told.directions = estimate.state, redundancy_key, directions
         if not told.must_tell(estimate, report, period_ns):
             return []
         config = self.config.integrity

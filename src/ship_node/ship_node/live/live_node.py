@@ -35,7 +35,7 @@ from ship_node.live.backlog import Backlog, Change, current_overload
 from ship_node.live.node_clock import NodeClock, TickGrid
 from ship_node.live.node_events import Arrival, Inbox, NodeEvents
 from ship_node.live.node_log import NodeLog
-from ship_node.live.node_report import Guard, StatusLog, name_status, stamps_status, start_line
+from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.live.senders import Senders, contested_text, publisher_names
@@ -74,7 +74,7 @@ class LiveNode:
         self.node: Node = ParameterNode(adapter_class.node_name, context=context)
         self._full_name = self.node.get_fully_qualified_name()
         self._log = NodeLog(self.node)
-        self._guard = Guard(self._log, time.monotonic_ns)
+        self._guard = ExceptionGuard(self._log, time.monotonic_ns)
         self._events = NodeEvents(context, self._guard, time.monotonic_ns)
         self._clock = NodeClock(self.node, time.monotonic_ns, self._events.came)
         self._context = context

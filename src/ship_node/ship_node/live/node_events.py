@@ -19,7 +19,7 @@ from ship_bags.live.heartbeat import heartbeat
 from ship_bags.stamps import stamp_of_bytes
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.node_clock import TimeoutClock
-from ship_node.live.node_report import Guard
+from ship_node.live.node_report import ExceptionGuard
 
 MOST_EVENTS = 1000
 """Maximum number of events processed at once, so that a flood does not stop the node's own work."""
@@ -59,7 +59,7 @@ class NodeEvents:
         steady_ns: a steady clock, ns.
     """
 
-    def __init__(self, context: Context, guard: Guard, steady_ns: Callable[[], int]) -> None:
+    def __init__(self, context: Context, guard: ExceptionGuard, steady_ns: Callable[[], int]) -> None:
         self._context = context
         self._guard = guard
         self._steady_ns = steady_ns

@@ -71,7 +71,7 @@ class Logger(Protocol):
         ...
 
 
-class Guard:
+class ExceptionGuard:
     """Calls functions and catches their exceptions.
 
     Args:

@@ -190,7 +190,7 @@ class NodePass:
             self._handle(place, moment.topic, message)
             return
         self._arrived += 1
-        if self._arrived == self._batch.ahead.followed.count:
+        if self._arrived == self._batch.ahead.checked.count:
             batch, self._batch = self._batch, None
             self._publish_parts(self._ahead.commit_batch(batch, self._arrived))
             self._publish_parts(self._ahead.end_ahead(batch))

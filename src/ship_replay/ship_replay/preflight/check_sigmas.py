@@ -49,7 +49,7 @@ def check_sigmas(check: BagCheck, until_ns: int) -> None:
     for node in check.nodes:
         rests_on_ins = isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)) and _INS_TOPIC in check.usable
         # All other innovations depend on the INS too.
-        if rests_on_ins and _contradicts_ins(check, node, until_ns):
+        if rests_on_ins and _check_ins_noise(check, node, until_ns):
             continue
         if isinstance(node.adapter, ReportingAdapter):
             for source, diagnosis in node.adapter.innovation_report.verdicts().items():
@@ -105,7 +105,7 @@ def _value(config: Any, name: str) -> float:
     return float(value)
 
 
-def _contradicts_ins(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
+def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
     """Report configured INS noise that is smaller than that from its own rates; return True if there is any.
 
     Smaller measured noise is no contradiction: it does not include correlated errors.

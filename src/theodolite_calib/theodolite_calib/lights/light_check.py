@@ -22,7 +22,7 @@ _MOST_LIGHTS = 4
 """Maximum number of beacons for which exchanged names are tried; their number grows as the factorial."""
 
 
-class Verdict(Enum):
+class BeaconCheckResult(Enum):
     """Result of the check of the beacons' names."""
 
     CONSISTENT = "consistent"
@@ -45,7 +45,7 @@ class LightCheck:
         prior_chi2: of the difference between that attitude and the prior, 3 degrees of freedom; None without a prior.
     """
 
-    verdict: Verdict
+    verdict: BeaconCheckResult
     order: tuple[int, ...]
     attitude: TelescopeAttitude
     prior_chi2: float | None
@@ -106,15 +106,15 @@ def check_lights(
     named = tuple(range(count))
     as_named = _trial(image, camera, lines, named, prior)
     if _fits(as_named, probability):
-        return as_named.check(Verdict.CONSISTENT)
+        return as_named.check(BeaconCheckResult.CONSISTENT)
     exchanges = [order for order in permutations(range(count)) if order != named] if count <= _MOST_LIGHTS else []
     trials = [_trial(image, camera, lines, order, prior) for order in exchanges]
     consistent_trials = [trial for trial in trials if _fits(trial, probability)]
     # The improvement must be significant: without a prior two beacons fit equally well both ways.
     if len(consistent_trials) == 1 and as_named.chi2 > consistent_trials[0].chi2 + chi_square_gate(probability, 3):
-        return consistent_trials[0].check(Verdict.SWAPPED)
+        return consistent_trials[0].check(BeaconCheckResult.SWAPPED)
     angles_fit = any(_angles_fit(trial.attitude, probability) for trial in [as_named, *trials])
-    return as_named.check(Verdict.PRIOR_CONFLICT if angles_fit and not consistent_trials else Verdict.CONFLICT)
+    return as_named.check(BeaconCheckResult.PRIOR_CONFLICT if angles_fit and not consistent_trials else BeaconCheckResult.CONFLICT)
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class _Trial:
         chi2 = float(self.attitude.chi2) + (self.prior_chi2 or 0.0)
         return chi2 if np.isfinite(chi2) else np.inf
 
-    def check(self, verdict: Verdict) -> LightCheck:
+    def check(self, verdict: BeaconCheckResult) -> LightCheck:
         return LightCheck(verdict, self.order, self.attitude, self.prior_chi2)
 
 

@@ -59,7 +59,7 @@ class EncoderJump:
     sigma_rad: float
 
 
-class JudgedReading(NamedTuple):
+class CheckedReading(NamedTuple):
     """Result of the check of a reading.
 
     Attributes:
@@ -71,7 +71,7 @@ class JudgedReading(NamedTuple):
     jump: EncoderJump | None = None
 
 
-class EncoderWatch:
+class EncoderCheck:
     """Check of the encoder readings of one run, in the order of their stamps.
 
     Args:
@@ -119,9 +119,9 @@ class EncoderWatch:
         """Standard deviation of the readings about each axis while unconfirmed, in addition to their noise, rad."""
         return math.hypot(self._steps.off_rad, 0.0 if self._stepped is None else self._stepped[1])
 
-    def judge(
+    def check(
         self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Rejection | None = None
-    ) -> JudgedReading:
+    ) -> CheckedReading:
         """Check a reading.
 
         Args:
@@ -131,12 +131,12 @@ class EncoderWatch:
         """
         rejection = self._units_rejection(sample, counts=late is None) or late
         if rejection is not None:
-            return JudgedReading(rejection)
+            return CheckedReading(rejection)
         if self._newest_ns is not None and sample.time_ns <= self._newest_ns:
             match = self._match(_before(track, sample.time_ns), sample)
-            return JudgedReading(None if match is None or match.fits else _gate_rejection(match))
+            return CheckedReading(None if match is None or match.fits else _gate_rejection(match))
         self._newest_ns = sample.time_ns
-        judged = self._judge_jump(sample)
+        judged = self._check_jump(sample)
         if judged.rejection is not None:
             return judged
         if judged.jump is not None:
@@ -144,15 +144,15 @@ class EncoderWatch:
             self._steps.restart()
         step = self._steps.observe(sample.time_ns, sample.vector, self._sigma_rad, self._stuck.coarseness_rad)
         if step is not None:
-            judged = self._judge_step(step)
-        self._watch_motion(sample)
+            judged = self._check_step(step)
+        self._check_motion(sample)
         if self._stuck.observe(sample.time_ns, sample.vector, self._sigma_rad, self._motion_references):
             # Stuck readings cannot be extrapolated.
             self._taken = self._all = ()
             self._steps.restart()
             self._unconfirmed = Unconfirmed(sample.time_ns, "the encoders were stuck", "lights")
             text = "both encoders stuck: unchanged while, by the lights, the telescope rotates in the deck"
-            return JudgedReading(Rejection(Reason.STUCK, text))
+            return CheckedReading(Rejection(Reason.STUCK, text))
         return judged
 
     def see_lights(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
@@ -190,7 +190,7 @@ class EncoderWatch:
         text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians, elevation within a turn; degrees?"
         return Rejection(Reason.UNITS, text)
 
-    def _judge_jump(self, sample: EncoderSample) -> JudgedReading:
+    def _check_jump(self, sample: EncoderSample) -> CheckedReading:
         """Check a reading later than all before against the prediction from the two readings before."""
         match = self._match(self._taken, sample)
         step = match if self._all is self._taken else self._match(self._all, sample)
@@ -201,19 +201,19 @@ class EncoderWatch:
             assert match is not None
             is_first_rejection = self._jumps.rejected_count == 1
             self._all = (_extrapolate_back(sample, *self._taken) if is_first_rejection else self._all[-1], sample)
-            return JudgedReading(_gate_rejection(match))
+            return CheckedReading(_gate_rejection(match))
         healthy = self._all is self._taken
         self._all = (*self._all[-1:], sample)
         if verdict is JumpVerdict.JUMPED:
             assert match is not None
             self._taken = self._all
-            return JudgedReading(jump=EncoderJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad))
+            return CheckedReading(jump=EncoderJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad))
         self._taken = self._all if healthy else (*self._taken[-1:], sample)
         if match is not None and not is_after_rejection:
             self._continuation.learn(match.difference)
-        return JudgedReading()
+        return CheckedReading()
 
-    def _judge_step(self, step: EncoderStep) -> JudgedReading:
+    def _check_step(self, step: EncoderStep) -> CheckedReading:
         """Check the reading that proves a step."""
         step_rad = size(step.step)
         # From rest to rest: half of the way with maximum acceleration, half of it braking.
@@ -221,10 +221,10 @@ class EncoderWatch:
         if not step.sure_rad > reached_rad:
             before_rad = 0.0 if self._stepped is None else self._stepped[1]
             self._stepped = step.time_ns, math.hypot(before_rad, step_rad)
-            return JudgedReading()
+            return CheckedReading()
         self._unconfirmed = Unconfirmed(step.time_ns, "the encoders have jumped", "lights")
         text = f"step of {step_rad / ARCSEC:.0f}″: the mount can reach {reached_rad / ARCSEC:.0f}″"
-        return JudgedReading(Rejection(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
+        return CheckedReading(Rejection(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
 
     def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> Match | None:
         """Compare a reading with the prediction from two before it; None without two, or if they are too old."""
@@ -239,7 +239,7 @@ class EncoderWatch:
         step = step_by_motion(turned_s, seconds, self._max_acceleration, self._stuck.coarseness_rad)
         return self._continuation.match(difference, step)
 
-    def _watch_motion(self, sample: EncoderSample) -> None:
+    def _check_motion(self, sample: EncoderSample) -> None:
         """Mark readings as unconfirmed after one equal to the last although that one had moved."""
         if self._last is None:
             self._last, self._still_since_ns = (sample, np.zeros(2)), sample.time_ns

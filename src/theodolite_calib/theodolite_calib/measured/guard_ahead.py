@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_estimation.ins import GuardedInsConfig
+from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_guard import Followed, InsGuard, JudgedIns
 from ship_estimation.rate_guard import Rates
 from ship_geometry.attitude_track import AttitudeTrack, SampleBlock
@@ -34,8 +34,8 @@ class GuardAhead:
         config: noise of the attitudes, and number of rejections after which a jump is accepted.
     """
 
-    def __init__(self, config: GuardedInsConfig) -> None:
-        self._guard = InsGuard(config)
+    def __init__(self, config: CheckedInsConfig) -> None:
+        self._ins_check = InsGuard(config)
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
         self._forget_expected()
 
@@ -45,30 +45,30 @@ class GuardAhead:
         self._judged: list[tuple[ShipSample, float]] = []
         self._before: InsGuard | None = None
         # Those that were checked in a block, and the index of the first of them.
-        self._followed: Followed | None = None
+        self._checked_block: Followed | None = None
         self._first = self._patience = 0
 
-    def reconfigure(self, config: GuardedInsConfig) -> None:
+    def reconfigure(self, config: CheckedInsConfig) -> None:
         """Apply another noise."""
-        self._go_back()
+        self._discard_checked_block()
         self._forget_expected()
-        self._guard.reconfigure(config)
+        self._ins_check.reconfigure(config)
 
     @property
     def rates(self) -> Rates:
         """Status of the rates."""
-        return self._guard.rates if self._followed is None else Rates.MEASURED
+        return self._ins_check.rates if self._checked_block is None else Rates.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
         """Announce the next attitudes, as far as they are known."""
         if self._judged or not self._expected:
-            self._go_back()
+            self._discard_checked_block()
             self._forget_expected()
-            self._before = copy.deepcopy(self._guard)
+            self._before = copy.deepcopy(self._ins_check)
         self._expected += samples
         self._block, self._told_rad = _arrays(self._expected)
 
-    def judge(self, sample: ShipSample, used: AttitudeTrack, told_rad: float) -> JudgedIns:
+    def check(self, sample: ShipSample, accepted_track: AttitudeTrack, reported_step_rad: float) -> JudgedIns:
         """Check an attitude as :meth:`ship_estimation.ins_check.InsCheck.check` does, without motion references.
 
         Args:
@@ -78,49 +78,49 @@ class GuardAhead:
         """
         place = len(self._judged)
         if place == len(self._expected) or sample is not self._expected[place]:
-            self._go_back()
+            self._discard_checked_block()
             self._forget_expected()
-            return self._guard.judge(sample, used, {}, told_rad)
-        if self._followed is None:
-            self._look_ahead(place, told_rad)
-        self._judged.append((sample, told_rad))
-        followed = self._followed
+            return self._ins_check.check(sample, accepted_track, {}, reported_step_rad)
+        if self._checked_block is None:
+            self._check_block(place, reported_step_rad)
+        self._judged.append((sample, reported_step_rad))
+        followed = self._checked_block
         if followed is None:
-            return self._guard.judge(sample, used, {}, told_rad)
+            return self._ins_check.check(sample, accepted_track, {}, reported_step_rad)
         if place + 1 < self._first + followed.count:
             return JudgedIns(sample)
         values = self._block.rotations_nd[self._first : place + 1]
-        self._guard.arrive(values, followed, {})
-        self._followed = None
+        self._ins_check.arrive(values, followed, {})
+        self._checked_block = None
         return JudgedIns(sample) if followed.last is None else followed.last
 
-    def _look_ahead(self, place: int, told_rad: float) -> None:
+    def _check_block(self, place: int, reported_step_rad: float) -> None:
         """Check the attitudes from one on as a block, as long as they are regular."""
         if self._patience:
             self._patience -= 1
             return
-        times_ns, least_rad = self._block.times_ns, self._guard.least_step_rad
+        times_ns, least_rad = self._block.times_ns, self._ins_check.least_step_rad
         # Written so that NaN is checked one by one.
-        if not (self._guard.looks_ahead(int(times_ns[place])) and told_rad <= least_rad):
+        if not (self._ins_check.looks_ahead(int(times_ns[place])) and reported_step_rad <= least_rad):
             return
         # Not beyond a gap, nor where a reported step exceeds the noise.
         steps_ns = np.diff(times_ns[place:])
         usual = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._told_rad[place + 1 :] <= least_rad)
         end = len(times_ns) if usual.all() else place + 1 + int(np.argmin(usual))
-        followed = self._guard.look_ahead(self._expected[place:end], self._block.some(slice(place, end)))
-        if followed.count:
-            self._followed, self._first = followed, place
+        checked = self._ins_check.look_ahead(self._expected[place:end], self._block.some(slice(place, end)))
+        if checked.count:
+            self._checked_block, self._first = checked, place
         else:
             self._patience = _PATIENCE
 
-    def _go_back(self) -> None:
+    def _discard_checked_block(self) -> None:
         """Check the received attitudes one by one if a block holds some that did not come."""
-        if self._followed is None:
+        if self._checked_block is None:
             return
         assert self._before is not None
-        self._guard, nothing = self._before, AttitudeTrack(0)
-        for sample, told_rad in self._judged:
-            self._guard.judge(sample, nothing, {}, told_rad)
+        self._ins_check, nothing = self._before, AttitudeTrack(0)
+        for sample, reported_step_rad in self._judged:
+            self._ins_check.check(sample, nothing, {}, reported_step_rad)
 
 
 def told_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:

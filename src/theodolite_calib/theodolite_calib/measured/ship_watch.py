@@ -6,7 +6,7 @@ The rates that come with its attitudes check these and are checked by them, with
 
 from collections.abc import Sequence
 
-from ship_estimation.ins import GuardedInsConfig
+from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import same_stamp
@@ -19,7 +19,7 @@ from theodolite_calib.measured.guard_ahead import GuardAhead, told_step_rad
 from theodolite_calib.measured.samples import ShipSample
 
 
-class ShipWatch:
+class ShipCheck:
     """Check of the ship's attitudes of one run, in the order of their stamps.
 
     An attitude with a stated covariance may step by the change of that covariance: a fused attitude that was corrected
@@ -33,7 +33,7 @@ class ShipWatch:
     def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
         self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
         watched = _watched(config)
-        self._guard, self._shift_ns = GuardAhead(watched), shift_ns
+        self._batch_check, self._shift_ns = GuardAhead(watched), shift_ns
         # Accepted samples with their rates: a sample that comes after later ones is checked by these.
         self._used = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
         self._stated: FloatArray | None = None
@@ -41,21 +41,21 @@ class ShipWatch:
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply another noise."""
-        self._guard.reconfigure(_watched(config))
+        self._batch_check.reconfigure(_watched(config))
 
     @property
     def proven(self) -> bool:
         """True if the rates are measured: every step of some standard deviations of a sample is then detected."""
-        return self._guard.rates is Rates.MEASURED
+        return self._batch_check.rates is Rates.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
         """Announce the next attitudes, with rates and covariances, as far as they are known."""
-        self._guard.expect(samples)
+        self._batch_check.expect(samples)
 
-    def judge(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
+    def check(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
         """Check a sample; none before ``oldest_ns`` will come."""
         self._used.drop_before(oldest_ns)
-        judged = self._guard.judge(sample, self._used, told_step_rad(sample.correlated_covariance_n, self._stated))
+        judged = self._batch_check.check(sample, self._used, told_step_rad(sample.correlated_covariance_n, self._stated))
         if judged.rates_wrong_after_ns is not None:
             self._used.forget_rates(judged.rates_wrong_after_ns)
         if judged.jumps:
@@ -80,8 +80,8 @@ class ShipWatch:
         return jumped.text if jumped is not None and time_ns > jumped.since_ns else ""
 
 
-def _watched(config: OpticalAxisConfig) -> GuardedInsConfig:
+def _watched(config: OpticalAxisConfig) -> CheckedInsConfig:
     """Return the configuration of the check: that of the INS, or of the fused attitude in its place."""
     if config.ship.source == "ins/imu":
         return config.ins
-    return GuardedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)
+    return CheckedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)

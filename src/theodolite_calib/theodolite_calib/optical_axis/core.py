@@ -32,7 +32,7 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, 
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.contradiction import Streams
-from theodolite_calib.measured.encoder_watch import EncoderWatch, JudgedReading
+from theodolite_calib.measured.encoder_watch import EncoderCheck, CheckedReading
 from theodolite_calib.measured.samples import (
     AnyExposure,
     BaselineSample,
@@ -45,7 +45,7 @@ from theodolite_calib.measured.samples import (
     ShipSample,
     TargetSample,
 )
-from theodolite_calib.measured.ship_watch import ShipWatch
+from theodolite_calib.measured.ship_watch import ShipCheck
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
 from theodolite_calib.measured.star_sighting import star_sighting
 from theodolite_calib.measured.tracks import MeasuredTracks
@@ -165,8 +165,8 @@ class OpticalAxisCore:
         """Start without samples."""
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
-        self._watch = EncoderWatch(*_encoder_limits(self.config))
-        self._ship_watch = ShipWatch(self.config, self._tracks.ship_shift_ns)
+        self._encoder_check = EncoderCheck(*_encoder_limits(self.config))
+        self._ship_check = ShipCheck(self.config, self._tracks.ship_shift_ns)
         self._of_targets.reset()
         self._targets = TargetAnswers(self.config, self.filter, self._pointing, self._tracks, self._of_targets)
         self._escort = self._new_escort()
@@ -185,8 +185,8 @@ class OpticalAxisCore:
         self._take_models(config)
         self._tracks.reconfigure(config)
         self._sightings = SightingAssembler(config, self._tracks)
-        self._watch.reconfigure(*_encoder_limits(config))
-        self._ship_watch.reconfigure(config)
+        self._encoder_check.reconfigure(*_encoder_limits(config))
+        self._ship_check.reconfigure(config)
         self._targets.reconfigure(config, self.filter, self._pointing)
         if self._escort is not None:
             self._escort.reconfigure(config, self.filter)
@@ -200,7 +200,7 @@ class OpticalAxisCore:
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         track, shell = self._tracks.encoder, self._shell
-        judged = self._watch.judge(sample, track, shell.window.late(sample.time_ns))
+        judged = self._encoder_check.check(sample, track, shell.window.late(sample.time_ns))
         outcome = PointingOutcome(judged.rejection)
         self._note_own_fault(ENCODER, sample.time_ns, judged.rejection, judged.jump is not None)
         self._note_own_jump(sample.time_ns, judged)
@@ -208,15 +208,15 @@ class OpticalAxisCore:
             shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
         if judged.rejection is not None:
             shell.add_rejected(ENCODER, track, sample)
-            self._watch_time()
+            self._check_repeated_time()
             return outcome
         shell.add_sample(ENCODER, track, sample, outcome)
         if outcome.rejection is not None:
             self._note_own_fault(ENCODER, sample.time_ns, outcome.rejection)
-            self._watch_time()
+            self._check_repeated_time()
         elif track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
-            self._waiting.append(_WaitingReading(sample, self._watch.unconfirmed_reason, self._watch.unconfirmed_sigma_rad))
+            self._waiting.append(_WaitingReading(sample, self._encoder_check.unconfirmed_reason, self._encoder_check.unconfirmed_sigma_rad))
             self._publish(outcome, arrival_ns)
         return outcome
 
@@ -224,7 +224,7 @@ class OpticalAxisCore:
         """Add an attitude of the ship; for the arrival see :meth:`add_encoder`."""
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
         if outcome.rejection is None:
-            outcome.rejection, sample = self._judge_ship(sample, outcome)
+            outcome.rejection, sample = self._check_ship(sample, outcome)
         source, track = self.config.ship.source, self._tracks.ship
         if outcome.rejection is not None:
             self._shell.add_rejected(source, track, sample)
@@ -233,13 +233,13 @@ class OpticalAxisCore:
             self._ship_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         if outcome.rejection is not None:
             self._note_own_fault(SHIP, sample.time_ns, outcome.rejection)
-            self._watch_time()
+            self._check_repeated_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
     def expect_ships(self, samples: Sequence[ShipSample]) -> None:
         """Announce the next attitudes of the ship, with rates and covariances, as far as they are known."""
-        self._ship_watch.expect(samples)
+        self._ship_check.expect(samples)
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
         """Add a baseline to a drone. An unusable one is rejected, and no exposure waits for a better one."""
@@ -367,7 +367,7 @@ class OpticalAxisCore:
     def is_undisputed(self) -> bool:
         """True if the state rests on beacons or stars, and no source is excluded, contradictory or unconfirmed."""
         now_ns = self._shell.window.newest_ns
-        unconfirmed_reason = self._watch.unconfirmed_reason or self._ship_watch.unconfirmed_reason(now_ns) or self._contradiction(now_ns)
+        unconfirmed_reason = self._encoder_check.unconfirmed_reason or self._ship_check.unconfirmed_reason(now_ns) or self._contradiction(now_ns)
         return is_undisputed(self.state) and not unconfirmed_reason
 
     @property
@@ -457,9 +457,9 @@ class OpticalAxisCore:
             self._shell.add_sample(source, track, sample, outcome)
         return outcome
 
-    def _judge_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Rejection | None, ShipSample]:
+    def _check_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Rejection | None, ShipSample]:
         """Check an attitude of the ship; return its rejection or None, and the attitude as it may be used."""
-        judged = self._ship_watch.judge(sample, self._shell.window.oldest_ns)
+        judged = self._ship_check.check(sample, self._shell.window.oldest_ns)
         if judged.rates_wrong_after_ns is not None:
             # Exposures compared with these rates are compared again without them.
             changed_after_ns = self._tracks.ship.forget_rates(judged.rates_wrong_after_ns)
@@ -528,7 +528,7 @@ class OpticalAxisCore:
         if jumped or (rejection is not None and rejection.reason in _STREAM_FAULT_REASONS):
             self._stream_fault_ns[source] = max(time_ns, self._stream_fault_ns.get(source, time_ns))
 
-    def _note_own_jump(self, time_ns: int, judged: JudgedReading) -> None:
+    def _note_own_jump(self, time_ns: int, judged: CheckedReading) -> None:
         """Record a jump or a stuck reading of the encoders."""
         if judged.jump is not None:
             self._own_jumps.append(OwnJump(judged.jump))
@@ -552,16 +552,16 @@ class OpticalAxisCore:
         """Pass the result of an exposure to the checks of the encoders and of the INS."""
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
-            self._watch.see_lights(time_ns, *decision.telescope_dt)
+            self._encoder_check.see_lights(time_ns, *decision.telescope_dt)
         # Beacons in a telescope that has shifted carry no information.
         if not decision.accepted or TELESCOPE in decision.excluded_sources:
             return
         if ENCODER in decision.excluded_sources:
-            self._watch.believe_lights(time_ns)
+            self._encoder_check.believe_lights(time_ns)
         else:
-            self._watch.confirm(time_ns)
+            self._encoder_check.confirm(time_ns)
         if SHIP not in decision.excluded_sources:
-            self._ship_watch.confirm(time_ns)
+            self._ship_check.confirm(time_ns)
 
     # -- outputs --------------------------------------------------------------------------------------------
 
@@ -579,7 +579,7 @@ class OpticalAxisCore:
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
             sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting.popleft()
-            unconfirmed_reason = unconfirmed_reason or self._ship_watch.unconfirmed_reason(sample.time_ns) or self._contradiction(sample.time_ns)
+            unconfirmed_reason = unconfirmed_reason or self._ship_check.unconfirmed_reason(sample.time_ns) or self._contradiction(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
                 due = DuePointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._shell.state_now)
@@ -616,7 +616,7 @@ class OpticalAxisCore:
 
         self._shell.put_out(outcome, exposure.time_ns, waiting_ns, by_stars)
 
-    def _watch_time(self) -> None:
+    def _check_repeated_time(self) -> None:
         """Compare beacons again if rejections show that encoders and ship repeat a time."""
         before = self._told_twice
         together = self._shell.contradictions.together({ENCODER, self.config.ship.source})

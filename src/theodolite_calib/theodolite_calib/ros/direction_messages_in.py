@@ -9,7 +9,7 @@ from ship_estimation.frame_names import FRAME_NAMES
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason, shortened
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
-from ship_node.edge.messages_in import ReadMessage, MessageRejected, angular_covariance, finite_vector, frame, stamp_ns
+from ship_node.edge.messages_in import ReadMessage, MessageRejected, angular_covariance, finite_vector, check_frame, stamp_ns
 from theodolite_calib.ros.messages_in import LONGEST_TARGET_ID
 from theodolite_calib.target.common_moments import DirectionSample
 
@@ -34,7 +34,7 @@ def direction(
     """
     time_ns = stamp_ns(message.header, receive_ns)
     # A position from several theodolites is in another frame: it is no direction.
-    frame(message.header.frame_id, horizon)
+    check_frame(message.header.frame_id, horizon)
     if message.status not in list(Status):
         expected = ", ".join(status.name for status in Status)
         raise MessageRejected(Reason.UNITS, f"status {message.status} is unknown: expected one of {expected}")

@@ -23,10 +23,10 @@ from ship_node.edge.messages_in import (
     ReadMessage,
     MessageRejected,
     covariance_3x3,
-    device_id,
+    check_device_id,
     exposure_length_s,
-    finite_numbers,
-    frame,
+    check_finite,
+    check_frame,
     imu_rotation,
     quoted_id,
     ship_rate,
@@ -63,10 +63,10 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMes
         Refused: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.encoder.frame_id)
+    check_frame(message.header.frame_id, config.encoder.frame_id)
     if message.status == ENCODER_INVALID:
         raise MessageRejected(Reason.GAP, "the encoder itself reports a fault")
-    finite_numbers("azimuth, elevation", message.azimuth, message.elevation)
+    check_finite("azimuth, elevation", message.azimuth, message.elevation)
     sigma = sigma_given(message.sigma, 2.0 * np.pi)
     angles = np.array([message.azimuth, message.elevation])
     known = sigma is not None
@@ -80,7 +80,7 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
         Refused: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.ship.frame_id)
+    check_frame(message.header.frame_id, config.ship.frame_id)
     if message.status == Status.INVALID:
         raise MessageRejected(Reason.GAP, "the source reports INVALID")
     if message.status not in list(Status):
@@ -133,7 +133,7 @@ def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadM
         Refused: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, beacon.imu.frame_id)
+    check_frame(message.header.frame_id, beacon.imu.frame_id)
     rotation_nb = imu_rotation(message, beacon.imu.convention, beacon.imu.accept_unset_covariance)
     return ReadMessage(AttitudeSample(time_ns, rotation_nb))
 
@@ -145,8 +145,8 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMe
         Refused: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.telescope.frame_id)
-    device_id("telescope_id", message.telescope_id, config.telescope.telescope_id)
+    check_frame(message.header.frame_id, config.telescope.frame_id)
+    check_device_id("telescope_id", message.telescope_id, config.telescope.telescope_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
     sightings = message.beacons[:MOST_LIGHTS]
     names = [sighting.beacon_id for sighting in sightings]
@@ -177,9 +177,9 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
     if detector.focal_length_m == 0.0:
         text = f"main detector {quoted_id(message.header.frame_id)} is unknown: main_detector.focal_length_m is not set"
         raise MessageRejected(Reason.UNKNOWN_SENSOR, text)
-    frame(message.header.frame_id, detector.frame_id)
+    check_frame(message.header.frame_id, detector.frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
-    finite_numbers("x, z, detector_rotation", message.x, message.z, message.detector_rotation)
+    check_finite("x, z, detector_rotation", message.x, message.z, message.detector_rotation)
     if max(abs(message.x), abs(message.z)) > _LARGEST_DETECTOR_M:
         raise MessageRejected(Reason.UNITS, f"x {message.x:.6g}, z {message.z:.6g}: expected metres on the detector")
     if abs(message.detector_rotation) > 2.0 * np.pi:
@@ -202,7 +202,7 @@ def _length(value: float, what: str) -> float:
     """Return a length above zero, m; NaN if the message gives NaN, for not given."""
     if math.isnan(value):
         return math.nan
-    finite_numbers(what, value)
+    check_finite(what, value)
     if not 0.0 < value <= _LONGEST_RANGE_M:
         raise MessageRejected(Reason.UNITS, f"{what} is {value:.6g}: expected metres above 0, {_LONGEST_RANGE_M:g} at most")
     return float(value)
@@ -223,7 +223,7 @@ def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> t
         raise MessageRejected(Reason.UNKNOWN_SENSOR, f"beacon_id {quoted_id(name)} is unknown: expected {expected}")
     if names.count(name) > 1:
         raise MessageRejected(Reason.CONFLICT, f"{quoted_id(name)} is in one image {names.count(name)} times")
-    finite_numbers("x, z", sighting.x, sighting.z)
+    check_finite("x, z", sighting.x, sighting.z)
     if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
         raise MessageRejected(Reason.UNITS, f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
     sigma = sigma_given(sighting.sigma, _LARGEST_DETECTOR_M)
