@@ -45,7 +45,7 @@ def test_a_missing_wheel_has_no_licence() -> None:
     assert licence("no-such-wheel") == ("", "not installed")
 
 
-def judged(report: str) -> str:
+def evaluate_report(report: str) -> str:
     """Return the result of tools/audit.py for a report about pins of two wheels."""
     code = f"import audit; print(audit.judge({report}, ['a==1', 'b==2']))"
     answer = subprocess.run(
@@ -59,5 +59,5 @@ def test_a_vulnerability_is_listed_with_its_fix_and_a_missing_result_is_listed()
     flaw = {"id": "PYSEC-2026-1", "fix_versions": ["3"], "aliases": [], "description": ""}
     left_out = {"name": "b", "skip_reason": "not found"}
     report = {"dependencies": [{"name": "a", "version": "1", "vulns": [flaw]}, left_out]}
-    assert judged(repr(report)) == "(['a==1: PYSEC-2026-1, fixed in 3'], ['b==2'])"
-    assert judged("{'dependencies': []}") == "([], ['a==1', 'b==2'])"
+    assert evaluate_report(repr(report)) == "(['a==1: PYSEC-2026-1, fixed in 3'], ['b==2'])"
+    assert evaluate_report("{'dependencies': []}") == "([], ['a==1', 'b==2'])"

@@ -10,7 +10,7 @@ import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
-from ship_replay.evaluation.bounds import judge, read_bounds
+from ship_replay.evaluation.bounds import check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
@@ -68,7 +68,7 @@ def test_an_offline_replay_meets_the_bounds(replayed):
     path, out, problems = replayed
     assert problems == []
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
-    judged = judge(evaluate(out, path, bounds.skip_s).flat(), bounds, path.name)
+    judged = check_bounds(evaluate(out, path, bounds.skip_s).flat(), bounds, path.name)
     assert judged
     assert [bound.line for bound in judged if not bound.met] == []
 

@@ -25,7 +25,7 @@ from ship_geometry.ros_axes import quaternion_from_rotation
 from ship_node.edge.adapter import Adapter
 from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import has_section, load_config
-from ship_replay.evaluation.bounds import judge, read_bounds
+from ship_replay.evaluation.bounds import check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.trials.live_run import LiveRun
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
@@ -273,5 +273,5 @@ def test_the_live_run_meets_the_bounds(runs):
     with read_bag(path) as played, read_bag(recorded_path) as recorded:
         # On a busy machine the first message reaches the recorder late: the same stamps are to be left out.
         late_s = ((recorded.start_ns or 0) - (played.start_ns or 0)) / NS_PER_S
-    judged = judge(evaluate(recorded_path, path, bounds.skip_s - late_s).flat(), bounds, path.name)
+    judged = check_bounds(evaluate(recorded_path, path, bounds.skip_s - late_s).flat(), bounds, path.name)
     assert [bound.line for bound in judged if not bound.met] == []

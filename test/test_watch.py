@@ -152,7 +152,7 @@ def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) ->
     assert heading.accuracy_95 == pytest.approx(1.96 * math.sqrt(last.covariance[0]))
     assert picture.ages_s["stars"] == min(each.age_s for each in picture.sources if each.name.startswith("star."))
     # Two star sensors with consistent sigmas: estimated with 600 degrees of freedom each.
-    verdicts = {source.name: source.verdict for source in picture.sources if source.verdict}
+    verdicts = {source.name: source.nis_consistency for source in picture.sources if source.nis_consistency}
     assert {name: verdict.is_consistent for name, verdict in verdicts.items() if verdict} == {
         "star.fore": True, "star.starboard": True
     }  # fmt: skip

@@ -14,7 +14,7 @@ from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import SCENARIOS
 from ship_testing.wrong_optics import (
-    Judged,
+    OpticsErrorStatistics,
     changed_focal_length,
     with_configured_focal_length,
     with_exact_focal_length,
@@ -35,10 +35,10 @@ def scenario(named: bool) -> Scenario:
     return with_exact_focal_length(short)
 
 
-def judged(scale: float, sensor_ids: tuple[str, ...], named: bool, by_solutions: bool, seeds: int = SEEDS) -> Judged:
-    found = Judged()
+def run_statistics(scale: float, sensor_ids: tuple[str, ...], named: bool, by_solutions: bool, seeds: int = SEEDS) -> OpticsErrorStatistics:
+    found = OpticsErrorStatistics()
     for seed in range(seeds):
-        found.judge(with_configured_focal_length(simulate(scenario(named), seed), sensor_ids, scale), by_solutions)
+        found.add_run(with_configured_focal_length(simulate(scenario(named), seed), sensor_ids, scale), by_solutions)
     return found
 
 
@@ -48,7 +48,7 @@ def judged(scale: float, sensor_ids: tuple[str, ...], named: bool, by_solutions:
 @pytest.mark.parametrize("sensor_ids", [BOTH, ONE])
 @pytest.mark.parametrize("by_solutions", [False, True])
 def test_no_valid_error_exceeds_its_covariance_or_level(scale, named, sensor_ids, by_solutions):
-    found = judged(scale, sensor_ids, named, by_solutions)
+    found = run_statistics(scale, sensor_ids, named, by_solutions)
     print(f"VALID {found.valid_count}/{found.count}, {found.worst_sigmas:.1f}σ, {found.worst_over_level:.2f} of level")
     assert found.worst_sigmas < 5.0
     assert found.worst_over_level < 1.0
@@ -66,8 +66,8 @@ def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ende
     whole = scenario(named=True)
     sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
     run = simulate(replace(whole, duration_s=40.0, star_sensors=sensors), seed=1)
-    found = Judged()
-    found.judge(changed_focal_length(run, scale, from_s=10.0, until_s=25.0), by_solutions=False)
+    found = OpticsErrorStatistics()
+    found.add_run(changed_focal_length(run, scale, from_s=10.0, until_s=25.0), by_solutions=False)
     assert found.worst_sigmas < 5.0
     assert found.worst_over_level < 1.0
     assert found.last_invalid_s < 30.0
@@ -79,14 +79,14 @@ def test_optics_that_change_by_more_than_their_sigma_are_estimated_again():
     sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
     run = simulate(replace(whole, duration_s=30.0, star_sensors=sensors), seed=1)
     run = changed_focal_length(changed_focal_length(run, 6e-4, 0.0, 15.0), -6e-4, 15.0, 40.0)
-    found = Judged()
-    found.judge(run, by_solutions=False)
+    found = OpticsErrorStatistics()
+    found.add_run(run, by_solutions=False)
     assert found.worst_sigmas < 5.0
     assert found.last_invalid_s < 17.0
 
 
 def test_a_contradicted_focal_length_is_named_with_the_fitting_value():
-    found = judged(SCALES[-1], ONE, named=False, by_solutions=False, seeds=1)
+    found = run_statistics(SCALES[-1], ONE, named=False, by_solutions=False, seeds=1)
     named = [re.match(r"focal length (\d+\.\d+) mm fits the angles between \d+ stars, ", text) for text in found.texts]
     fitting_mm = [float(match[1]) for match in named if match]
     assert fitting_mm

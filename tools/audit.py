@@ -39,7 +39,7 @@ def _audit(options: argparse.Namespace) -> int:
     wanted = sorted({pin for python in BOTH_SIDES for pin in pins(lock, python)})
     print(f"audit: {len(wanted)} pinned versions, query to {options.service}", flush=True)
     with tempfile.TemporaryDirectory() as work:
-        found, unanswered = judge(_asked(wanted, options.service, Path(work)), wanted)
+        found, unanswered = evaluate_report(_asked(wanted, options.service, Path(work)), wanted)
     for line in found + [f"{pin}: no result" for pin in unanswered]:
         print(f"audit: {line}", file=sys.stderr)
     print(f"audit: {len(found)} known vulnerabilities, {len(unanswered)} of {len(wanted)} versions without a result")
@@ -47,7 +47,7 @@ def _audit(options: argparse.Namespace) -> int:
     return EXIT_BOUND_NOT_MET if found or unanswered else EXIT_DONE
 
 
-def judge(report: dict[str, Any], wanted: list[str]) -> tuple[list[str], list[str]]:
+def evaluate_report(report: dict[str, Any], wanted: list[str]) -> tuple[list[str], list[str]]:
     """Return one line per vulnerability in a pip-audit report, and the pins that the report does not contain.
 
     A wheel that pip-audit left out counts as unanswered, not as free of vulnerabilities.

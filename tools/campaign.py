@@ -58,7 +58,7 @@ def main() -> int:
                 continue
             recording = arguments.recording if name == "recorded" else None
             scenario = case_in_short(name, recording) if arguments.in_short else case_at_length(name, recording)
-            honest &= _judged(console, name, _errors(pool, name, final_error, scenario, arguments.seeds))
+            honest &= _print_case(console, name, _errors(pool, name, final_error, scenario, arguments.seeds))
     low, high = sigma_ratio_band(arguments.seeds)
     nees_low, nees_high = mean_nees_band(arguments.seeds, 3)
     console.print(f"99.9 % bands: RMS/sigma [{low:.2f}, {high:.2f}], NEES [{nees_low:.2f}, {nees_high:.2f}]")
@@ -81,11 +81,11 @@ def _beside_a_peer(console: Console, pool: Executor, seeds: int) -> bool:
     console.print(f"{seeds} runs of {scenario.duration_s:g} s by the filter and by GTSAM's iSAM2:")
     honest = True
     for name, error in (("paper, a minute", final_error), ("the same, iSAM2", isam2_error)):
-        honest &= _judged(console, name, _errors(pool, name, error, scenario, seeds))
+        honest &= _print_case(console, name, _errors(pool, name, error, scenario, seeds))
     return honest
 
 
-def _judged(console: Console, name: str, results: list[FinalError]) -> bool:
+def _print_case(console: Console, name: str, results: list[FinalError]) -> bool:
     """Print the line of one case; True if it is in its bands."""
     angles = np.array([result.angles for result in results])
     sigma = np.array([result.sigma for result in results])

@@ -67,7 +67,7 @@ def main() -> int:
         squares = np.array(list(track(runs, "sweep", arguments.seeds, console=Console(stderr=True), transient=True)))
     console.print(f"error of the axis on the sky, {arguments.seeds} runs (arcsec)")
     console.print(f"{'':22}{'RMS':>8}{'sigma':>8}{'RMS/sigma':>11}{'INS+encoder':>13}{'times better':>14}")
-    good = [_judged(console, span, np.mean(squares[:, row], axis=0)) for row, span in enumerate(SPANS)]
+    good = [_print_span(console, span, np.mean(squares[:, row], axis=0)) for row, span in enumerate(SPANS)]
     return 0 if all(good) else 1
 
 
@@ -107,7 +107,7 @@ def _of_span(errors: PointingErrors, span: Span) -> list[float]:
     return [float(np.mean(values[inside] ** 2)) for values in quantities]
 
 
-def _judged(console: Console, span: Span, means: FloatArray) -> bool:
+def _print_span(console: Console, span: Span, means: FloatArray) -> bool:
     """Print the line of a span; True if its bounds are met."""
     rms, sigma, alone = np.sqrt(means) / ARCSEC
     ratio, better = rms / sigma, alone / rms

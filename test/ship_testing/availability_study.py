@@ -283,11 +283,11 @@ def study(exposures: Iterable[int]) -> Results:
         }
         for case, rows in cases.items():
             for name, method in _BY_NAME.items():
-                collected.setdefault((case, name), []).append(_judged(scene, method(scene, rows)))
+                collected.setdefault((case, name), []).append(error_and_nees(scene, method(scene, rows)))
     return {key: np.array(values) for key, values in collected.items()}
 
 
-def _judged(scene: Scene, found: Attitude | None) -> tuple[float, float]:
+def error_and_nees(scene: Scene, found: Attitude | None) -> tuple[float, float]:
     if found is None:
         return float("nan"), float("nan")
     differences = wrap_pi(angles_from_rotation(found.rotation_nd) - angles_from_rotation(scene.rotation_nd))

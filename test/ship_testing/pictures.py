@@ -16,7 +16,7 @@ from ship_watch.picture import (
     AngleShown,
     Event,
     InputShown,
-    NisVerdict,
+    NisConsistency,
     Picture,
     Presence,
     Priority,
@@ -80,7 +80,7 @@ def angles_timed_out(*names: str, age_s: float = 7.0, reason: str = "no data") -
 
 def source(name: str, **changes: Any) -> SourceShown:
     """Return a source in normal state."""
-    verdict = NisVerdict(1.01, 400, "σ as stated (1.01)", True) if name.startswith(("star", "lights")) else None
+    verdict = NisConsistency(1.01, 400, "σ as stated (1.01)", True) if name.startswith(("star", "lights")) else None
     well = SourceShown(
         name=name,
         presence=Presence.IN,
@@ -89,7 +89,7 @@ def source(name: str, **changes: Any) -> SourceShown:
         residual=math.nan,
         out_since_ns=0,
         because_of="",
-        verdict=verdict,
+        nis_consistency=verdict,
         age_s=_AGES.get(name, 0.5),
         rate_hz=2.0,
         rejected_in_a_row=0,

@@ -62,7 +62,7 @@ def changed_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s
 
 
 @dataclass
-class Judged:
+class OpticsErrorStatistics:
     """Attitudes of runs compared with the truth.
 
     Attributes:
@@ -81,7 +81,7 @@ class Judged:
     worst_over_level: float = 0.0
     texts: set[str] = field(default_factory=set)
 
-    def judge(self, run: SimulatedRun, by_solutions: bool) -> None:
+    def add_run(self, run: SimulatedRun, by_solutions: bool) -> None:
         """Add the attitudes of a run at the stamps of its truth."""
         core = core_for_solutions(run) if by_solutions else core_for(run.scenario)
         wanted = run.truth.ins_index
@@ -92,9 +92,9 @@ class Judged:
         for outcome in outcomes:
             self.texts |= {decision.text for decision in outcome.decisions if not decision.accepted}
             for estimate in outcome.estimates:
-                self._judge_attitude(core, run, estimate)
+                self._add_attitude(core, run, estimate)
 
-    def _judge_attitude(self, core: ShipAttitudeCore, run: SimulatedRun, estimate: AttitudeEstimate) -> None:
+    def _add_attitude(self, core: ShipAttitudeCore, run: SimulatedRun, estimate: AttitudeEstimate) -> None:
         self.count += 1
         if estimate.status is not Status.VALID:
             first_ns = int(run.ins.time_ns[run.truth.ins_index[0]])

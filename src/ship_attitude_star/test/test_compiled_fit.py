@@ -66,7 +66,7 @@ def test_stars_are_solved_as_by_numpy(open_: int) -> None:
     # Unknowns in units of sigma are of order one.
     unit = np.where(np.arange(rows.shape[1]) < 3, 1e5, 1.0)
     rows, fit = rows / unit, StarFit(fit.jacobian / unit, fit.displacement, fit.residual_n, open_)
-    judgement = fit.judge(members)
+    judgement = fit.solve(members)
     prior = np.diag((np.arange(rows.shape[1]) >= open_).astype(float))
     expected = np.linalg.solve(rows.T @ rows + prior, flat @ rows)
     equal(judgement.information, rows.T @ rows)
@@ -80,9 +80,9 @@ def test_stars_are_solved_as_by_numpy(open_: int) -> None:
 def test_stars_that_do_not_determine_the_attitude_are_refused() -> None:
     fit = linearized(seen(0, 0), np.eye(3))
     with pytest.raises(np.linalg.LinAlgError):
-        fit.judge(np.zeros(STARS, dtype=bool))
+        fit.solve(np.zeros(STARS, dtype=bool))
     with pytest.raises(np.linalg.LinAlgError):
-        StarFit(np.full_like(fit.jacobian, np.nan), fit.displacement, fit.residual_n).judge()
+        StarFit(np.full_like(fit.jacobian, np.nan), fit.displacement, fit.residual_n).solve()
 
 
 def test_with_a_prediction_the_attitude_is_in_units_of_its_sigmas() -> None:
@@ -162,9 +162,9 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="stars"):
         compiled_fit.normal_equations(np.zeros((STARS, 3, 7)), np.zeros((STARS, 3)), everyone[1:])
     with pytest.raises(ValueError, match="stars"):
-        compiled_fit.judged(np.zeros((STARS, 3, 7)), np.zeros((STARS - 1, 3)), everyone, 3)
+        compiled_fit.solve_normal_equations(np.zeros((STARS, 3, 7)), np.zeros((STARS - 1, 3)), everyone, 3)
     with pytest.raises(ValueError, match="vectors"):
-        compiled_fit.judged(np.zeros((STARS, 2, 7)), np.zeros((STARS, 3)), everyone, 3)
+        compiled_fit.solve_normal_equations(np.zeros((STARS, 2, 7)), np.zeros((STARS, 3)), everyone, 3)
     with pytest.raises(ValueError, match="vectors"):
         compiled_fit.predicted(np.zeros((STARS, 3, 7)), np.zeros((STARS, 3)), np.eye(2), np.zeros(3))
     for term_of in (np.zeros(5, dtype=np.intp), np.full(4, 2)):

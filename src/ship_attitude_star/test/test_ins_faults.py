@@ -92,7 +92,7 @@ def turned(*arcsec_n: float) -> Change:
     return change
 
 
-def held(arrivals: Arrivals, from_s: float) -> Change:
+def hold_values(arrivals: Arrivals, from_s: float) -> Change:
     value = arrivals[index_at(arrivals, INS, from_s)].message.orientation
 
     def change(message: Any) -> None:
@@ -287,7 +287,7 @@ def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_r
     def chosen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and 4.0 <= (arrival.stamp_ns - START_NS) * 1e-9 < 8.0
 
-    faulty = changed_where(changed_where(arrivals, of_ins(4.0, 9.0), held(arrivals, 4.0)), chosen, freeze)
+    faulty = changed_where(changed_where(arrivals, of_ins(4.0, 9.0), hold_values(arrivals, 4.0)), chosen, freeze)
     run = drive(new_adapter(), faulty)
     for source in ("ins", "star.fore"):
         told = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]
@@ -305,7 +305,7 @@ def test_a_jump_with_rates_in_degrees_and_back() -> None:
 
 
 def test_a_wrong_sample_while_frozen_is_refused() -> None:
-    frozen = changed_where(voyage(10.0), of_ins(3.0, 6.0), held(voyage(10.0), 3.0))
+    frozen = changed_where(voyage(10.0), of_ins(3.0, 6.0), hold_values(voyage(10.0), 3.0))
     run = drive(new_adapter(), replaced(frozen, index_at(frozen, INS, 5.0), turned(0.0, 3600.0, 0.0)))
     refused = run.reasons(INS)
     assert refused["gate"] + refused["stuck"] == 74

@@ -78,8 +78,8 @@ def test_the_mean_number_of_stars_is_that_of_the_whole_sky() -> None:
     scatter = found.stars.std() / np.sqrt(found.stars.size)
     assert abs(found.stars.mean() - count * share) < 3.3 * scatter
     # Not exceeded in 95 % of the sky; no smaller value is.
-    assert np.all(np.mean(found.sigmas_arcsec <= found.held_arcsec, axis=0) >= 0.95)
-    assert np.all(np.mean(found.sigmas_arcsec < found.held_arcsec, axis=0) <= 0.95)
+    assert np.all(np.mean(found.sigmas_arcsec <= found.quantile_arcsec, axis=0) >= 0.95)
+    assert np.all(np.mean(found.sigmas_arcsec < found.quantile_arcsec, axis=0) <= 0.95)
     assert found.star_sigma_arcsec == pytest.approx(0.1 * 5.5e-6 / 0.05 / ARCSEC)
 
 
@@ -91,7 +91,7 @@ def test_the_study_takes_the_noise_of_the_optics(tmp_path: Path) -> None:
     assert main([str(layout), "--out", str(tmp_path / "out")]) == 0
     with (tmp_path / "out" / "optics.csv").open(encoding="utf-8", newline="") as file:
         row = next(csv.DictReader(file))
-    held = over_sky(Optics(**OPTICS)).held_arcsec
+    held = over_sky(Optics(**OPTICS)).quantile_arcsec
     assert float(row["sigma_forward_arcsec"]) == pytest.approx(held[0], abs=1e-4)
     computed = study(
         study_config({"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 35.0}}, "optics": {"a": OPTICS}})

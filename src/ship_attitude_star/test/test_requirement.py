@@ -14,7 +14,7 @@ from ship_attitude_star.layout.config import study_config
 from ship_attitude_star.layout.joint_error import Layout
 from ship_attitude_star.layout.layout_study_command import main, written
 from ship_attitude_star.layout.masks import Obstructions
-from ship_attitude_star.layout.requirement import ALL_MOVED, AS_GIVEN, Candidate, JudgedLayouts
+from ship_attitude_star.layout.requirement import ALL_MOVED, AS_GIVEN, Candidate, RequirementResult
 from ship_attitude_star.layout.study import study
 from ship_bags.parameter_yaml import read_plain
 from ship_estimation.parameters import ParameterError
@@ -29,7 +29,7 @@ SENSORS = {
 COMMON = {"heading_sigma_arcsec": 1.5, "tilt_sigma_arcsec": 1.0, "refraction_sigma_arcsec": 2.5}
 
 
-def required_of(**values: Any) -> JudgedLayouts:
+def required_of(**values: Any) -> RequirementResult:
     required = study(study_config({"sensors": SENSORS, **values})).required
     assert required is not None
     return required
@@ -192,13 +192,13 @@ def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
     required = study(study_config({**values, "requirement": {"heading_arcsec": 200.0, "pitch_arcsec": 20.0}})).required
     assert required is not None
     for traded in required.trade:
-        if np.rad2deg(traded.judged.layout.angles[0, 0]) == 0.0:
+        if np.rad2deg(traded.candidate.layout.angles[0, 0]) == 0.0:
             expected = 0.6 / np.tan(np.deg2rad(traded.elevation_deg))
             assert traded.refraction_arcsec[1] == pytest.approx(expected, rel=1e-6)
     # The lower edge of the field is half a degree down, and the bow pitches down by 8 degrees.
-    ahead = [t for t in required.trade if np.rad2deg(t.judged.layout.angles[0, 0]) == 0.0]
+    ahead = [t for t in required.trade if np.rad2deg(t.candidate.layout.angles[0, 0]) == 0.0]
     assert len(ahead) > 10
-    assert all(bool(t.judged.obstacles) == (t.elevation_deg < 8.5) for t in ahead if t.elevation_deg < 60.0)
+    assert all(bool(t.candidate.obstacles) == (t.elevation_deg < 8.5) for t in ahead if t.elevation_deg < 60.0)
 
 
 class AnyFigure(dict[str, Path]):

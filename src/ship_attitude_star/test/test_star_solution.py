@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
-from ship_attitude_star.stars.fit import SightedStars, StarJudgement, linearized
+from ship_attitude_star.stars.fit import SightedStars, StarFitSolution, linearized
 from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.compiled_integrity import square_root
@@ -33,8 +33,8 @@ def test_a_star_with_nan_is_never_selected():
     stars = draw_scene(np.random.default_rng(8), (6, 6)).stars
     measured_b = stars.measured_b.copy()
     measured_b[2, 1] = np.nan
-    assert np.isnan(StarJudgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, -1).probability)
-    assert np.isnan(StarJudgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, 3).probability)
+    assert np.isnan(StarFitSolution(np.eye(3), np.eye(3), np.zeros(3), np.nan, -1).probability)
+    assert np.isnan(StarFitSolution(np.eye(3), np.eye(3), np.zeros(3), np.nan, 3).probability)
     prior = StarPrior(np.eye(3), np.eye(3) * ARCSEC**2)
     for given in (None, prior):
         try:
@@ -168,7 +168,7 @@ def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
     if not members.any():
         return None
     fit = linearized(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
-    judgement = fit.judge(members)
+    judgement = fit.solve(members)
     # Its unknowns are in units of their standard deviations.
     roots = square_root(prior.covariance_n)
     covariance_n = roots @ np.linalg.inv(judgement.constrained)[:3, :3] @ roots.T

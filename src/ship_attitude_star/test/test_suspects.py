@@ -90,11 +90,11 @@ def rate_d(seconds: float) -> FloatArray:
 
 @functools.cache
 def voyage(
-    sensors: tuple[str, ...], lies: tuple[int, ...], seconds: float, seed: int, rates: bool
+    sensors: tuple[str, ...], error_indices: tuple[int, ...], seconds: float, seed: int, rates: bool
 ) -> list[tuple[int, Any]]:
     """Return the arriving data, in the order of stamps."""
     rng, config = np.random.default_rng(seed), configuration(sensors)
-    told = [ERRORS[number] for number in lies]
+    told = [ERRORS[number] for number in error_indices]
     mounting = {name: exp_rotation(np.array([20.0, 1.0, 1.0]) * ARCSEC * rng.standard_normal(3)) for name in sensors}
     slow_n = np.array([10.0, 72.0, 10.0]) * ARCSEC * rng.standard_normal(3)
     time_s, decay = np.array([1800.0, 10800.0, 1800.0]), INS_NS / SECOND_NS
@@ -104,7 +104,7 @@ def voyage(
         slow_n = slow_n * np.exp(-decay / time_s) + np.array([10.0, 72.0, 10.0]) * ARCSEC * np.sqrt(
             1.0 - np.exp(-2.0 * decay / time_s)
         ) * rng.standard_normal(3)
-        wrong_n = sum((lie.at(now_s) for lie in told if lie.source == "ins"), np.zeros(3))
+        wrong_n = sum((error.at(now_s) for error in told if error.source == "ins"), np.zeros(3))
         error_n = slow_n + ARCSEC * rng.standard_normal(3)
         rotation = exp_rotation(-error_n) @ exp_rotation(wrong_n) @ truth(now_s)
         rate = rate_d(now_s)
@@ -174,17 +174,17 @@ copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mappin
 
 
 def sailed_with(
-    *lies: InjectedError,
+    *errors: InjectedError,
     sensors: tuple[str, ...] = ("aft", "bow", "port"),
     seconds: float = 60.0,
     seed: int = 1,
     rates: bool = True,
     **changes: Any,
 ) -> Sailed:
-    numbers = tuple(range(len(ERRORS), len(ERRORS) + len(lies)))
-    ERRORS.extend(lies)
+    numbers = tuple(range(len(ERRORS), len(ERRORS) + len(errors)))
+    ERRORS.extend(errors)
     arrivals = voyage(sensors, numbers, seconds, seed, rates)
-    start_s = min((lie.start_s for lie in lies), default=0.0)
+    start_s = min((error.start_s for error in errors), default=0.0)
     before = bisect.bisect_left(arrivals, start_s * SECOND_NS, key=lambda arrival: arrival[0])
     key = repr((start_s, sensors, seconds, seed, rates, changes))
     if key not in RUNS_BEFORE_ERRORS:

@@ -15,7 +15,7 @@ from ship_bringup.checks.clock_check import (
     ClockState,
     arcsec_in_a_turn,
     chrony_state,
-    judge_clock,
+    check_clock,
     look_at_clock,
     ptp_state,
 )
@@ -75,7 +75,7 @@ def test_chrony_output():
     assert (state.source, state.is_synchronised, state.offset_s) == ("chrony", True, 1.501e-6)
     # The manual: clock_error <= |system_time_offset| + root_dispersion + 0.5 x root_delay.
     assert state.bound_s == pytest.approx(1.501e-6 + 0.024780 + 0.5 * 0.373169)
-    row = judge_clock(state, Limits())
+    row = check_clock(state, Limits())
     assert row.result is Result.OK
     assert row.found.startswith('chrony: 0.0015 ms off, 0.027" at 5 deg/s (error bound 211 ms, 3805")')
 
@@ -87,7 +87,7 @@ def test_sign_of_the_offset_is_ignored():
 def test_unsynchronised_clock_fails_at_zero_offset():
     state = chrony_state(NEVER_SYNCHRONISED)
     assert (state.offset_s, state.is_synchronised) == (0.0, False)
-    assert judge_clock(state, Limits()).result is Result.FAIL
+    assert check_clock(state, Limits()).result is Result.FAIL
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_unsynchronised_clock_fails_at_zero_offset():
 )  # fmt: skip
 def test_offset_limits_of_heading_and_stamps(offset, result, told):
     """5 arcsec, the limit of the heading here, are 0.2778 ms at 5 deg/s."""
-    row = judge_clock(chrony_state(CHRONY.replace("0.000001501", offset)), Limits(heading_arcsec=5.0))
+    row = check_clock(chrony_state(CHRONY.replace("0.000001501", offset)), Limits(heading_arcsec=5.0))
     assert row.result is result
     assert told in row.found
 
@@ -107,12 +107,12 @@ def test_ptp_output():
     state = ptp_state(PTP)
     assert (state.source, state.is_synchronised) == ("PTP", True)
     assert state.offset_s == pytest.approx(310e-9)
-    assert judge_clock(state, Limits()).result is Result.OK
+    assert check_clock(state, Limits()).result is Result.OK
     assert ptp_state(PTP.replace(" 310", " -310")).offset_s == pytest.approx(310e-9)
 
 
 def test_ptp_without_grandmaster_fails():
-    assert judge_clock(ptp_state(PTP.replace("true", "false")), Limits()).result is Result.FAIL
+    assert check_clock(ptp_state(PTP.replace("true", "false")), Limits()).result is Result.FAIL
 
 
 @pytest.mark.parametrize("text", ["", "506 Cannot talk to daemon", PTP, CHRONY[:100], CHRONY.replace("0.0000", "x")])
@@ -126,7 +126,7 @@ def test_other_text_is_no_ptp_state(text):
 
 
 def test_nan_offset_fails():
-    assert judge_clock(ClockState("chrony", math.nan, math.nan, True), Limits()).result is Result.FAIL
+    assert check_clock(ClockState("chrony", math.nan, math.nan, True), Limits()).result is Result.FAIL
 
 
 def program(folder: Path, name: str, text: str, code: int = 0):
@@ -139,11 +139,11 @@ def test_chrony_before_ptp_and_failure_without_answer(tmp_path, monkeypatch):
     # Only what the programs here need is in PATH: this computer may have chrony itself.
     (tmp_path / "cat").symlink_to(shutil.which("cat"))
     monkeypatch.setenv("PATH", str(tmp_path))
-    row = judge_clock(look_at_clock(), Limits())
+    row = check_clock(look_at_clock(), Limits())
     assert (row.result, row.found) == (Result.WARN, "neither chrony nor PTP: no chronyc, no pmc")
     assert row.advice.startswith("set up chrony")
     program(tmp_path, "chronyc", "506 Cannot talk to daemon\n", 1)
-    row = judge_clock(look_at_clock(), Limits())
+    row = check_clock(look_at_clock(), Limits())
     found = "no program synchronises the clock: chronyc reports: 506 Cannot talk to daemon, no pmc"
     assert (row.result, row.found) == (Result.FAIL, found)
     program(tmp_path, "pmc", PTP)

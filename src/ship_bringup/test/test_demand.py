@@ -9,7 +9,7 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bags.live.dds import dds_has_security, loaded_libraries
 from ship_bringup.checks.check_line import CheckLine, Result, bounded, exit_code, table
-from ship_bringup.checks.security_check import judge_keystore, judge_security
+from ship_bringup.checks.security_check import check_keystore, check_security
 from ship_bringup.security.demand import enclave_command, require_profile, shortcomings
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import SuiteOptions, checked_nodes, plan_of
@@ -37,7 +37,7 @@ def test_complete_environment_has_no_problem(good, monkeypatch):
     assert shortcomings(good, True) == []
     set_to(monkeypatch, good)
     require_profile(REQUIRED, Path("ship.yaml"), True)
-    assert [row.result for row in judge_security(good, True, True)] == [Result.OK]
+    assert [row.result for row in check_security(good, True, True)] == [Result.OK]
 
 
 BAD = [
@@ -83,17 +83,17 @@ def test_require_security_is_a_key_of_the_limits():
 
 @pytest.mark.parametrize(("required", "result"), [(True, Result.FAIL), (False, Result.WARN)])
 def test_missing_security_fails_only_if_required(required, result):
-    rows = list(judge_security({}, False, required))
+    rows = list(check_security({}, False, required))
     assert {row.result for row in rows} == {result}
     assert len(rows) == (4 if required else 1)
 
 
 def test_demand_of_the_environment_is_required():
-    assert {row.result for row in judge_security({"ROS_SECURITY_ENABLE": "1"}, False, False)} == {Result.FAIL}
+    assert {row.result for row in check_security({"ROS_SECURITY_ENABLE": "1"}, False, False)} == {Result.FAIL}
 
 
 def test_missing_keystore_fails_if_security_is_required():
-    assert [row.result for row in judge_keystore("", None, True)] == [Result.FAIL]
+    assert [row.result for row in check_keystore("", None, True)] == [Result.FAIL]
 
 
 def programs(**options):

@@ -10,7 +10,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.disk_check import DiskState, judge_disk, look_at_disk, night_bytes
+from ship_bringup.checks.disk_check import DiskState, check_disk, look_at_disk, night_bytes
 from ship_bringup.checks.network_look import ObservedTopic
 from ship_node.edge.topics import InputTopic
 from ship_replay.offline.adapter_chain import suite_chain
@@ -99,27 +99,27 @@ def test_free_space_limits(free_gb, result):
     """20 GB in 10 h, and 10 GB to remain."""
     limits = Limits(machine=MachineLimits(disk_free_gb=10.0))
     state = DiskState(Path("/box"), 1, round(free_gb * GB))
-    (row,) = judge_disk(state, 20.0 * GB / (10.0 * HOUR_S), 10.0, limits)
+    (row,) = check_disk(state, 20.0 * GB / (10.0 * HOUR_S), 10.0, limits)
     assert row.result is result
     assert "10 h need 20.0 GB" in row.found
 
 
 def test_unreadable_disk_fails():
-    (row,) = judge_disk(DiskState(Path("/box"), None, None), 1.0, 1.0, Limits())
+    (row,) = check_disk(DiskState(Path("/box"), None, None), 1.0, 1.0, Limits())
     assert row.result is Result.FAIL
 
 
 def test_unmounted_disk_of_the_limits_fails(tmp_path):
-    (row,) = judge_disk(look_at_disk(tmp_path / "data"), 1.0, 1.0, Limits(), "machine.disk_path")
+    (row,) = check_disk(look_at_disk(tmp_path / "data"), 1.0, 1.0, Limits(), "machine.disk_path")
     assert row.result is Result.FAIL
     assert row.found.startswith(f"{tmp_path}/data, named by machine.disk_path, is not there")
     assert row.advice.startswith("mount the disk")
-    (row,) = judge_disk(look_at_disk(tmp_path), 1.0, 0.001, Limits(machine=FREE), "machine.disk_path")
+    (row,) = check_disk(look_at_disk(tmp_path), 1.0, 0.001, Limits(machine=FREE), "machine.disk_path")
     assert row.result is Result.OK
 
 
 def test_missing_folder_reports_the_measured_folder(tmp_path):
-    (row,) = judge_disk(look_at_disk(tmp_path / "a" / "b"), 1.0, 0.001, Limits(machine=FREE))
+    (row,) = check_disk(look_at_disk(tmp_path / "a" / "b"), 1.0, 0.001, Limits(machine=FREE))
     assert row.result is Result.OK
     assert re.fullmatch(rf"{tmp_path}/a/b is not there yet: [\d.]+ GB free in {tmp_path}, .*", row.found)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.domain_check import judge_domain, judge_settings
+from ship_bringup.checks.domain_check import check_domain, check_settings
 from ship_bringup.checks.network_look import ObservedTopic, NetworkState, Publisher
 from ship_bringup.security.demand import domain_of
 from ship_node.edge.topics import InputTopic
@@ -13,7 +13,7 @@ INS = ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1000), (P
 
 
 def found(state):
-    return [(row.result, row.found) for row in judge_domain(state, OWN)]
+    return [(row.result, row.found) for row in check_domain(state, OWN)]
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def found(state):
 )  # fmt: skip
 def test_domain_number(text, result, domain):
     environment = {} if text is None else {"ROS_DOMAIN_ID": text}
-    number, reach = judge_settings(environment)
+    number, reach = check_settings(environment)
     assert (number.result, reach.result) == (result, Result.OK)
     assert domain_of(environment) == domain
 
@@ -36,7 +36,7 @@ def test_domain_number(text, result, domain):
 )  # fmt: skip
 def test_range_of_discovery(reach, peers, result):
     environment = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": reach, "ROS_STATIC_PEERS": peers}
-    assert [row.result for row in judge_settings(environment)] == [Result.OK, result]
+    assert [row.result for row in check_settings(environment)] == [Result.OK, result]
 
 
 def test_drivers_of_sensors_are_accepted():
@@ -51,7 +51,7 @@ def test_running_node_of_the_suite_fails():
 
 def test_nmea_nodes_started_by_hand_are_a_warning():
     state = NetworkState("rmw", ("/demo/nmea_in", "/demo/nmea_out", "/demo/ins"), (INS,))
-    warning, good = judge_domain(state, OWN, ["/demo/nmea_in", "/demo/nmea_out"])
+    warning, good = check_domain(state, OWN, ["/demo/nmea_in", "/demo/nmea_out"])
     assert (warning.result, warning.found) == (Result.WARN, "/demo/nmea_in, /demo/nmea_out is running already")
     assert warning.advice.startswith("end it before the suite is started")
     assert good.result is Result.OK

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.file_check import PathState, judge_files, look_at_files
+from ship_bringup.checks.file_check import PathState, check_files, look_at_files
 
 SUITE = """\
 /**/ship_attitude:
@@ -29,7 +29,7 @@ def look(tmp_path, box=None, **paths):
 
 
 def rows(states):
-    return [(row.result, row.found) for row in judge_files(states, [])]
+    return [(row.result, row.found) for row in check_files(states, [])]
 
 
 def test_missing_file_in_an_existing_folder(tmp_path):
@@ -94,7 +94,7 @@ def test_wrong_kinds_of_nmea_out_paths(tmp_path, key, found):
 
 def test_device_of_another_group_advises_usermod():
     state = PathState(Path("/dev/ttyUSB0"), "suite.yaml:8: device", True, True, False, False)
-    (row,) = judge_files([state], [])
+    (row,) = check_files([state], [])
     assert row.result is Result.FAIL
     assert "may not read and write it" in row.found
     assert row.advice.startswith("sudo usermod -aG dialout ")
@@ -107,7 +107,7 @@ def test_file_of_another_user_fails(readable, writable):
 
 
 def test_node_without_saved_file_is_a_warning():
-    (row,) = judge_files([], ["suite.yaml: ship_attitude has no alignment_file"])
+    (row,) = check_files([], ["suite.yaml: ship_attitude has no alignment_file"])
     assert row.result is Result.WARN
 
 

@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 
 from ship_bags.errors import BadInput
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.security_check import judge_keystore
+from ship_bringup.checks.security_check import check_keystore
 from ship_bringup.security.keystore import KeystoreUse, keystore_faults, require_keystore
 from ship_bringup.security.policy_xml import governance_text, permissions_text
 from ship_bringup.security.rights import suite_rights
@@ -53,7 +53,7 @@ def only(faults):
 
 def test_valid_keystore_has_no_fault(keystore):
     assert keystore_faults(keystore.path, use()) == []
-    rows = list(judge_keystore(str(keystore.path), use(), True))
+    rows = list(check_keystore(str(keystore.path), use(), True))
     assert [(row.check, row.result) for row in rows] == [("keystore", Result.OK), ("policies", Result.OK)]
     assert "2 enclaves" in rows[0].found
 
@@ -346,14 +346,14 @@ def test_several_faults_at_once(keystore):
 
 def test_missing_openssl_fails_only_if_security_is_required(keystore, monkeypatch):
     monkeypatch.setenv("PATH", "/nonexistent")
-    (row,) = judge_keystore(str(keystore.path), use(), False)
+    (row,) = check_keystore(str(keystore.path), use(), False)
     assert (row.result, row.advice) == (Result.NOT_CHECKED, "sudo apt install openssl")
-    (row,) = judge_keystore(str(keystore.path), use(), True)
+    (row,) = check_keystore(str(keystore.path), use(), True)
     assert row.result is Result.FAIL
 
 
 def test_rows_of_a_faulty_keystore_fail(keystore):
     keystore.permit(NODE, dataclasses.replace(OF_NODE, publishes=frozenset()))
     (keystore.folder("/demo/monitor") / "key.pem").chmod(0o644)
-    rows = list(judge_keystore(str(keystore.path), use(), False))
+    rows = list(check_keystore(str(keystore.path), use(), False))
     assert {(row.check, row.result) for row in rows} == {("keystore", Result.FAIL), ("policies", Result.FAIL)}

@@ -12,7 +12,7 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.security_check import judge_keystore
+from ship_bringup.checks.security_check import check_keystore
 from ship_bringup.security.keystore import KeystoreUse, keystore_faults, require_keystore
 from ship_bringup.security.policy_xml import permissions_text
 from ship_bringup.security.rights import suite_rights
@@ -144,7 +144,7 @@ def test_private_key_of_the_authority(keystore, place):
     assert text == f"{path}: {told}"
     # It is corrected ashore: a suite can be started again at sea.
     assert require_keystore(keystore.path, KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY)) == [text]
-    (row, *_) = judge_keystore(str(keystore.path), KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY), False)
+    (row, *_) = check_keystore(str(keystore.path), KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY), False)
     assert row.result is Result.FAIL
 
 

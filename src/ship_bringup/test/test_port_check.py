@@ -9,9 +9,9 @@ import sys
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.port_check import PlaceState, judge_places, look_at_places
+from ship_bringup.checks.port_check import PlaceState, check_places, look_at_places
 from ship_bringup.security.rights import companions_of
-from ship_node.parameters.places import PlaceKind, held_port
+from ship_node.parameters.places import PlaceKind, port_resource
 from ship_testing.listening_node import free_port
 
 STREAM, DATAGRAM = socket.SOCK_STREAM, socket.SOCK_DGRAM
@@ -31,7 +31,7 @@ def look(tmp_path):
         path = tmp_path / "suite.yaml"
         path.write_text(f"/**/{node}:\n  ros__parameters:\n    {group}:\n      a: {{{text}}}\n")
         found = look_at_places(path, namespace, companions_of(path, namespace))
-        rows = judge_places(list(found), running)
+        rows = check_places(list(found), running)
         return [(row.result, row.found.replace(f"{tmp_path}/", ""), row.advice) for row in rows]
 
     return states
@@ -69,8 +69,8 @@ def test_program_of_a_port_is_named_by_its_script(look, tmp_path):
 
 
 def test_unknown_program_may_be_the_suite():
-    state = PlaceState("/nmea_out", "suite.yaml:4: sinks.a.port", held_port("", PlaceKind.TCP, 10110), 98)
-    (row,) = judge_places([state], [])
+    state = PlaceState("/nmea_out", "suite.yaml:4: sinks.a.port", port_resource("", PlaceKind.TCP, 10110), 98)
+    (row,) = check_places([state], [])
     assert row.found.endswith("TCP port 10110 is in use by another program, or by this suite if it already runs")
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.network_look import STRONGER, ObservedTopic, NetworkState, Publisher, observed_rate_hz
-from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
+from ship_bringup.checks.sensor_check import asked_qualities, check_sensors
 from ship_node.edge.topics import InputTopic
 from ship_watch.limits import InputLimits, Limits
 
@@ -18,16 +18,16 @@ GOOD = ObservedTopic(InputTopic("ins/imu", IMU, True, 1000), (DRIVER,), 100.0, 3
 LIMITS = Limits(inputs={"ins": InputLimits(rate_hz=90.0)})
 
 
-def judged(limits=LIMITS, asked=MappingProxyType({}), **changes):
+def evaluate(limits=LIMITS, asked=MappingProxyType({}), **changes):
     observed = dataclasses.replace(GOOD, **changes)
-    (row,) = judge_sensors(NetworkState("rmw", inputs=(observed,)), limits, {"ins/imu": 2.0}, asked)
+    (row,) = check_sensors(NetworkState("rmw", inputs=(observed,)), limits, {"ins/imu": 2.0}, asked)
     return row.result, row.found
 
 
 def test_good_sensor():
-    assert judged() == (Result.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
-    assert judged(age_s=None) == (Result.OK, "ins/imu: 100 Hz from /ins_driver")
-    assert judged(asked={"ins/imu": dict.fromkeys(STRONGER, "x")})[0] is Result.OK
+    assert evaluate() == (Result.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
+    assert evaluate(age_s=None) == (Result.OK, "ins/imu: 100 Hz from /ins_driver")
+    assert evaluate(asked={"ins/imu": dict.fromkeys(STRONGER, "x")})[0] is Result.OK
 
 
 @pytest.mark.parametrize(
@@ -44,14 +44,14 @@ def test_good_sensor():
      ({"age_s": float("nan")}, "stamps nan")],
 )  # fmt: skip
 def test_unusable_sensor_fails(changes, told):
-    result, found = judged(**changes)
+    result, found = evaluate(**changes)
     assert result is Result.FAIL
     assert told in found
 
 
 def test_single_message_of_a_slow_sensor():
     told = "ins/imu: one message from /ins_driver, stamps 0.012 s old"
-    assert judged(limits=Limits(), count=1, rate_hz=0.0) == (Result.OK, told)
+    assert evaluate(limits=Limits(), count=1, rate_hz=0.0) == (Result.OK, told)
 
 
 @pytest.mark.parametrize(
@@ -70,43 +70,43 @@ def test_rate_from_mean_interval(count, span_s, rate_hz):
 )  # fmt: skip
 def test_age_texts(age_s, told):
     """390513437.825 s / (365.25 x 86400 s) = 12.4 years."""
-    assert judged(age_s=age_s)[1].endswith(f"stamps {told}")
+    assert evaluate(age_s=age_s)[1].endswith(f"stamps {told}")
 
 
 def test_old_stamps_with_clock_are_of_a_bag():
     old = dataclasses.replace(GOOD, age_s=390513437.825)
     for has_clock, advice in ((True, "a bag is being played"), (False, "set the clock of the device")):
-        (row,) = judge_sensors(NetworkState("rmw", inputs=(old,), has_clock=has_clock), LIMITS, {"ins/imu": 2.0}, {})
+        (row,) = check_sensors(NetworkState("rmw", inputs=(old,), has_clock=has_clock), LIMITS, {"ins/imu": 2.0}, {})
         assert row.result is Result.FAIL
         assert row.advice.startswith(advice)
 
 
 @pytest.mark.parametrize("age_s", [-0.049, 1.99])
 def test_stamps_within_the_limits(age_s):
-    assert judged(age_s=age_s)[0] is Result.OK
+    assert evaluate(age_s=age_s)[0] is Result.OK
 
 
 def test_weather_and_position_may_exceed_lag():
     for name in ("gnss/fix", "met/pressure"):
         topic = InputTopic(name, IMU, required=True, depth=100)
         heard = dataclasses.replace(GOOD, input=topic, age_s=2.1)
-        (row,) = judge_sensors(NetworkState("rmw", inputs=(heard,)), LIMITS, {name: 2.0}, {})
+        (row,) = check_sensors(NetworkState("rmw", inputs=(heard,)), LIMITS, {name: 2.0}, {})
         assert row.result is Result.OK
 
 
 def test_optional_sensor_without_data_is_a_warning():
     topic = InputTopic("met/humidity", IMU, required=False, depth=100)
-    assert judged(input=topic, publishers=())[0] is Result.WARN
-    assert judged(input=topic, count=0)[0] is Result.WARN
-    assert judged(input=dataclasses.replace(topic, named=True), publishers=())[0] is Result.FAIL
+    assert evaluate(input=topic, publishers=())[0] is Result.WARN
+    assert evaluate(input=topic, count=0)[0] is Result.WARN
+    assert evaluate(input=dataclasses.replace(topic, named=True), publishers=())[0] is Result.FAIL
 
 
 @pytest.mark.parametrize("quality", ["reliable", "transient_local"])
 def test_unmet_quality_of_service_fails(quality):
     weak = (dataclasses.replace(DRIVER, offers=STRONGER - {quality}),)
-    assert judged(publishers=weak)[0] is Result.OK
+    assert evaluate(publishers=weak)[0] is Result.OK
     setting = "qos_overrides in the suite file"
-    result, found = judged(publishers=weak, asked={"ins/imu": {quality: setting}})
+    result, found = evaluate(publishers=weak, asked={"ins/imu": {quality: setting}})
     assert result is Result.FAIL
     assert f"does not offer {quality}, required by {setting}: no message will arrive" in found
 
@@ -122,30 +122,30 @@ def test_advice_names_the_setting_of_the_unmet_quality(tmp_path):
     ):  # fmt: skip
         path.write_text(f"/**/ship_attitude: {{ros__parameters: {parameters}}}\n")
         asked = asked_qualities(path, ["ins/imu"], "", by_option)
-        (row,) = judge_sensors(NetworkState("rmw", inputs=(weak,)), LIMITS, {"ins/imu": 2.0}, asked)
+        (row,) = check_sensors(NetworkState("rmw", inputs=(weak,)), LIMITS, {"ins/imu": 2.0}, asked)
         assert (row.result, row.advice) == (Result.FAIL, f"let the driver offer it, or leave out {setting}")
 
 
 def test_required_input_of_nmea_in_fails_until_received():
     silent = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, publishers=()),))
-    (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
+    (row,) = check_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
     assert row.result is Result.FAIL
     assert row.found == "ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
     assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"
     spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
-    (row,) = judge_sensors(NetworkState("rmw", inputs=(spare,)), LIMITS, {}, {}, ["ins/imu"])
+    (row,) = check_sensors(NetworkState("rmw", inputs=(spare,)), LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.NOT_CHECKED
     heard = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, rate_hz=1.0),))
-    (row,) = judge_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
+    (row,) = check_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.FAIL
 
 
 def test_two_publishers_are_a_warning():
-    assert judged(publishers=(DRIVER, Publisher("/again", IMU)))[0] is Result.WARN
+    assert evaluate(publishers=(DRIVER, Publisher("/again", IMU)))[0] is Result.WARN
 
 
 def test_failed_observation_fails():
-    (row,) = judge_sensors(NetworkState(failure="no rmw"), LIMITS, {}, {})
+    (row,) = check_sensors(NetworkState(failure="no rmw"), LIMITS, {}, {})
     assert (row.result, row.found) == (Result.FAIL, "nothing could be received: no rmw")
 
 

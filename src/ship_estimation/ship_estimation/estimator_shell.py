@@ -31,7 +31,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.outcome import Estimate, Judged, Measurement, Outcome
+from ship_estimation.outcome import Estimate, DecisionT, Measurement, Outcome
 from ship_estimation.refusals import Contradictions, Reason, Rejection, failure, same_stamp
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
@@ -40,7 +40,7 @@ State = TypeVar("State")
 Measured = TypeVar("Measured", bound=Measurement)
 Jump = TypeVar("Jump")
 Item = TypeVar("Item")
-Verdict = TypeVar("Verdict")
+AnyDecision = TypeVar("AnyDecision")
 
 
 class LagWindow:
@@ -135,14 +135,14 @@ Key = tuple[int, Any]
 
 
 @dataclass
-class _Entry(Generic[State, Item, Verdict]):
+class _Entry(Generic[State, Item, AnyDecision]):
     key: Key
     measurement: Item
-    decision: Verdict | None = None
+    decision: AnyDecision | None = None
     state_after: State | None = None
 
 
-class TimeOrderedLog(Generic[State, Item, Verdict]):
+class TimeOrderedLog(Generic[State, Item, AnyDecision]):
     """Measurements of the window in time order, on a committed state, each with the state after it.
 
     A late measurement is inserted, and all measurements after it are applied again from the state before it. A
@@ -160,7 +160,7 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
     def __init__(self, state: State) -> None:
         self._base = self.state = state
         self._keys: list[Key] = []
-        self._entries: list[_Entry[State, Item, Verdict]] = []
+        self._entries: list[_Entry[State, Item, AnyDecision]] = []
         self.waiting = 0
         self.oldest_ns: int | None = None
         self._repeats = _Allowance(MOST_REPEATS_PER_S)
@@ -201,7 +201,7 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
             self.waiting += 1
         self.waiting = max(self.waiting, len(self._entries) - index)
 
-    def rewind_where(self, affected: Callable[[Verdict], bool]) -> None:
+    def rewind_where(self, affected: Callable[[AnyDecision], bool]) -> None:
         """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
         for index in range(self._applied):
             decision = self._entries[index].decision
@@ -211,10 +211,10 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
 
     def apply(
         self,
-        step: Callable[[State, Item], tuple[State, Verdict] | None],
-        failed: Callable[[Item, Exception], Verdict],
+        step: Callable[[State, Item], tuple[State, AnyDecision] | None],
+        failed: Callable[[Item, Exception], AnyDecision],
         window_ns: tuple[int, int] | None = None,
-    ) -> list[tuple[Verdict, Verdict | None]]:
+    ) -> list[tuple[AnyDecision, AnyDecision | None]]:
         """Apply pending measurements, in order, until ``step`` returns None because it needs data still to arrive.
 
         Args:
@@ -228,7 +228,7 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         Returns:
             For each applied measurement: its decision and, if it was applied before, the one that it replaces.
         """
-        decisions: list[tuple[Verdict, Verdict | None]] = []
+        decisions: list[tuple[AnyDecision, AnyDecision | None]] = []
         repeats = 0
         while self.waiting:
             index = self._applied
@@ -236,7 +236,7 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
             again = entry.decision is not None
             if again and window_ns is not None and not self._may_repeat(entry.key, repeats, *window_ns):
                 break
-            result: tuple[State, Verdict] | None
+            result: tuple[State, AnyDecision] | None
             try:
                 result = step(self.state, entry.measurement)
             except Exception as error:
@@ -291,7 +291,7 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model(Generic[State, Measured, Judged, Jump]):
+class Model(Generic[State, Measured, DecisionT, Jump]):
     """The functions of an estimator; none of them changes the state that it receives.
 
     Attributes:
@@ -305,12 +305,12 @@ class Model(Generic[State, Measured, Judged, Jump]):
         on_commit: called with the states after committed measurements, in order.
     """
 
-    step: Callable[[State, Measured, bool], tuple[State, Judged] | None]
+    step: Callable[[State, Measured, bool], tuple[State, DecisionT] | None]
     inflate: Callable[[State, Jump], State]
-    failed: Callable[[Measured, Rejection], Judged]
-    until_ns: Callable[[Judged], int]
+    failed: Callable[[Measured, Rejection], DecisionT]
+    until_ns: Callable[[DecisionT], int]
     forget_before: Callable[[int], None]
-    decided: Callable[[Judged], None] | None = None
+    decided: Callable[[DecisionT], None] | None = None
     closed: Callable[[Sequence[State]], None] | None = None
 
 
@@ -323,7 +323,7 @@ class _Opening(Generic[Jump]):
     failed: Rejection | None = None
 
 
-class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
+class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
     """An estimator with its measurements in time order, and the order of its outputs.
 
     Args:
@@ -338,7 +338,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         stamp_conflicts: sources that sent conflicting data with the same stamp.
     """
 
-    def __init__(self, model: Model[State, Measured, Judged, Jump], state: State, lag_s: float, reach_ns: int) -> None:
+    def __init__(self, model: Model[State, Measured, DecisionT, Jump], state: State, lag_s: float, reach_ns: int) -> None:
         self._model = model
         self._lag_s, self._reach_ns = lag_s, reach_ns
         self.contradictions = Contradictions()
@@ -351,7 +351,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.window = LagWindow(self._lag_s)
         self.contradictions.reset()
         self._overtaking: dict[str, _Allowance] = {}
-        self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
+        self._log: TimeOrderedLog[State, Measured | _Opening[Jump], DecisionT | _Opening[Jump]] = TimeOrderedLog(state)
         if clock_jumped:
             self._last_claim_ns: int | None = None
             self._output_timeout_ns: int | None = None
@@ -365,7 +365,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def add(self, measurement: Measured, outcome: Outcome[Judged, Estimate]) -> bool:
+    def add(self, measurement: Measured, outcome: Outcome[DecisionT, Estimate]) -> bool:
         """Add a measurement that is not late; return False if another one of its source and stamp is kept."""
         key = measurement.time_ns, measurement.source
         known, taken = self._log.get(key), True
@@ -382,7 +382,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         return taken
 
     def add_sample(
-        self, source: str, track: SampleTrack[Any], sample: Any, outcome: Outcome[Judged, Estimate]
+        self, source: str, track: SampleTrack[Any], sample: Any, outcome: Outcome[DecisionT, Estimate]
     ) -> bool:
         """Add a sample that is not late to a track on which measurements depend; return False as :meth:`add` does.
 
@@ -433,11 +433,11 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """Apply again, at the next :meth:`apply`, the measurements that depend on samples after a stamp."""
         self.rewind_where(lambda decision: self._model.until_ns(decision) > after_ns)
 
-    def rewind_where(self, affected: Callable[[Judged], bool]) -> None:
+    def rewind_where(self, affected: Callable[[DecisionT], bool]) -> None:
         """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
         self._log.rewind_where(lambda verdict: not isinstance(verdict, _Opening) and affected(verdict))
 
-    def tick(self, now_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
+    def tick(self, now_ns: int, outcome: Outcome[DecisionT, Estimate]) -> None:
         """Apply measurements that are pending because of the rate limits, without a new input."""
         if self.is_behind:
             self.apply(outcome, now_ns)
@@ -447,7 +447,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """True if measurements are to be applied again and are pending only because of the rate limits."""
         return self._log.is_behind
 
-    def apply(self, outcome: Outcome[Judged, Estimate], now_ns: int | None = None) -> None:
+    def apply(self, outcome: Outcome[DecisionT, Estimate], now_ns: int | None = None) -> None:
         """Apply pending measurements as far as possible, and add new and revised decisions to the outcome.
 
         Args:
@@ -484,7 +484,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         allowance.spend(overtaken, now_ns)
         return True
 
-    def _advance(self, time_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
+    def _advance(self, time_ns: int, outcome: Outcome[DecisionT, Estimate]) -> None:
         """Advance the window, apply pending measurements as far as possible, and commit."""
         self.window.advance_to(time_ns)
         self.apply(outcome)
@@ -510,12 +510,12 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
 
     def _step(
         self, state: State, item: Measured | _Opening[Jump]
-    ) -> tuple[State, Judged | _Opening[Jump]] | None:
+    ) -> tuple[State, DecisionT | _Opening[Jump]] | None:
         if isinstance(item, _Opening):
             return self._model.inflate(state, item.jump), item
         return self._model.step(state, item, item.time_ns >= self.window.oldest_ns)
 
-    def _failed(self, item: Measured | _Opening[Jump], error: Exception) -> Judged | _Opening[Jump]:
+    def _failed(self, item: Measured | _Opening[Jump], error: Exception) -> DecisionT | _Opening[Jump]:
         why = failure(error)
         return replace(item, failed=why) if isinstance(item, _Opening) else self._model.failed(item, why)
 
@@ -527,7 +527,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
 
     def put_out(
         self,
-        outcome: Outcome[Judged, Estimate],
+        outcome: Outcome[DecisionT, Estimate],
         time_ns: int,
         waiting_ns: int,
         estimate: Callable[[State], Estimate | None],
@@ -574,7 +574,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         return functools.reduce(lambda state, opening: self._model.inflate(state, opening.jump), openings, self.state)
 
     def say_invalid(
-        self, outcome: Outcome[Judged, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]
+        self, outcome: Outcome[DecisionT, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]
     ) -> None:
         """Add an INVALID output, once a second, if no estimate was published for the timeout.
 

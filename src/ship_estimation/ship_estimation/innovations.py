@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ship_estimation import compiled_innovations
 from ship_estimation.chi_square import normal_value_above, probability_above, value_above
-from ship_estimation.outcome import Decision
+from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -79,7 +79,7 @@ class Innovation(NamedTuple):
     axes: Mapping[str, tuple[float, float]]
 
 
-def innovation_of(decision: Decision[Any]) -> Innovation | None:
+def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
     """Return the innovation of a measurement decision; None without one, as for a measurement that was not compared.
 
     Example:

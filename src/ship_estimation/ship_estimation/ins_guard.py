@@ -15,11 +15,11 @@ from ship_estimation.excess_noise import ExcessNoise
 from ship_estimation.ins import CheckedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
 from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StampArray
-from ship_estimation.rate_guard import RateGuard, Rates
+from ship_estimation.rate_guard import RateGuard, RateStatus
 from ship_estimation.rate_slopes import SlopeWatch
 from ship_estimation.refusals import Reason, Rejection
 from ship_estimation.step_watch import StepWatch
-from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
+from ship_estimation.value_guards import JumpGuard, JumpDecision, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -145,9 +145,9 @@ class InsGuard:
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
 
     @property
-    def rates(self) -> Rates:
+    def rates(self) -> RateStatus:
         """Status of the rates."""
-        return self._rate_check.rates
+        return self._rate_check.status
 
     @property
     def excess_text(self) -> str:
@@ -174,7 +174,7 @@ class InsGuard:
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
             judged = JudgedIns(sample, self._late_rejection(sample, used.last_before(sample.time_ns - 1)))
         else:
-            judged = self._with_noise(self._judge_next(sample, previous, motion_references))
+            judged = self._with_noise(self._check_next(sample, previous, motion_references))
         if self._rate_check.usable or sample.rate_d is None:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
@@ -187,7 +187,7 @@ class InsGuard:
     def looks_ahead(self, time_ns: int) -> bool:
         """True if a block may be checked from this stamp on: rates are confirmed, and no check is unresolved."""
         taken = self._taken
-        if taken is None or self._previous is not taken or self._rate_check.rates is not Rates.MEASURED:
+        if taken is None or self._previous is not taken or self._rate_check.status is not RateStatus.MEASURED:
             return False
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
         return in_order and self._unresolved_jump is None and self._steps.judges and not self._excess.collects
@@ -276,7 +276,7 @@ class InsGuard:
         if jumps:
             self._taken = seen._replace(before=None)
         self._previous = self._taken
-        wrong_after_ns = self._judge_rates(previous, seen) if count == due else None
+        wrong_after_ns = self._check_rates(previous, seen) if count == due else None
         if not jumps and wrong_after_ns is None and self._new_noise is None:
             return count, None
         sample = last if self._rate_check.usable else replace(last, rate_d=None)
@@ -293,7 +293,7 @@ class InsGuard:
             return taken, last
         return SeenSample(samples[count - 2], last.number - 1, before[-3], integrated.one(count - 2)), last
 
-    def _judge_next(
+    def _check_next(
         self, sample: AttitudeSample, previous: SeenSample | None, motion_references: Mapping[str, Witness]
     ) -> JudgedIns:
         """Check a sample later than all before."""
@@ -319,7 +319,7 @@ class InsGuard:
 
     def _compare(self, taken: SeenSample, previous: SeenSample, seen: SeenSample) -> JudgedIns:
         """Check a sample against the last accepted one and the one before it."""
-        sample, on_line, measured = seen.sample, None, self._rate_check.rates is Rates.MEASURED
+        sample, on_line, measured = seen.sample, None, self._rate_check.status is RateStatus.MEASURED
         if measured and seen.integrated is not None:
             if self._leads.told_rad and self._leads.told_rad > self._steps.smallest_rad:
                 self._steps.restart()
@@ -334,7 +334,7 @@ class InsGuard:
             jumps = self._kept(seen)
             self._take(seen, None if jumps else taken)
             due = sample.time_ns >= self._rate_check.due_ns
-            return JudgedIns(sample, _stepped(jumps), jumps, self._judge_rates(previous, seen) if due else None)
+            return JudgedIns(sample, _stepped(jumps), jumps, self._check_rates(previous, seen) if due else None)
         match = self._leads.match(taken, seen, measured) if on_line is None else self._steps.match()
         step = match if previous is taken else self._leads.match(previous, seen, measured)
         fits = match.fits
@@ -346,16 +346,16 @@ class InsGuard:
             # Confirmed rates reject inconsistent attitudes. If the rates are then found to be wrong, these attitudes
             # are accepted, provided that each of them continued the motion before it.
             fits = smooth and not measured
-        verdict = self._jump_check.judge(sample.time_ns, fits, step.fits)
-        if verdict is JumpVerdict.REJECTED:
+        verdict = self._jump_check.check(sample.time_ns, fits, step.fits)
+        if verdict is JumpDecision.REJECTED:
             if self._jump_check.rejected_count == 1:
                 self._jumps_with = sample
                 self._previous = seen._replace(before=moved_back(sample, taken))
-            wrong_after_ns = self._judge_rates(previous, seen)
+            wrong_after_ns = self._check_rates(previous, seen)
             if wrong_after_ns is not None and measured:
                 self._unresolved_jump = InsJump(self._jump_check.since_ns - 1, match.difference, match.sigma_rad)
             return JudgedIns(sample, _gate_rejection(match), (), wrong_after_ns)
-        return self._taken_after_all(taken, previous, seen, match, step is match, verdict is JumpVerdict.JUMPED)
+        return self._taken_after_all(taken, previous, seen, match, step is match, verdict is JumpDecision.JUMPED)
 
     def _taken_after_all(
         self, taken: SeenSample, previous: SeenSample, seen: SeenSample, match: Match, next_one: bool, jumped: bool
@@ -375,21 +375,21 @@ class InsGuard:
             self._steps.restart()
         self._take(seen, None if jumps else taken)
         one = one_run(taken.integrated, seen.integrated)
-        wrong_after_ns = self._judge_rates(previous, seen)
+        wrong_after_ns = self._check_rates(previous, seen)
         # The typical difference is estimated from steps of one sample.
         if not jumps and next_one:
-            if self._rate_check.rates is not Rates.MEASURED:
+            if self._rate_check.status is not RateStatus.MEASURED:
                 self._learn_unproven(taken, seen, match, one)
             elif one:
                 self._leads.by_rates.learn(match.difference)
-        if self._rate_check.rates is Rates.WRONG_UNITS:
+        if self._rate_check.status is RateStatus.WRONG_UNITS:
             refusal = self._units_rejection()
         return JudgedIns(seen.sample, refusal, jumps, wrong_after_ns)
 
     def _accepted_jump(self, match: Match) -> InsJump:
         """Return the jump that is accepted after samples that were rejected for it."""
         first, clock_s = self._jumps_with, math.nan
-        if first is not None and first.rate_d is not None and self._rate_check.rates is Rates.MEASURED:
+        if first is not None and first.rate_d is not None and self._rate_check.status is RateStatus.MEASURED:
             clock_s = clock_step_s(match.difference, match.sigma_rad, first.rotation_nd @ first.rate_d)
         return InsJump(self._jump_check.since_ns - 1, match.difference, match.sigma_rad, clock_s)
 
@@ -431,14 +431,14 @@ class InsGuard:
         """Return the rejection of a sample that arrives after later ones, by the accepted one before it in time."""
         if self._stuck_check.is_frozen(sample.rotation_nd):
             return _STUCK
-        if self._rate_check.rates is Rates.WRONG_UNITS:
+        if self._rate_check.status is RateStatus.WRONG_UNITS:
             return self._units_rejection()
         if before is None:
             return None
-        match = self._leads.match_by_two_rates(before, sample, self._rate_check.rates is Rates.MEASURED)
+        match = self._leads.match_by_two_rates(before, sample, self._rate_check.status is RateStatus.MEASURED)
         return None if match.fits else _gate_rejection(match)
 
-    def _judge_rates(self, previous: SeenSample, seen: SeenSample) -> int | None:
+    def _check_rates(self, previous: SeenSample, seen: SeenSample) -> int | None:
         """Check the rates if the attitude is plausible; return the stamp after which they are wrong, or None."""
         sample, integrated = seen.sample, seen.integrated
         if integrated is None or not one_run(previous.integrated, integrated) or self._stuck_check.repeated:

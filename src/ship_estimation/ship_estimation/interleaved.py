@@ -38,14 +38,14 @@ _CLEAN = 2
 StampArray = NDArray[np.int64]
 
 
-class _Judged(NamedTuple):
+class _WindowResult(NamedTuple):
     """The distance of two streams in a window, 0 for one stream; and True if motion may explain the distance."""
 
     distance: float
     may_be_feigned: bool = False
 
 
-_ONE = _Judged(0.0)
+_ONE = _WindowResult(0.0)
 
 
 class InterleavedStreams:
@@ -83,7 +83,7 @@ class InterleavedStreams:
         self._values.append(value)
         if len(self._times) < WINDOW:
             return False
-        return self._judge()
+        return self._evaluate_window()
 
     def count_before_change(self, times_ns: StampArray, values: FloatArray) -> int:
         """Return the number of leading values that leave the number of streams unchanged.
@@ -108,14 +108,14 @@ class InterleavedStreams:
             stop = min(start + WINDOW - len(self._times), len(times_ns))
             self._times += times_ns[start:stop].tolist()
             self._values += list(values[start:stop])
-            if len(self._times) == WINDOW and self._judge():
+            if len(self._times) == WINDOW and self._evaluate_window():
                 return stop - 1
             start = stop
         return len(times_ns)
 
-    def _judge(self) -> bool:
+    def _evaluate_window(self) -> bool:
         """Evaluate a full window and start another one; return as :meth:`add`."""
-        judged = _judged(np.array(self._times), np.array(self._values), self._least)
+        judged = _evaluate(np.array(self._times), np.array(self._values), self._least)
         self._due_ns = self._times[0] + _EVERY_NS
         self._times, self._values = [], []
         was_two = self.distance > 0.0
@@ -128,7 +128,7 @@ class InterleavedStreams:
         return (self.distance > 0.0) is not was_two
 
 
-def _judged(times_ns: StampArray, values: FloatArray, least: float) -> _Judged:
+def _evaluate(times_ns: StampArray, values: FloatArray, least: float) -> _WindowResult:
     """Evaluate the values of a window, in their order of arrival."""
     # A change between two streams makes a third difference of twice their distance; smooth motion makes small ones.
     thirds = np.diff(values, n=3, axis=0)
@@ -154,7 +154,7 @@ def _judged(times_ns: StampArray, values: FloatArray, least: float) -> _Judged:
         return _ONE
     ends = fit[1], fit[1] + 2.0 * fit[2] + 3.0 * fit[3]
     fastest = max(float(np.linalg.norm(slope)) for slope in ends)
-    return _Judged(distance, distance < _MOVES * fastest * float(np.abs(np.diff(at)).max()))
+    return _WindowResult(distance, distance < _MOVES * fastest * float(np.abs(np.diff(at)).max()))
 
 
 def _smallest_step(values: FloatArray, upper: NDArray[np.bool_]) -> float:

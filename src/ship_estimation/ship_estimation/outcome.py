@@ -56,7 +56,7 @@ Measured = TypeVar("Measured", bound=Measurement, covariant=True)
 
 
 @dataclass(frozen=True)
-class Decision(Generic[Measured]):
+class MeasurementDecision(Generic[Measured]):
     """Decision about a measurement: accepted or rejected.
 
     Attributes:
@@ -90,12 +90,12 @@ class Decision(Generic[Measured]):
     noise: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
-Judged = TypeVar("Judged", bound=Decision[Measurement])
+DecisionT = TypeVar("DecisionT", bound=MeasurementDecision[Measurement])
 Estimate = TypeVar("Estimate")
 
 
 @dataclass
-class Outcome(Generic[Judged, Estimate]):
+class Outcome(Generic[DecisionT, Estimate]):
     """Result of one input.
 
     Attributes:
@@ -107,6 +107,6 @@ class Outcome(Generic[Judged, Estimate]):
     """
 
     rejection: Rejection | None = None
-    decisions: list[Judged] = field(default_factory=list)
+    decisions: list[DecisionT] = field(default_factory=list)
     estimates: list[Estimate] = field(default_factory=list)
     failures: list[tuple[int, Rejection]] = field(default_factory=list)

@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 
-class Rates(enum.Enum):
+class RateStatus(enum.Enum):
     """Status of the rates of an INS."""
 
     UNPROVEN = "unproven"
@@ -78,7 +78,7 @@ class RateGuard:
     _LEAST_CORRELATION = 0.9
 
     def __init__(self) -> None:
-        self.rates = Rates.UNPROVEN
+        self.status = RateStatus.UNPROVEN
         self.usable = True
         self.slope = 1.0
         self.due_ns = 0
@@ -121,13 +121,13 @@ class RateGuard:
             self._begin(here)
             return None
         lasted_ns = time_ns - start.time_ns
-        if lasted_ns < self._SHORTEST_NS and self.rates is not Rates.UNPROVEN:
+        if lasted_ns < self._SHORTEST_NS and self.status is not RateStatus.UNPROVEN:
             return None
         attitude = log_rotation(start.rotation_nd.T @ rotation_nd)
         rate = log_rotation(start.integrated.rotation.T @ integrated.rotation)
         turn, difference = max(size(attitude), size(rate)), size(attitude - rate)
         piece_sigma_rad = math.hypot(sigma_rad, step_sigma_rad * math.sqrt(number - start.number))
-        if self.rates is Rates.UNPROVEN:
+        if self.status is RateStatus.UNPROVEN:
             piece_sigma_rad = max(piece_sigma_rad, self._FIRST_SIGMA_RAD)
         clear = turn > self._CLEAR_SIGMAS * piece_sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9
         right = difference <= self._TOLERANCE * turn
@@ -135,7 +135,7 @@ class RateGuard:
         # Unconfirmed rates are found wrong after one interval; everything else takes the full length of a piece.
         if clear and (lasted_ns >= self._SHORTEST_NS or not right):
             size_known = size(attitude) > 0.4 * self._CLEAR_SIGMAS * sigma_rad
-            self._judge(time_ns, right, attitude, rate, size_known)
+            self._evaluate(time_ns, right, attitude, rate, size_known)
         elif lasted_ns < self._LONGEST_NS:
             return None
         self._begin(here)
@@ -145,30 +145,30 @@ class RateGuard:
 
     def _begin(self, start: _Start) -> None:
         self._start = start
-        self.due_ns = start.time_ns + self._SHORTEST_NS if self.rates is not Rates.UNPROVEN else 0
+        self.due_ns = start.time_ns + self._SHORTEST_NS if self.status is not RateStatus.UNPROVEN else 0
 
-    def _judge(self, time_ns: int, right: bool, attitude: FloatArray, rate: FloatArray, size_known: bool) -> None:
+    def _evaluate(self, time_ns: int, right: bool, attitude: FloatArray, rate: FloatArray, size_known: bool) -> None:
         """Evaluate a piece with clear rotation; ``size_known`` is true if the rotation exceeds the attitude noise."""
         self._right, self._wrong = (self._right + 1, 0) if right else (0, self._wrong + 1)
         if size_known:
             self._turns.append((attitude, rate))
         if self.usable:
             if right:
-                self.rates, self._right_until_ns = Rates.MEASURED, time_ns
-            elif self.rates is Rates.UNPROVEN or self._wrong >= self._WRONG_PIECES:
-                self.rates = Rates.NOT_MEASURED
+                self.status, self._right_until_ns = RateStatus.MEASURED, time_ns
+            elif self.status is RateStatus.UNPROVEN or self._wrong >= self._WRONG_PIECES:
+                self.status = RateStatus.NOT_MEASURED
                 self._turns.clear()
         elif self._right >= self._PIECES:
-            self.rates, self._right_until_ns = Rates.MEASURED, time_ns
-        elif self.rates is Rates.NOT_MEASURED and self._in_other_units(list(self._turns), self._PIECES):
-            self.rates, self._other_units = Rates.WRONG_UNITS, 0
-        elif self.rates is Rates.WRONG_UNITS and size_known:
+            self.status, self._right_until_ns = RateStatus.MEASURED, time_ns
+        elif self.status is RateStatus.NOT_MEASURED and self._in_other_units(list(self._turns), self._PIECES):
+            self.status, self._other_units = RateStatus.WRONG_UNITS, 0
+        elif self.status is RateStatus.WRONG_UNITS and size_known:
             same = self._in_other_units([(attitude, rate)], 1)
             self._other_units = 0 if same else self._other_units + 1
             if self._other_units >= self._OTHER_UNITS:
-                self.rates = Rates.NOT_MEASURED
+                self.status = RateStatus.NOT_MEASURED
                 self._turns.clear()
-        self.usable = self.rates in (Rates.UNPROVEN, Rates.MEASURED)
+        self.usable = self.status in (RateStatus.UNPROVEN, RateStatus.MEASURED)
 
     def _in_other_units(self, turns: list[tuple[FloatArray, FloatArray]], least: int) -> bool:
         """True if the rates equal the rotations of the attitude up to a factor of about 57.3."""

@@ -65,8 +65,8 @@ class StuckGuard:
     """
 
     def __init__(self) -> None:
-        self._held: _Held | None = None
-        self._former: _Held | None = None
+        self._current: _RepeatedValue | None = None
+        self._former: _RepeatedValue | None = None
         self._left_ns = 0
         self._steps: deque[float] = deque(maxlen=_STEPS)
         self._repeated: deque[bool] = deque(maxlen=_STEPS)
@@ -75,7 +75,7 @@ class StuckGuard:
 
     def is_frozen(self, value: FloatArray) -> bool:
         """True if the value is the one at which the source is stuck."""
-        return self._held is not None and self._held.stuck and _same(value, self._held.value)
+        return self._current is not None and self._current.stuck and _same(value, self._current.value)
 
     def observe(self, time_ns: int, value: FloatArray, sigma_rad: float, motion_references: Mapping[str, Witness]) -> bool:
         """Check the next value of the source; return True if the source is stuck.
@@ -86,7 +86,7 @@ class StuckGuard:
             sigma_rad: noise of the value about its worst axis.
             motion_references: by name, the attitude by other sources at about this time.
         """
-        held = self._held
+        held = self._current
         if held is not None and _same(value, held.value):
             held.repeats += 1
         else:
@@ -106,7 +106,7 @@ class StuckGuard:
             first_ns: stamp of the first value.
             values: as in :meth:`observe`, shape (N, 3, 3).
         """
-        held = self._held
+        held = self._current
         if held is None or held.stuck or held.repeats or not self._steps or any(self._repeated):
             return 0
         if self._former is not None and first_ns - self._left_ns <= RECENT_NS:
@@ -122,19 +122,19 @@ class StuckGuard:
             values: shape (N, 3, 3), N at least 1.
             motion_references: as in :meth:`observe`, at the last value.
         """
-        assert self._held is not None
+        assert self._current is not None
         newest = values[-_STEPS:]
-        before = values[-_STEPS - 1] if len(values) > _STEPS else self._held.value
+        before = values[-_STEPS - 1] if len(values) > _STEPS else self._current.value
         self._learn(before, newest)
         self._repeated.extend([False] * min(len(values), _STEPS))
         self.coarseness_rad, self.repeated = 0.0, False
-        self._held = _Held(values[-1], time_ns, dict(motion_references))
+        self._current = _RepeatedValue(values[-1], time_ns, dict(motion_references))
 
-    def _changed(self, time_ns: int, value: FloatArray, motion_references: Mapping[str, Witness]) -> "_Held":
+    def _changed(self, time_ns: int, value: FloatArray, motion_references: Mapping[str, Witness]) -> "_RepeatedValue":
         """Start a value that differs from the one before: a new value, or the frozen value again."""
-        before, former = self._held, self._former
+        before, former = self._current, self._former
         if former is not None and time_ns - self._left_ns <= RECENT_NS and _same(value, former.value):
-            self._held, self._former = former, None
+            self._current, self._former = former, None
             return former
         if before is not None:
             if before.stuck:
@@ -144,8 +144,8 @@ class StuckGuard:
                 if before.value.shape == value.shape:
                     self._learn(np.atleast_2d(before.value), value.reshape(1, -1, value.shape[-1]))
                 self.coarseness_rad = self._resolution_rad if any(self._repeated) or not self._steps else 0.0
-        self._held = _Held(value, time_ns, dict(motion_references))
-        return self._held
+        self._current = _RepeatedValue(value, time_ns, dict(motion_references))
+        return self._current
 
     def _learn(self, before: FloatArray, values: FloatArray) -> None:
         """Estimate the resolution from the changes of values, shape (N, k, l), after the value before, shape (k, l)."""
@@ -156,7 +156,7 @@ class StuckGuard:
 
 
 @dataclass
-class _Held:
+class _RepeatedValue:
     """A value, the stamp since which the source repeats it, and the motion references at that stamp."""
 
     value: FloatArray
@@ -315,7 +315,7 @@ class Continuation:
         self.noise_rad = max(_SIGMAS * math.sqrt(2.0) * self.sigma_rad, _TYPICAL * self.typical_rad)
 
 
-class JumpVerdict(enum.Enum):
+class JumpDecision(enum.Enum):
     """Decision about a value."""
 
     ACCEPTED = "taken"
@@ -343,7 +343,7 @@ class JumpGuard:
         self.rejected_count = 0
         self.since_ns = 0
 
-    def judge(self, time_ns: int, continues: bool, is_consistent: bool) -> JumpVerdict:
+    def check(self, time_ns: int, continues: bool, is_consistent: bool) -> JumpDecision:
         """Return the decision about a value.
 
         Args:
@@ -353,11 +353,11 @@ class JumpGuard:
         """
         if continues:
             self.rejected_count = 0
-            return JumpVerdict.ACCEPTED
+            return JumpDecision.ACCEPTED
         if self.rejected_count >= self.samples and is_consistent:
             self.rejected_count = 0
-            return JumpVerdict.JUMPED
+            return JumpDecision.JUMPED
         self.rejected_count = self.rejected_count + 1 if is_consistent else 1
         if self.rejected_count == 1:
             self.since_ns = time_ns
-        return JumpVerdict.REJECTED
+        return JumpDecision.REJECTED

@@ -35,7 +35,7 @@ from ship_estimation.innovations import (
     innovation_of,
 )
 from ship_estimation.kalman import StateModel
-from ship_estimation.outcome import Decision
+from ship_estimation.outcome import MeasurementDecision
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -120,7 +120,7 @@ class VerdictBook:
         self._fresh.clear()
         self._newest_ns = 0
 
-    def add(self, source: str, decision: Decision[Any]) -> None:
+    def add(self, source: str, decision: MeasurementDecision[Any]) -> None:
         """Add the innovation of a decision; it replaces that of an earlier decision about the same measurement."""
         innovation = innovation_of(decision)
         if innovation is not None:

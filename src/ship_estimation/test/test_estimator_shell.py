@@ -17,7 +17,7 @@ from ship_estimation.estimator_shell import (
     LagWindow,
     Model,
 )
-from ship_estimation.outcome import Decision, Outcome
+from ship_estimation.outcome import MeasurementDecision, Outcome
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample, VectorTrack
@@ -44,8 +44,8 @@ class Toy:
         return np.float64(self.value).tobytes()
 
 
-Shell = EstimatorShell[float, Toy, Decision[Toy], float, float]
-ToyOutcome = Outcome[Decision[Toy], float]
+Shell = EstimatorShell[float, Toy, MeasurementDecision[Toy], float, float]
+ToyOutcome = Outcome[MeasurementDecision[Toy], float]
 
 
 class Estimator:
@@ -54,12 +54,12 @@ class Estimator:
     def __init__(self) -> None:
         self.track: VectorTrack[VectorSample] = VectorTrack(SECOND_NS)
         self.waits = False
-        self.decided: list[Decision[Toy]] = []
+        self.decided: list[MeasurementDecision[Toy]] = []
         self.claimed: list[int] = []
-        model: Model[float, Toy, Decision[Toy], float] = Model(
+        model: Model[float, Toy, MeasurementDecision[Toy], float] = Model(
             step=self.step,
             inflate=self.inflate,
-            failed=lambda toy, refusal: Decision(toy, refusal.reason, text=refusal.text),
+            failed=lambda toy, refusal: MeasurementDecision(toy, refusal.reason, text=refusal.text),
             until_ns=lambda decision: decision.measurement.time_ns,
             forget_before=self.track.drop_before,
             decided=self.decided.append,
@@ -71,16 +71,16 @@ class Estimator:
             raise ArithmeticError("no size")
         return math.cos(state) + jump
 
-    def step(self, state: float, toy: Toy, may_wait: bool) -> tuple[float, Decision[Toy]] | None:
+    def step(self, state: float, toy: Toy, may_wait: bool) -> tuple[float, MeasurementDecision[Toy]] | None:
         if math.isnan(toy.value):
             raise ArithmeticError("singular")
         if may_wait and self.waits and not self.track.covers(toy.time_ns):
             return None
         if toy.value < 0.0:
-            return state, Decision(toy, Reason.GATE)
+            return state, MeasurementDecision(toy, Reason.GATE)
         before = self.track.last_before(toy.time_ns)
         added = 0.0 if before is None else float(before.vector[0])
-        return math.cos(1.7 * state) + toy.value / 3.0 + added, Decision(toy, Reason.NONE, accepted=True)
+        return math.cos(1.7 * state) + toy.value / 3.0 + added, MeasurementDecision(toy, Reason.NONE, accepted=True)
 
     def add(self, toy: Toy) -> ToyOutcome:
         outcome = ToyOutcome(self.shell.window.late(toy.time_ns))
@@ -147,14 +147,14 @@ def test_late_measurement_is_inserted_and_later_ones_are_applied_again() -> None
 def test_changed_decision_is_reported_as_revised() -> None:
     gate = {"open": True}
 
-    def step(state: float, measurement: Toy, may_wait: bool) -> tuple[float, Decision[Toy]]:
-        return state, Decision(measurement, Reason.NONE if gate["open"] else Reason.GATE, gate["open"])
+    def step(state: float, measurement: Toy, may_wait: bool) -> tuple[float, MeasurementDecision[Toy]]:
+        return state, MeasurementDecision(measurement, Reason.NONE if gate["open"] else Reason.GATE, gate["open"])
 
     shell: Shell = EstimatorShell(
         Model(
             step=step,
             inflate=lambda state, jump: state,
-            failed=lambda toy, refusal: Decision(toy, refusal.reason),
+            failed=lambda toy, refusal: MeasurementDecision(toy, refusal.reason),
             until_ns=lambda decision: decision.measurement.time_ns,
             forget_before=lambda time_ns: None,
         ),

@@ -9,7 +9,7 @@ import pytest
 
 from ship_estimation.ins import CheckedInsConfig, InsJump
 from ship_estimation.ins_guard import InsGuard
-from ship_estimation.rate_guard import Rates
+from ship_estimation.rate_guard import RateStatus
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.ins_streams import CALM, STORM, stream
@@ -54,7 +54,7 @@ HEALTHY: dict[str, dict[str, Any]] = {
 def test_no_sample_of_a_healthy_ins_is_rejected(name: str) -> None:
     results, guard, jumps = judged(stream(**HEALTHY[name]))
     assert (set(results), jumps) == ({""}, 0)
-    assert guard.rates in (Rates.UNPROVEN, Rates.MEASURED)
+    assert guard.rates in (RateStatus.UNPROVEN, RateStatus.MEASURED)
 
 
 def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_next_value() -> None:
@@ -101,13 +101,13 @@ def test_wrong_rates_are_detected_early(rate_hz: float, factor: float) -> None:
     assert len(dropped) == 1
     assert dropped[0] <= max(0.3 * rate_hz, 3)
     assert all(result.sample.rate_d is None for result in results[dropped[0] :])
-    assert guard.rates is Rates.NOT_MEASURED
+    assert guard.rates is RateStatus.NOT_MEASURED
 
 
 def test_noise_is_not_accepted_as_rates() -> None:
     results, guard, _ = judged(stream(20.0, 100.0, rate_factor=0.0, rate_noise_arcsec_per_s=3600.0))
     assert set(results) == {""}
-    assert guard.rates is Rates.NOT_MEASURED
+    assert guard.rates is RateStatus.NOT_MEASURED
 
 
 @pytest.mark.parametrize(("factor", "slope"), [(np.rad2deg(1.0), 57.3), (np.deg2rad(1.0), 1.0 / 57.3)])
@@ -119,7 +119,7 @@ def test_wrong_unit_is_identified_and_right_rates_are_confirmed_again(factor: fl
     back = [guard.check(sample, NOTHING_LATE, {}) for sample in right[1000:]]
     refused = [n for n, result in enumerate(back) if result.rejection is not None]
     assert max(refused) < 2.5 * 50.0
-    assert guard.rates is Rates.MEASURED
+    assert guard.rates is RateStatus.MEASURED
     assert back[-1].sample.rate_d is not None
 
 
@@ -127,10 +127,10 @@ def test_rates_at_rest_are_not_checked() -> None:
     """Zero rates are right at rest: only motion shows that they are wrong."""
     still, moving = stream(10.0, 50.0, (0.0, 0.0, 0.0), rate_factor=0.0), stream(20.0, 50.0, rate_factor=0.0)[500:]
     _, guard, _ = judged(still)
-    assert guard.rates is Rates.UNPROVEN
+    assert guard.rates is RateStatus.UNPROVEN
     # At the start of the swell, attitude and motion jump.
     assert [guard.check(sample, NOTHING_LATE, {}).rejection for sample in moving][8:] == [None] * (len(moving) - 8)
-    assert guard.rates is Rates.NOT_MEASURED
+    assert guard.rates is RateStatus.NOT_MEASURED
 
 
 @pytest.mark.parametrize("arcsec", [30.0, 100.0, 3600.0])
@@ -149,7 +149,7 @@ def test_single_wrong_rate_is_no_jump() -> None:
     samples[500] = replace(samples[500], rate_d=np.array([0.0, 3.0, 0.0]))
     results, guard, jumps = judged(samples)
     assert [n for n, result in enumerate(results) if result] == [500]
-    assert (jumps, guard.rates) == (0, Rates.MEASURED)
+    assert (jumps, guard.rates) == (0, RateStatus.MEASURED)
 
 
 def test_nan_sample_is_rejected() -> None:

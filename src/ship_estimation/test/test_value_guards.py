@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.value_guards import Continuation, JumpGuard, JumpVerdict, Step, StuckGuard, size
+from ship_estimation.value_guards import Continuation, JumpGuard, JumpDecision, Step, StuckGuard, size
 from ship_estimation.witnesses import Witness
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
@@ -96,25 +96,25 @@ def test_frozen_value_that_returns_to_the_bit_is_still_stuck() -> None:
     assert guard.observe((start_ms + 1050) * MS, rolled(MOVING[-1]), ARCSEC, told(start_ms + 1050, 3.0))
 
 
-TAKEN, REFUSED, JUMPED = JumpVerdict.ACCEPTED, JumpVerdict.REJECTED, JumpVerdict.JUMPED
+TAKEN, REFUSED, JUMPED = JumpDecision.ACCEPTED, JumpDecision.REJECTED, JumpDecision.JUMPED
 NEXT = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
 
 
 def test_consistent_rejected_values_are_accepted_after_a_number_of_samples() -> None:
     guard = JumpGuard(3)
-    assert [guard.judge(n, False, n > 0) for n in range(4)] == [REFUSED, REFUSED, REFUSED, JUMPED]
-    assert guard.judge(4, True, True) is TAKEN
+    assert [guard.check(n, False, n > 0) for n in range(4)] == [REFUSED, REFUSED, REFUSED, JUMPED]
+    assert guard.check(4, True, True) is TAKEN
 
 
 def test_inconsistent_rejected_values_are_never_accepted() -> None:
     guard = JumpGuard(3)
-    assert {guard.judge(n, False, False) for n in range(50)} == {REFUSED}
+    assert {guard.check(n, False, False) for n in range(50)} == {REFUSED}
 
 
 def test_value_that_continues_the_last_accepted_one_resets_the_count() -> None:
     guard = JumpGuard(2)
     cases = ((False, False), (False, True), (True, False), (False, False))
-    judged = [guard.judge(n, *case) for n, case in enumerate(cases)]
+    judged = [guard.check(n, *case) for n, case in enumerate(cases)]
     assert judged == [REFUSED, REFUSED, TAKEN, REFUSED]
     assert (guard.rejected_count, guard.since_ns) == (1, 3)
 

@@ -7,7 +7,7 @@ import pytest
 
 from ship_estimation.innovations import LEAST_COUNT
 from ship_estimation.kalman import StateModel, block
-from ship_estimation.outcome import Decision
+from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.refusals import Reason, Rejection
 from ship_estimation.verdicts import WINDOW_S, InnovationDiagnosis, VerdictBook, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -26,14 +26,14 @@ MINUTE = 300
 """Number of measurements in a minute."""
 
 
-def attitude(k: int, noise: FloatArray) -> Decision[VectorSample]:
+def attitude(k: int, noise: FloatArray) -> MeasurementDecision[VectorSample]:
     """Decision k about an attitude: residual of its noise (sigma 1) and of the prediction's error; gated."""
     stated = np.diag(SIGMA**2)
     covariance = stated + PREDICTED_SIGMA**2 * np.eye(3)
     predicted = PREDICTED_SIGMA * np.random.default_rng([77, k]).standard_normal(3)
     residual = noise * SIGMA + predicted
     nis = float(residual @ np.linalg.solve(covariance, residual))
-    return Decision(
+    return MeasurementDecision(
         VectorSample(k * PERIOD_NS, residual),
         Reason.NONE if nis <= GATE else Reason.GATE,
         nis <= GATE,
@@ -45,7 +45,7 @@ def attitude(k: int, noise: FloatArray) -> Decision[VectorSample]:
     )
 
 
-def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
+def exposure(k: int, noise: FloatArray) -> MeasurementDecision[VectorSample]:
     """Decision k about stars with noise of sigma 1, shape (8, 2): outliers are rejected, as the selection does."""
     squares = np.sum(noise**2, axis=-1)
     kept = squares < 16.0
@@ -59,9 +59,9 @@ def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
     residual = noise[kept].ravel() * STAR_SIGMA + predicted
     left_out = tuple((STARS[2 * row], Rejection(Reason.MISIDENTIFIED, "far")) for row in np.flatnonzero(~kept))
     if not names:
-        return Decision(VectorSample(k * PERIOD_NS, noise), Reason.MISIDENTIFIED, rejected_parts=left_out)
+        return MeasurementDecision(VectorSample(k * PERIOD_NS, noise), Reason.MISIDENTIFIED, rejected_parts=left_out)
     nis = float(residual @ np.linalg.solve(covariance, residual))
-    return Decision(
+    return MeasurementDecision(
         VectorSample(k * PERIOD_NS, residual),
         Reason.NONE,
         True,
@@ -74,7 +74,7 @@ def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
     )
 
 
-def diagnosis(decisions: list[Decision[VectorSample]]) -> InnovationDiagnosis:
+def diagnosis(decisions: list[MeasurementDecision[VectorSample]]) -> InnovationDiagnosis:
     book = VerdictBook()
     for decision in decisions:
         book.add("star.bow", decision)
@@ -224,7 +224,7 @@ def test_sigma_is_not_assessed_by_an_uncertain_prediction() -> None:
     for k in range(MINUTE):
         residual = 10.0 * ARCSEC * rng.standard_normal(3)
         covariance = (10.0 * ARCSEC) ** 2 * np.eye(3)
-        decision = Decision(
+        decision = MeasurementDecision(
             VectorSample(k * PERIOD_NS, residual), Reason.NONE, True, ATTITUDE, residual, covariance=covariance,
             noise=0.01 * covariance, nis=float(np.sum(residual**2)) / (10.0 * ARCSEC) ** 2,
         )  # fmt: skip
@@ -237,9 +237,9 @@ def test_sigma_is_not_assessed_by_an_uncertain_prediction() -> None:
 def test_measurements_without_innovation_are_ignored() -> None:
     book = VerdictBook()
     sample = VectorSample(1, np.zeros(3))
-    book.add("star.bow", Decision(sample, Reason.GAP))
-    book.add("star.bow", Decision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3)))
-    book.add("star.bow", Decision(sample, Reason.NONE, True, ATTITUDE, np.zeros(3)))  # without a covariance
+    book.add("star.bow", MeasurementDecision(sample, Reason.GAP))
+    book.add("star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3)))
+    book.add("star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.zeros(3)))  # without a covariance
     assert book.diagnoses() == {}
 
 
@@ -260,7 +260,7 @@ def test_cleared_history_is_empty() -> None:
 
 
 def test_constant_values_are_assessed_without_a_division_by_zero() -> None:
-    sample = [Decision(VectorSample(k, np.zeros(3)), Reason.NONE, True, ATTITUDE, np.zeros(3), covariance=np.eye(3),
+    sample = [MeasurementDecision(VectorSample(k, np.zeros(3)), Reason.NONE, True, ATTITUDE, np.zeros(3), covariance=np.eye(3),
                        noise=np.eye(3), nis=0.0) for k in range(40)]  # fmt: skip
     assert diagnosis(sample).kind is DiagnosisKind.CONSERVATIVE
 

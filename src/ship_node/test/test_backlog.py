@@ -15,67 +15,67 @@ class Node:
         self.steady_ns, self.running_ns = 10**12, 10**15
         self._rate = rate
         self.backlog = Backlog(lambda: self.steady_ns)
-        self.judge(0)
+        self.evaluate(0)
 
-    def judge(self, waited_ms: float, step_ns: int = STEP_NS) -> Change:
+    def evaluate(self, waited_ms: float, step_ns: int = STEP_NS) -> Change:
         self.steady_ns += step_ns
         self.running_ns += round(self._rate * step_ns)
-        return self.backlog.judge(round(waited_ms * MS), self.running_ns)
+        return self.backlog.evaluate(round(waited_ms * MS), self.running_ns)
 
-    def judge_for(self, seconds: float, waited_ms: float) -> list[Change]:
-        changes = [self.judge(waited_ms) for _ in range(round(seconds * 1e9 / STEP_NS))]
+    def evaluate_for(self, seconds: float, waited_ms: float) -> list[Change]:
+        changes = [self.evaluate(waited_ms) for _ in range(round(seconds * 1e9 / STEP_NS))]
         return [change for change in changes if change is not Change.NONE]
 
 
 def test_persistent_long_waiting_times_are_an_overload_after_one_second() -> None:
     node = Node()
-    assert node.judge_for(10.0, 900.0) == []
-    assert node.judge_for(0.9, 1100.0) == []
-    assert node.judge_for(0.2, 1100.0) == [Change.BEHIND]
+    assert node.evaluate_for(10.0, 900.0) == []
+    assert node.evaluate_for(0.9, 1100.0) == []
+    assert node.evaluate_for(0.2, 1100.0) == [Change.BEHIND]
     assert node.backlog.is_behind
 
 
 def test_a_standstill_is_no_overload() -> None:
     node = Node()
-    assert node.judge(2900.0, step_ns=2900 * MS) is Change.NONE
+    assert node.evaluate(2900.0, step_ns=2900 * MS) is Change.NONE
     # It takes messages faster than they came.
-    assert [node.judge(waited_ms) for waited_ms in range(2900, 0, -40)] == [Change.NONE] * 73
+    assert [node.evaluate(waited_ms) for waited_ms in range(2900, 0, -40)] == [Change.NONE] * 73
     assert not node.backlog.is_behind
 
 
 def test_messages_waiting_over_three_seconds_are_cut_immediately() -> None:
-    assert Node().judge(3100.0) is Change.BEHIND
+    assert Node().evaluate(3100.0) is Change.BEHIND
 
 
 @pytest.mark.parametrize("rate", [1.0, 20.0])
 def test_waiting_time_is_measured_by_sim_time_if_used(rate: float) -> None:
     node = Node(rate)
-    assert node.judge_for(0.9 / rate, 1100.0) == []
-    assert node.judge_for(0.4 / rate, 1100.0) == [Change.BEHIND]
+    assert node.evaluate_for(0.9 / rate, 1100.0) == []
+    assert node.evaluate_for(0.4 / rate, 1100.0) == [Change.BEHIND]
 
 
 def test_overload_ends_after_one_second_of_short_waits_with_a_frozen_clock() -> None:
     node = Node()
-    node.judge(3100.0)
-    assert node.judge_for(0.5, 250.0) == []
-    assert node.judge_for(0.9, 150.0) == []
-    assert node.judge(250.0) is Change.NONE
+    node.evaluate(3100.0)
+    assert node.evaluate_for(0.5, 250.0) == []
+    assert node.evaluate_for(0.9, 150.0) == []
+    assert node.evaluate(250.0) is Change.NONE
     running_ns = node.running_ns
     for _ in range(99):
         node.steady_ns += STEP_NS
-        assert node.backlog.judge(0, running_ns) is Change.NONE
+        assert node.backlog.evaluate(0, running_ns) is Change.NONE
     node.steady_ns += STEP_NS
-    assert node.backlog.judge(0, running_ns) is Change.KEEPS_UP
+    assert node.backlog.evaluate(0, running_ns) is Change.KEEPS_UP
     assert not node.backlog.is_behind
 
 
-def judge_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> list[Change]:
+def evaluate_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> list[Change]:
     """Return the changes while the node stands still for ``hiccup_ms`` each 0.9 s and then processes the queue."""
     changes = []
     for _ in range(round(seconds / 0.9)):
-        changes += node.judge_for(0.9, 0.0)
-        changes.append(node.judge(hiccup_ms * rate, step_ns=hiccup_ms * MS))
-        changes.append(node.judge(hiccup_ms * rate / 2))
+        changes += node.evaluate_for(0.9, 0.0)
+        changes.append(node.evaluate(hiccup_ms * rate, step_ns=hiccup_ms * MS))
+        changes.append(node.evaluate(hiccup_ms * rate / 2))
     return [change for change in changes if change is not Change.NONE]
 
 
@@ -83,35 +83,35 @@ def judge_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> li
 @pytest.mark.parametrize("hiccup_ms", [25, 50, 140])
 def test_short_standstills_with_a_fast_clock_end_the_overload(rate: float, hiccup_ms: int) -> None:
     node = Node(rate)
-    node.judge(3100.0)
-    assert judge_hiccups(node, 3.0, hiccup_ms, rate) == [Change.KEEPS_UP]
-    assert judge_hiccups(node, 10.0, hiccup_ms, rate) == []
+    node.evaluate(3100.0)
+    assert evaluate_hiccups(node, 3.0, hiccup_ms, rate) == [Change.KEEPS_UP]
+    assert evaluate_hiccups(node, 10.0, hiccup_ms, rate) == []
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0, 10.0])
 def test_long_standstills_with_a_fast_clock_keep_the_overload(rate: float) -> None:
     node = Node(rate)
-    node.judge(3100.0)
-    assert judge_hiccups(node, 10.0, 250, rate) == []
+    node.evaluate(3100.0)
+    assert evaluate_hiccups(node, 10.0, 250, rate) == []
     assert node.backlog.is_behind
 
 
 def test_a_clock_jump_back_resets_the_working_time() -> None:
     node = Node()
-    node.judge_for(0.9, 1100.0)
+    node.evaluate_for(0.9, 1100.0)
     node.running_ns -= 10**12
     node.backlog.restart()
-    assert node.judge_for(0.9, 1100.0) == []
-    assert node.judge_for(0.2, 1100.0) == [Change.BEHIND]
+    assert node.evaluate_for(0.9, 1100.0) == []
+    assert node.evaluate_for(0.2, 1100.0) == [Change.BEHIND]
 
 
 def test_working_time_before_a_clock_jump_back_delays_no_detection() -> None:
     node = Node()
-    node.judge_for(100.0, 0.0)
+    node.evaluate_for(100.0, 0.0)
     node.running_ns -= 10**12
     node.backlog.restart()
-    assert node.judge_for(0.9, 1500.0) == []
-    assert node.judge_for(0.2, 1500.0) == [Change.BEHIND]
+    assert node.evaluate_for(0.9, 1500.0) == []
+    assert node.evaluate_for(0.2, 1500.0) == [Change.BEHIND]
 
 
 def test_overload_text() -> None:

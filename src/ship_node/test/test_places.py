@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from ship_node.parameters.places import PlaceKind, clashes, held_path, held_port
+from ship_node.parameters.places import PlaceKind, clashes, path_resource, port_resource
 from ship_testing.listening_node import free_port
 
 ADDRESSES = "", "0.0.0.0", "127.0.0.1", "127.0.0.2", "239.192.0.4", "239.192.0.5"
@@ -19,7 +19,7 @@ def can_have_both(kind, one, other):
     with contextlib.ExitStack() as stack:
         for address in (one, other):
             opened = stack.enter_context(socket.socket(socket.AF_INET, KINDS[kind]))
-            if kind is PlaceKind.TCP or held_port("", kind, port, address).is_group:
+            if kind is PlaceKind.TCP or port_resource("", kind, port, address).is_group:
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 opened.bind((address, port))
@@ -39,18 +39,18 @@ def can_have_both(kind, one, other):
     ],
 )
 def test_ports_conflict_as_in_the_kernel(kind, one, other):
-    places = held_port("a", kind, 10110, one), held_port("b", kind, 10110, other)
+    places = port_resource("a", kind, 10110, one), port_resource("b", kind, 10110, other)
     assert places[0].conflicts_with(places[1]) is not can_have_both(kind, one, other)
 
 
 def test_resources_of_different_kind_or_name_do_not_conflict():
     places = [
-        held_port("a", PlaceKind.UDP, 10110),
-        held_port("b", PlaceKind.TCP, 10110),
-        held_port("c", PlaceKind.TCP, 10111),
-        held_path("d", "/dev/ttyUSB0"),
-        held_path("e", "/dev/ttyUSB1"),
+        port_resource("a", PlaceKind.UDP, 10110),
+        port_resource("b", PlaceKind.TCP, 10110),
+        port_resource("c", PlaceKind.TCP, 10111),
+        path_resource("d", "/dev/ttyUSB0"),
+        path_resource("e", "/dev/ttyUSB1"),
     ]
     assert list(clashes(places)) == []
-    again = held_path("f", "/dev//./ttyUSB1")
+    again = path_resource("f", "/dev//./ttyUSB1")
     assert list(clashes([*places, again])) == [(places[-1], again)]

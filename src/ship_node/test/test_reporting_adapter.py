@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ship_bags.message_factory import RosidlFactory
-from ship_estimation.outcome import Decision, Outcome, Status
+from ship_estimation.outcome import MeasurementDecision, Outcome, Status
 from ship_estimation.parameter_fields import autosave_period, parameter, sources_off
 from ship_estimation.parameters import ParameterError
 from ship_estimation.refusals import Reason, Rejection
@@ -160,7 +160,7 @@ def test_an_exception_of_the_core_is_raised_and_the_arrival_counted(adapter: Tin
 
 def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdapter) -> None:
     used, refused = (
-        Decision(Value(NOW_NS), reason, used, ("up",), np.array([1e-5]), np.array([1e-5]), 1.0, 6.6, text)
+        MeasurementDecision(Value(NOW_NS), reason, used, ("up",), np.array([1e-5]), np.array([1e-5]), 1.0, 6.6, text)
         for reason, used, text in ((Reason.NONE, True, ""), (Reason.GATE, False, "too far"))
     )
     adapter.core.next = Outcome(decisions=[used, refused])
@@ -171,10 +171,10 @@ def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdap
 
 
 def test_a_conflict_is_in_the_diagnostics_until_the_source_is_used_again(adapter: TinyAdapter) -> None:
-    adapter.core.next = Outcome(decisions=[Decision(Value(NOW_NS), Reason.ATTITUDE_CONFLICT, text="they disagree")])
+    adapter.core.next = Outcome(decisions=[MeasurementDecision(Value(NOW_NS), Reason.ATTITUDE_CONFLICT, text="they disagree")])
     adapter.handle(JUDGED, message(), NOW_NS)
     assert adapter.conflict_statuses() == [DiagnosticStatus("conflict device", Level.ERROR, "they disagree")]
-    adapter.core.next = Outcome(decisions=[Decision(Value(NOW_NS), Reason.NONE, accepted=True)])
+    adapter.core.next = Outcome(decisions=[MeasurementDecision(Value(NOW_NS), Reason.NONE, accepted=True)])
     adapter.handle(JUDGED, message(), NOW_NS)
     assert adapter.conflict_statuses() == []
 

@@ -7,22 +7,22 @@ import pytest
 from scipy.stats import chi2
 
 from ship_estimation.kalman import StateModel, block
-from ship_estimation.outcome import Decision
+from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.messages_out import Level
-from ship_node.edge.verdict_report import VerdictReport, clock_status
+from ship_node.edge.verdict_report import InnovationReport, clock_status
 
 STATED = (3.0 * ARCSEC) ** 2 * np.eye(2)
 
 
-def decisions(factor: float, count: int = 100) -> list[tuple[str, Decision]]:
+def decisions(factor: float, count: int = 100) -> list[tuple[str, MeasurementDecision]]:
     rng = np.random.default_rng(1)
     residuals = factor * 3.0 * ARCSEC * rng.standard_normal((count, 2))
     return [
         (
             "star.bow",
-            Decision(
+            MeasurementDecision(
                 SimpleNamespace(time_ns=200_000_000 * k),
                 Reason.NONE,
                 True,
@@ -38,7 +38,7 @@ def decisions(factor: float, count: int = 100) -> list[tuple[str, Decision]]:
 
 
 def test_a_source_as_stated_is_ok_and_shows_its_figures() -> None:
-    report = VerdictReport()
+    report = InnovationReport()
     report.pending += decisions(1.0)
     (status,) = report.statuses()
     assert (status.name, status.level) == ("verdict star.bow", Level.OK)
@@ -52,7 +52,7 @@ def test_a_source_as_stated_is_ok_and_shows_its_figures() -> None:
 
 
 def test_an_understated_sigma_is_a_warning() -> None:
-    report = VerdictReport()
+    report = InnovationReport()
     report.pending += decisions(3.0)
     (status,) = report.statuses()
     assert status.level is Level.WARN
@@ -61,14 +61,14 @@ def test_an_understated_sigma_is_a_warning() -> None:
 
 
 def test_too_few_measurements_are_no_warning_and_have_no_figures() -> None:
-    report = VerdictReport()
+    report = InnovationReport()
     report.pending += decisions(3.0, count=5)
     (status,) = report.statuses()
     assert (status.level, status.values) == (Level.OK, {"measurements": "5"})
 
 
 def test_pending_decisions_are_bounded_and_cleared_by_a_reset() -> None:
-    report = VerdictReport()
+    report = InnovationReport()
     report.pending += decisions(1.0, count=50) * 200
     assert len(report.pending) == 5000
     report.statuses()

@@ -5,7 +5,7 @@ import pytest
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_replay.calibration.result import DECK_AXES, combinations, verdict
+from ship_replay.calibration.result import DECK_AXES, combinations, observability
 
 LAYOUT = np.array([rotation_from_angles(azimuth, np.deg2rad(45.0), 0.0) for azimuth in np.deg2rad([0.0, 90.0])])
 INS = np.array([10.0, 72.0, 10.0]) * ARCSEC
@@ -31,7 +31,7 @@ def found(covariance: np.ndarray, prior: np.ndarray = PRIOR, layout: np.ndarray 
 
 
 def test_verdicts() -> None:
-    assert [verdict(ratio) for ratio in (0.0, 0.5, 0.51, 0.89, 0.9, 1.1)] == [
+    assert [observability(ratio) for ratio in (0.0, 0.5, 0.51, 0.89, 0.9, 1.1)] == [
         "yes", "yes", "partly", "partly", "no", "no",
     ]  # fmt: skip
 

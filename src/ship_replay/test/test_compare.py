@@ -22,7 +22,7 @@ from ship_replay.report.configurations import parameter_differences, text_differ
 from ship_replay.report.pair import input_sentences, read_pair
 from ship_replay.report.pair_page import PAIR_SECTIONS, pair_page
 from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, only_one_has
-from ship_replay.report.pair_verdict import pair_verdict
+from ship_replay.report.pair_verdict import pair_summary
 from ship_replay.report.pair_warnings import pair_warnings
 from ship_replay.report.published import differences, read_published
 from ship_testing.bag_parts import beginning, part
@@ -77,7 +77,7 @@ def told(pair):
 
 
 def sentences(pair):
-    return pair_verdict(pair, error_rows(pair), parameter_differences(*pair.nights))
+    return pair_summary(pair, error_rows(pair), parameter_differences(*pair.nights))
 
 
 class TestAnotherConfiguration:

@@ -115,7 +115,7 @@ def passage(told=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.
     return Passage(told or told_of(), arrivals_ns or {}, lights_ns, *sigmas_arcsec, 0, 60 * NS_PER_S)
 
 
-def verdict(told, clean=None, until_s=60.0, first_s=10.02):
+def outcome(told, clean=None, until_s=60.0, first_s=10.02):
     """Return the outcome of a fault whose changed messages arrive every 0.1 s from 10.02 s on."""
     changed_ns = np.arange(round(first_s * NS_PER_S), 20 * NS_PER_S, NS_PER_S // 10)
     return judged(FAULT, changed_ns, told, passage(clean), until_s)
@@ -130,22 +130,22 @@ def test_time_limit_for_detection():
 def test_a_fault_counts_from_the_first_message_that_it_changed():
     """Earlier indications do not count, and the time to detection begins there."""
     before = told_of(not_valid=[12.0], signs=[("ins", 12.0, "gate"), ("ins", 12.1, "gate")])
-    assert verdict(before).detected
-    assert not verdict(before, first_s=13.0).detected
-    found = verdict(told_of(not_valid=[12.0, 14.5]), first_s=14.0)
+    assert outcome(before).detected
+    assert not outcome(before, first_s=13.0).detected
+    found = outcome(told_of(not_valid=[12.0, 14.5]), first_s=14.0)
     assert (round(found.alert_s, 2), found.changed) == (0.5, 60)
 
 
 def test_effects_of_an_earlier_fault_do_not_count():
     """No output is VALID then: the fault counts as detected immediately."""
     left = [round(8.0 + 0.1 * n, 1) for n in range(60)]
-    found = verdict(told_of(not_valid=left))
+    found = outcome(told_of(not_valid=left))
     assert (found.detected, round(found.alert_s, 2)) == (False, 0.08)
-    assert verdict(told_of(not_valid=[*left, 15.0])).detected
+    assert outcome(told_of(not_valid=[*left, 15.0])).detected
 
 
 def test_an_excluded_wrong_source_is_detected_and_not_attributed():
-    found = verdict(told_of(signs=[("star.bow", 10.5, EXCLUSION)]))
+    found = outcome(told_of(signs=[("star.bow", 10.5, EXCLUSION)]))
     assert (found.detected, found.attributed) == (True, False)
 
 
@@ -220,21 +220,21 @@ def test_undetectable_cases_are_those_of_the_page():
 
 
 def test_a_fault_is_detected_by_status_or_by_name_in_time():
-    assert not verdict(told_of()).detected
-    found = verdict(told_of(not_valid=[10.5]))
+    assert not outcome(told_of()).detected
+    found = outcome(told_of(not_valid=[10.5]))
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, False, 0.48)
-    found = verdict(told_of(signs=[("ins", 10.1, "gate"), ("ins", 10.2, "gate")]))
+    found = outcome(told_of(signs=[("ins", 10.1, "gate"), ("ins", 10.2, "gate")]))
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, True, 0.08)
     # Another source's name alone is no alert of the faulty one, and after the time nothing is.
-    assert not verdict(told_of(signs=[("star.bow", 10.1, "gate")])).detected
-    assert not verdict(told_of(not_valid=[23.1], signs=[("ins", 23.1, "gate")])).detected
+    assert not outcome(told_of(signs=[("star.bow", 10.1, "gate")])).detected
+    assert not outcome(told_of(not_valid=[23.1], signs=[("ins", 23.1, "gate")])).detected
 
 
 def test_indications_of_the_fault_free_voyage_do_not_count():
     signs, not_valid = [("ins", 12.0, "gate")], [15.0, 15.5]
     clean = told_of(not_valid=not_valid, signs=signs)
-    assert not verdict(told_of(not_valid=[15.3], signs=signs), clean).detected
-    assert verdict(told_of(not_valid=[14.4], signs=signs), clean).detected
+    assert not outcome(told_of(not_valid=[15.3], signs=signs), clean).detected
+    assert outcome(told_of(not_valid=[14.4], signs=signs), clean).detected
 
 
 def named(*signs):
@@ -273,11 +273,11 @@ def test_repeated_rejections_precede_a_single_one():
 
 def test_claims_beyond_five_sigmas_are_counted_until_the_next_fault():
     claims = [(t / 10.0, 6.0 if 300 <= t < 325 or 400 <= t < 410 else 1.0, 0.5) for t in range(100, 600)]
-    found = verdict(told_of(claims=claims))
+    found = outcome(told_of(claims=claims))
     assert (found.worst_sigmas, found.beyond_s, found.longest_beyond_s) == (6.0, pytest.approx(3.5), pytest.approx(2.5))
-    assert verdict(told_of(claims=claims), until_s=30.0).beyond_s == 0.0
+    assert outcome(told_of(claims=claims), until_s=30.0).beyond_s == 0.0
     assert found.worst_over_level == 0.5
-    assert math.isnan(verdict(told_of(claims=[(11.0, 1.0, math.nan)])).worst_over_level)
+    assert math.isnan(outcome(told_of(claims=[(11.0, 1.0, math.nan)])).worst_over_level)
 
 
 def test_an_output_that_was_not_valid_in_between_is_a_break():

@@ -10,7 +10,7 @@ import pytest
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.figure_files import MOST_ROWS, settled
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure, save_figure
-from ship_replay.evaluation.statistics import AttitudeErrors, Judged, SourceInnovations
+from ship_replay.evaluation.statistics import AttitudeErrors, AcceptedInnovation, SourceInnovations
 from ship_replay.report.drawings import budget_svg
 from ship_watch.history import BudgetPoint
 
@@ -33,7 +33,7 @@ def errors(label, sigma_arcsec, error_arcsec=1.0, channels=CHANNELS):
 
 def innovations(sigma_arcsec):
     judged = {
-        number * 10**9: Judged(("forward", "up"), np.full(2, ARCSEC), np.full(2, sigma * ARCSEC), 2.0)
+        number * 10**9: AcceptedInnovation(("forward", "up"), np.full(2, ARCSEC), np.full(2, sigma * ARCSEC), 2.0)
         for number, sigma in enumerate(sigma_arcsec)
     }
     return SourceInnovations(judged)

@@ -48,7 +48,7 @@ def test_three_hours_determine_white_noise_and_change(three_hours: Identificatio
     # Issue: white sigma within 10 %, 2 sigma²/tau inside its own interval.
     best = three_hours.best
     assert best.model.name == "gauss_markov"
-    assert three_hours.verdict.startswith("gauss_markov fits: log likelihood ")
+    assert three_hours.model_choice.startswith("gauss_markov fits: log likelihood ")
     white, log_sigma = told(best)["white_sigma_arcsec"]
     assert white == pytest.approx(WHITE, rel=0.1)
     assert log_sigma < 0.05

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom, chi2
 
-from ship_replay.evaluation.statistics import AttitudeErrors, Judged, SourceInnovations, independent_count
+from ship_replay.evaluation.statistics import AttitudeErrors, AcceptedInnovation, SourceInnovations, independent_count
 from ship_replay.report.consistency import TOO_FEW, TOO_FEW_INDEPENDENT, nees_fit, nis_fit
 from ship_watch.verdict import NisWindow
 
@@ -41,7 +41,7 @@ def innovations(seed: int, sigma_ratios: list[float], a_minute: int = 300) -> So
         for index in range(a_minute):
             residual = rng.standard_normal(3) * ratio
             stamp_ns = 60 * NS * minute + 60 * NS * index // a_minute
-            part.compared[stamp_ns] = Judged(("x", "y", "z"), residual, np.ones(3), float(residual @ residual))
+            part.compared[stamp_ns] = AcceptedInnovation(("x", "y", "z"), residual, np.ones(3), float(residual @ residual))
     return part
 
 
@@ -136,13 +136,13 @@ def test_one_minute_equals_the_live_page() -> None:
     window = NisWindow()
     for stamp_ns, judged in sorted(part.compared.items()):
         window.add(stamp_ns, judged.nis, 3)
-    assert nis_fit("star.bow", part).words == f"{window.verdict(60 * NS - 1).text} in 1 of 1 minutes"
+    assert nis_fit("star.bow", part).words == f"{window.consistency(60 * NS - 1).text} in 1 of 1 minutes"
 
 
 def test_few_or_non_finite_innovations_give_no_result() -> None:
     assert nis_fit("reference", innovations(4, [3.0], 5)).words == TOO_FEW
     part = innovations(5, [1.0] * 3)
-    part.compared[10 * NS] = Judged(("x",), np.array([1.0]), np.ones(1), math.nan)
+    part.compared[10 * NS] = AcceptedInnovation(("x",), np.array([1.0]), np.ones(1), math.nan)
     fit = nis_fit("star.bow", part)
     assert math.isfinite(fit.ratio)
     assert fit.count == 900 - (10 * NS in innovations(5, [1.0] * 3).compared)

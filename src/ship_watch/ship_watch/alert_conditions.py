@@ -100,7 +100,7 @@ def conditions(picture: Picture, limits: Limits, machine: Machine | None = None)
         limits: limits of the ship.
         computer: state of the computer; None for no data.
     """
-    shown = functions(replace(picture, angles=tuple(angle.held_by_nothing for angle in picture.angles)))
+    shown = functions(replace(picture, angles=tuple(angle.without_hold for angle in picture.angles)))
     machine = machine or Machine()
     return [
         *_output_conditions(picture, shown, limits),

@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch.functions import still
 from ship_watch.limits import Limits
 from ship_watch.picture import AngleShown, Safety
-from ship_watch.states import MARGIN, AngleWord, HeldWord, words_by_accuracy
+from ship_watch.states import MARGIN, AngleWord, SafetyHysteresis, words_by_accuracy
 from ship_watch.watch import Watch
 
 QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
@@ -133,11 +133,11 @@ class AvailabilityRecord:
 
     def _share(self, quantity: str, limit_arcsec: float) -> float:
         """Return the fraction with a SAFE quantity of the time in which the limit is decisive."""
-        words = [HeldWord(self._limits.better_after_s) for _ in QUANTITIES[quantity]]
+        words = [SafetyHysteresis(self._limits.better_after_s) for _ in QUANTITIES[quantity]]
         safe: list[bool] = []
         for sample in self._samples[quantity]:
-            for held, angle in zip(words, sample.angles, strict=True):
-                held.note(self._angle_word(angle, limit_arcsec * ARCSEC), sample.time_ns)
+            for hysteresis, angle in zip(words, sample.angles, strict=True):
+                hysteresis.note(self._angle_word(angle, limit_arcsec * ARCSEC), sample.time_ns)
             if sample.is_decided:
                 safe.append(all(held.word is Safety.SAFE for held in words))
         return sum(safe) / len(safe)

@@ -149,9 +149,9 @@ class HistoryKeeper:
         else:
             append(self.history.innovations, source, point)
         if source.startswith("star."):
-            self._stars.note_verdict(source, message)
+            self._stars.add_innovation(source, message)
         elif source_of_name(str(message.source)) == "lights":
-            self._lights.note_verdict(message, now_ns)
+            self._lights.add_innovation(message, now_ns)
 
     def note_seen(self, topic: str, message: Any, now_ns: int) -> None:
         """Record stars, a star solution, lights or a GNSS fix."""

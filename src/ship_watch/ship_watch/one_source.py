@@ -7,7 +7,7 @@ from typing import Any
 from ship_estimation.refusals import Reason
 from ship_watch.picture import ITS_NODE, Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
-from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, Streak
+from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, DecisionHistory
 from ship_watch.topics import source_member
 from ship_watch.verdict import NisWindow
 
@@ -68,11 +68,11 @@ class SourceRecord:
         self.name = name
         self.period_ns, self.used = math.nan, 0
         self.topics: dict[str, TopicReports] = {}
-        self.streaks: dict[tuple[str, str], Streak] = {}
+        self.decisions: dict[tuple[str, str], DecisionHistory] = {}
         self.used_at_rejection: dict[tuple[str, str], int] = {}
         self.window = NisWindow()
         self.excluded_since: dict[str, int] = {}
-        self.judged_ns: int | None = None
+        self.evaluated_ns: int | None = None
         self.used_ns: int | None = None
         self.put_right_ns: int | None = None
         self.put_right = ""
@@ -104,7 +104,7 @@ class SourceRecord:
             self.put_right, self.put_right_ns = word, now_ns
         if self.name == "lights":
             for light in {str(name).partition(" ")[0] for name in message.components}:
-                if streak := self.streaks.get((topic, f"light.{light}")):
+                if streak := self.decisions.get((topic, f"light.{light}")):
                     streak.note_whole(stamp_ns, True, now_ns)
 
     def fault(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
@@ -124,8 +124,8 @@ class SourceRecord:
             if all(topic.is_untold(now_ns) for topic in timed_out):
                 return SourceFault("not reported", since_ns, ITS_NODE)
             return SourceFault(_with_members("no data", timed_out, topics), since_ns)
-        worst: tuple[str, Streak] | None = None
-        for key, streak in self.streaks.items():
+        worst: tuple[str, DecisionHistory] | None = None
+        for key, streak in self.decisions.items():
             streak.reinstate_if_used(now_ns, self.period_ns, self.used - self.used_at_rejection.get(key, 0))
             if streak.is_out and (worst is None or streak.rejected_in_a_row > worst[1].rejected_in_a_row):
                 worst = key[1], streak
@@ -139,13 +139,13 @@ class SourceRecord:
     def _no_usable_data(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
         """Return the fault of a source that sends data but none that can be evaluated; None otherwise."""
         word = _NOTHING_USABLE.get(self.first_word)
-        if word is None or self.judged_ns is None or math.isnan(self.period_ns):
+        if word is None or self.evaluated_ns is None or math.isnan(self.period_ns):
             return None
         if not all(topic.is_fresh(now_ns) for topic in self.topics.values()):
             return None
-        if now_ns - self.judged_ns <= max(2e9, _UNUSABLE_PERIODS * self.period_ns):
+        if now_ns - self.evaluated_ns <= max(2e9, _UNUSABLE_PERIODS * self.period_ns):
             return None
-        return SourceFault(word, self.judged_ns + utc_offset_ns)
+        return SourceFault(word, self.evaluated_ns + utc_offset_ns)
 
     def attribute_fault(self, fault: SourceFault, faulty_names: set[str]) -> SourceFault:
         """Return the fault with the source that causes it, if a source that this one needs is OUT.
@@ -156,7 +156,7 @@ class SourceRecord:
         """
         reasons = {
             streak.reason
-            for key, streak in self.streaks.items()
+            for key, streak in self.decisions.items()
             if streak.is_out and fault.reason == _rejection_text(self.name, key[1], streak)
         }
         if fault.reason == _NOTHING_USABLE.get(self.first_word):
@@ -171,11 +171,11 @@ class SourceRecord:
     def standing(self, fault: SourceFault | None, now_ns: int) -> SourceStanding:
         """Return the state of the source with this fault: IN without one, OFF if nothing was ever received."""
         if fault is None:
-            if not self.streaks and all(topic.arrived_ns is None for topic in self.topics.values()):
+            if not self.decisions and all(topic.arrived_ns is None for topic in self.topics.values()):
                 return standing_off(self.name)
             is_put_right = self.put_right_ns is not None and now_ns - self.put_right_ns <= SHOWN_NS
             return replace(self._well, disagreement=self.put_right) if is_put_right else self._well
-        off = [] if fault.because_of else [streak.disagreement for streak in self.streaks.values()]
+        off = [] if fault.because_of else [streak.disagreement for streak in self.decisions.values()]
         furthest = max(off, key=lambda one: abs(one.sigmas) if one.text else -1.0, default=NO_DISAGREEMENT)
         return SourceStanding(
             self.name, Presence.OUT, fault.reason, furthest.text, furthest.sigmas, fault.since_ns, fault.because_of
@@ -183,12 +183,12 @@ class SourceRecord:
 
     def shown(self, standing: SourceStanding, now_ns: int) -> SourceShown:
         """Return the displayed data of the source in this state."""
-        streaks = self.streaks.values()
+        streaks = self.decisions.values()
         rates = [topic.rate_hz for topic in self.topics.values() if not math.isnan(topic.rate_hz)]
-        judged = any(streak.is_judged for streak in streaks)
+        has_acceptances = any(streak.has_acceptances for streak in streaks)
         return SourceShown(
             **vars(standing),
-            verdict=self.window.verdict(now_ns) if judged else None,
+            nis_consistency=self.window.consistency(now_ns) if has_acceptances else None,
             age_s=self.age_s(now_ns),
             rate_hz=max(rates, default=math.nan),
             rejected_in_a_row=max((streak.rejected_in_a_row for streak in streaks), default=0),
@@ -201,7 +201,7 @@ def standing_off(name: str) -> SourceStanding:
     return SourceStanding(name, Presence.OFF, "", "", math.nan, 0, "")
 
 
-def _rejection_text(source: str, name: str, streak: Streak) -> str:
+def _rejection_text(source: str, name: str, streak: DecisionHistory) -> str:
     """Return the text of a run of rejections; a rejection by the gate is not named."""
     if (streak.reason, source) in _SAYS_SO_ITSELF:
         return "invalid"

@@ -93,7 +93,7 @@ class OutputRecord:
         """Record a message of the output; return the changes: kind of event and text."""
         raise NotImplementedError
 
-    def hint(self, now_ns: int, beacon_count: int) -> str:
+    def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
         """Return the cause of a reduced quality that the output itself states; empty without one."""
         raise NotImplementedError
 
@@ -149,7 +149,7 @@ class AttitudeRecord(OutputRecord):
         """Return the time since the last INS sample, s: an attitude from the INS is published at each sample."""
         return min(reported_s, self.age_s(now_ns)) if self._rests_on_ins else reported_s
 
-    def hint(self, now_ns: int, beacon_count: int) -> str:
+    def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
         """Return the time without stars; empty if stars are used."""
         age_s = self.star_age_s(now_ns)
         if math.isinf(age_s):
@@ -193,7 +193,7 @@ class PointingRecord(OutputRecord):
             changes.append(("mode", f"pointing by {before} → {self.by}"))
         return changes
 
-    def hint(self, now_ns: int, beacon_count: int) -> str:
+    def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
         """Return the number of used lights if it is too low; empty otherwise."""
         if self.is_lessened(beacon_count):
             return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights"

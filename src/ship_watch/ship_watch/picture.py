@@ -89,7 +89,7 @@ class AngleShown:
         return self.now is not None and self.now[0] is Safety.SAFE and self.safety is not Safety.SAFE
 
     @property
-    def held_by_nothing(self) -> "AngleShown":
+    def without_hold(self) -> "AngleShown":
         """The angle with its safety without hold, for users with a hold of their own."""
         if self.now is None:
             return self
@@ -98,7 +98,7 @@ class AngleShown:
 
 
 @dataclass(frozen=True)
-class NisVerdict:
+class NisConsistency:
     """Consistency of a source's stated sigma with its innovations of the last minute (NIS test).
 
     Attributes:
@@ -153,7 +153,7 @@ class SourceShown(SourceStanding):
             after the reinstatement; NaN otherwise.
     """
 
-    verdict: NisVerdict | None
+    nis_consistency: NisConsistency | None
     age_s: float
     rate_hz: float
     rejected_in_a_row: int

@@ -12,7 +12,7 @@ from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.names import LONGEST_NAME, MOST_NAMES
-from ship_watch.picture import AngleShown, NisVerdict, Picture, Presence, Safety, SourceShown
+from ship_watch.picture import AngleShown, NisConsistency, Picture, Presence, Safety, SourceShown
 
 STATE_TOPIC = "ship/suite_state"
 STATE_TYPE = "ship_msgs/msg/SuiteState"
@@ -126,7 +126,7 @@ def _angle(message: Any) -> AngleShown:
 
 
 def _source_fields(source: SourceShown) -> dict[str, Any]:
-    verdict = source.verdict or NisVerdict(math.nan, -1, "", False)
+    consistency = source.nis_consistency or NisConsistency(math.nan, -1, "", False)
     return {
         "name": source.name,
         "presence": _PRESENCES.index(source.presence),
@@ -135,10 +135,10 @@ def _source_fields(source: SourceShown) -> dict[str, Any]:
         "disagreement": source.disagreement,
         "residual": source.residual,
         "out_since": max(source.out_since_ns, 0),
-        "nis_degrees": verdict.degrees,
-        "nis_ratio": verdict.ratio,
-        "nis_text": verdict.text,
-        "is_as_stated": verdict.is_consistent,
+        "nis_degrees": consistency.degrees,
+        "nis_ratio": consistency.ratio,
+        "nis_text": consistency.text,
+        "is_as_stated": consistency.is_consistent,
         "age_s": source.age_s,
         "rate_hz": source.rate_hz,
         "rejected_in_a_row": source.rejected_in_a_row,
@@ -148,7 +148,7 @@ def _source_fields(source: SourceShown) -> dict[str, Any]:
 
 
 def _source(message: Any) -> SourceShown:
-    verdict = NisVerdict(
+    consistency = NisConsistency(
         float(message.nis_ratio), int(message.nis_degrees), _text(message.nis_text), bool(message.is_as_stated)
     )
     if not 0 <= message.presence < len(_PRESENCES):
@@ -161,7 +161,7 @@ def _source(message: Any) -> SourceShown:
         residual=float(message.residual),
         out_since_ns=ns_from_stamp(message.out_since),
         because_of=_text(message.because_of),
-        verdict=verdict if message.nis_degrees >= 0 else None,
+        nis_consistency=consistency if message.nis_degrees >= 0 else None,
         age_s=float(message.age_s),
         rate_hz=float(message.rate_hz),
         rejected_in_a_row=int(message.rejected_in_a_row),

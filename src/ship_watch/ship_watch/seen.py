@@ -29,7 +29,7 @@ class StarsSeenBook:
     def __init__(self, history: History) -> None:
         self._history = history
         self._exposures: dict[str, deque[Any]] = {}
-        self._verdicts: dict[str, deque[Any]] = {}
+        self._innovations: dict[str, deque[Any]] = {}
         self._solutions: dict[str, Any] = {}
 
     def note_exposure(self, source: str, message: Any) -> None:
@@ -41,33 +41,33 @@ class StarsSeenBook:
         """Add a StarHorizonAttitude."""
         self._solutions[source] = message
 
-    def note_verdict(self, source: str, message: Any) -> None:
+    def add_innovation(self, source: str, message: Any) -> None:
         """Add the Innovation of a measurement of a star sensor."""
-        self._verdicts.setdefault(source, deque(maxlen=_REMEMBERED)).append(message)
+        self._innovations.setdefault(source, deque(maxlen=_REMEMBERED)).append(message)
         self._join(source)
 
     def _join(self, source: str) -> None:
         """Store the newest exposure with an innovation; for a sensor without star messages the newest innovation."""
-        verdicts, exposures = self._verdicts.get(source, ()), self._exposures.get(source)
-        if not verdicts:
+        innovations, exposures = self._innovations.get(source, ()), self._exposures.get(source)
+        if not innovations:
             return
         if exposures is None:
-            self._show(source, verdicts[-1], None)
+            self._show(source, innovations[-1], None)
             return
-        told = {ns_from_stamp(verdict.header.stamp): verdict for verdict in verdicts}
+        told = {ns_from_stamp(innovation.header.stamp): innovation for innovation in innovations}
         for exposure in reversed(exposures):
             if verdict := told.get(ns_from_stamp(exposure.header.stamp)):
                 self._show(source, verdict, exposure)
                 return
 
-    def _show(self, source: str, verdict: Any, exposure: Any) -> None:
-        utc_ns, solution = ns_from_stamp(verdict.header.stamp), self._solutions.get(source)
+    def _show(self, source: str, innovation: Any, exposure: Any) -> None:
+        utc_ns, solution = ns_from_stamp(innovation.header.stamp), self._solutions.get(source)
         known = self._history.stars.get(source)
         if known is not None and known.utc_ns > utc_ns:
             return
         stars = exposure.stars if exposure is not None else ()
         names = [f"HIP {star.catalogue_id}" for star in stars]
-        residuals = _by_part(verdict)
+        residuals = _by_part(innovation)
         used = sum(1 for name in residuals if name)
         if not used and solution is not None:
             used = int(solution.star_count)
@@ -76,7 +76,7 @@ class StarsSeenBook:
             utc_ns=utc_ns,
             u=np.array([star.u for star in stars], dtype=float),
             v=np.array([star.v for star in stars], dtype=float),
-            is_accepted=bool(verdict.accepted),
+            is_accepted=bool(innovation.accepted),
             star_count=used,
             rejected_count=max(excluded, 0),
             azimuth=float(solution.azimuth) if solution is not None else math.nan,
@@ -92,28 +92,28 @@ class LightsSeenBook:
     def __init__(self, history: History) -> None:
         self._history = history
         self._images: deque[tuple[int, int, Any]] = deque()
-        self._verdicts: deque[tuple[int, Any]] = deque(maxlen=_REMEMBERED)
+        self._innovations: deque[tuple[int, Any]] = deque(maxlen=_REMEMBERED)
 
     def note_image(self, message: Any, now_ns: int) -> None:
         """Add a BeaconImage."""
         self._images.append((ns_from_stamp(message.header.stamp), now_ns, message))
         self._join(now_ns)
 
-    def note_verdict(self, message: Any, now_ns: int) -> None:
+    def add_innovation(self, message: Any, now_ns: int) -> None:
         """Add the Innovation of the lights of an image."""
-        self._verdicts.append((ns_from_stamp(message.header.stamp), message))
+        self._innovations.append((ns_from_stamp(message.header.stamp), message))
         self._join(now_ns)
 
     def _join(self, now_ns: int) -> None:
-        told = dict(self._verdicts)
+        told = dict(self._innovations)
         while self._images:
             utc_ns, came_ns, image = self._images[0]
-            verdict = told.get(utc_ns)
+            innovation = told.get(utc_ns)
             later = any(verdict_ns > utc_ns for verdict_ns in told)
-            if verdict is None and not later and now_ns - came_ns < _INNOVATION_TIMEOUT_NS:
+            if innovation is None and not later and now_ns - came_ns < _INNOVATION_TIMEOUT_NS:
                 return
             self._images.popleft()
-            residuals = _by_part(verdict) if verdict is not None else {}
+            residuals = _by_part(innovation) if innovation is not None else {}
             for light in image.beacons:
                 name = str(light.beacon_id)
                 known = residuals.get(name, {})
@@ -123,15 +123,15 @@ class LightsSeenBook:
                     float(light.z),
                     known.get("x", math.nan),
                     known.get("z", math.nan),
-                    bool(known) and verdict is not None and bool(verdict.accepted),
+                    bool(known) and innovation is not None and bool(innovation.accepted),
                 )
                 append(self._history.lights, name, point)
 
 
-def _by_part(verdict: Any) -> Mapping[str, dict[str, float]]:
+def _by_part(innovation: Any) -> Mapping[str, dict[str, float]]:
     """Return star or light → axis → residual, rad; the last word of a component's name is its axis."""
     found: dict[str, dict[str, float]] = {}
-    for name, residual in zip(verdict.components, verdict.residual, strict=False):
+    for name, residual in zip(innovation.components, innovation.residual, strict=False):
         part, _, axis = str(name).rpartition(" ")
         found.setdefault(part, {})[axis] = float(residual)
     return found

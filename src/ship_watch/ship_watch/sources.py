@@ -15,7 +15,7 @@ from ship_watch.names import MOST_NAMES, has_room
 from ship_watch.one_source import SourceRecord, SourceFault, standing_off
 from ship_watch.picture import Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
-from ship_watch.streak import Streak
+from ship_watch.streak import DecisionHistory
 from ship_watch.topics import display_order, source_of_name, source_of_topic
 
 STAR_INNOVATION = "star/innovation"
@@ -93,7 +93,7 @@ class SourceBook:
         if not name or not has_room(self._sources, name, "source"):
             return ""
         source, stamp_ns = self._source_record(name), ns_from_stamp(message.header.stamp)
-        if not has_room(source.streaks, key, "name of a source"):
+        if not has_room(source.decisions, key, "name of a source"):
             return ""
         streak = self._streak(source, key)
         streak.note(stamp_ns, message, now_ns, source.period_ns)
@@ -102,7 +102,7 @@ class SourceBook:
         else:
             source.used_at_rejection[key] = source.used
         if len(message.components):
-            source.judged_ns = now_ns
+            source.evaluated_ns = now_ns
         return name
 
     def note_solution(self, name: str, message: Any, now_ns: int) -> None:
@@ -152,11 +152,11 @@ class SourceBook:
         usual += ["lights", "encoder", "baselines"] if self.has_theodolite else []
         return [name for name in usual if name not in self._sources]
 
-    def _streak(self, source: SourceRecord, key: tuple[str, str]) -> Streak:
-        streak = source.streaks.get(key)
+    def _streak(self, source: SourceRecord, key: tuple[str, str]) -> DecisionHistory:
+        streak = source.decisions.get(key)
         if streak is None:
             limits = self._limits.input_limits(source.name)
-            streak = source.streaks[key] = Streak(limits.refusals, limits.accepted)
+            streak = source.decisions[key] = DecisionHistory(limits.refusals, limits.accepted)
         return streak
 
     def _who(self, name: str) -> str:

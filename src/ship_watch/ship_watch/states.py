@@ -78,7 +78,7 @@ class AngleClaim:
     limit: float
     unsafe_factor: float
     status: Status | None
-    hint: str
+    diagnosis_hint: str
     is_lessened: bool
     protection: AngleProtection
     faulty_source: SourceStanding | None
@@ -106,14 +106,14 @@ def _word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
     if state is IntegrityState.EXCEEDED and not _is_within(protection):
         return Safety.UNSAFE, fault_text or "protection level over its alert limit"
     if claim.status is not Status.VALID:
-        return Safety.CAUTION, fault_text or claim.hint or claim.status.name.lower()
+        return Safety.CAUTION, fault_text or claim.diagnosis_hint or claim.status.name.lower()
     if not claim.accuracy_95 <= claim.limit:
         return Safety.CAUTION, fault_text or OVER_THE_LIMIT
     if state is None:
         return Safety.CAUTION, "no integrity data"
     if state is IntegrityState.UNAVAILABLE or not math.isfinite(protection.level):
-        return Safety.CAUTION, fault_text or claim.hint or "no independent check"
-    return (Safety.CAUTION, fault_text or claim.hint) if claim.is_lessened else (Safety.SAFE, "")
+        return Safety.CAUTION, fault_text or claim.diagnosis_hint or "no independent check"
+    return (Safety.CAUTION, fault_text or claim.diagnosis_hint) if claim.is_lessened else (Safety.SAFE, "")
 
 
 def _is_within(protection: AngleProtection) -> bool:
@@ -199,7 +199,7 @@ class ShownWord(NamedTuple):
         return f"{now.reason or good}{COUNTDOWN}{self.better.name} in {-(-self.better_in_ns // NS_PER_S)} s"
 
 
-class HeldWord:
+class SafetyHysteresis:
     """Hysteresis of the displayed safety of one angle: worse at once, better after a hold time.
 
     Args:
@@ -212,21 +212,21 @@ class HeldWord:
 
     def __init__(self, better_after_s: float) -> None:
         self._hold_ns = round(better_after_s * 1e9)
-        self._held: dict[Safety, _HeldLevel] = {}
+        self._holds: dict[Safety, _Hold] = {}
         self.word: Safety | None = None
         self.since_ns = 0
 
     def note(self, now: AngleWord, now_ns: int) -> bool:
         """Update with the current safety; return True if the displayed safety changed."""
         for level in (Safety.CAUTION, Safety.UNSAFE):
-            held = self._held.get(level)
+            hold = self._holds.get(level)
             if now.word >= level:
-                was_over = now.by_accuracy >= level or (held is not None and held.was_over)
-                self._held[level] = _HeldLevel(now_ns, now_ns, was_over, now.reason)
-            elif held is not None and now_ns >= self._end_ns(level, now, now_ns):
-                del self._held[level]
-            elif held is not None and now.by_margin >= level:
-                self._held[level] = held._replace(near_ns=now_ns)
+                was_over = now.by_accuracy >= level or (hold is not None and hold.was_over)
+                self._holds[level] = _Hold(now_ns, now_ns, was_over, now.reason)
+            elif hold is not None and now_ns >= self._end_ns(level, now, now_ns):
+                del self._holds[level]
+            elif hold is not None and now.by_margin >= level:
+                self._holds[level] = hold._replace(near_ns=now_ns)
         shown = self.shown_word(now, now_ns).word
         changed = shown is not self.word
         if changed:
@@ -242,21 +242,21 @@ class HeldWord:
             if now_ns < end_ns:
                 is_caution_next = level is Safety.UNSAFE and end_ns < self._end_ns(Safety.CAUTION, now, now_ns)
                 better = Safety.CAUTION if is_caution_next or now.word >= Safety.CAUTION else Safety.SAFE
-                return ShownWord(level, self._held[level].cause, better, end_ns - now_ns)
+                return ShownWord(level, self._holds[level].cause, better, end_ns - now_ns)
         return ShownWord(Safety.SAFE, "")
 
     def _end_ns(self, level: Safety, now: AngleWord, now_ns: int) -> int:
         """Return the time at which the hold of a level ends if nothing changes; ``now_ns`` without a hold."""
-        held = self._held.get(level)
-        if held is None:
+        hold = self._holds.get(level)
+        if hold is None:
             return now_ns
-        if not held.was_over:
-            return held.last_ns + self._hold_ns
-        latest_ns = held.last_ns + WITHIN_MARGIN_TIMES * self._hold_ns
-        return latest_ns if now.by_margin >= level else min(held.near_ns + self._hold_ns, latest_ns)
+        if not hold.was_over:
+            return hold.last_ns + self._hold_ns
+        latest_ns = hold.last_ns + WITHIN_MARGIN_TIMES * self._hold_ns
+        return latest_ns if now.by_margin >= level else min(hold.near_ns + self._hold_ns, latest_ns)
 
 
-class _HeldLevel(NamedTuple):
+class _Hold(NamedTuple):
     """Hold of one safety level.
 
     Attributes:

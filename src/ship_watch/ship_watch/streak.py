@@ -36,7 +36,7 @@ class Disagreement:
 NO_DISAGREEMENT = Disagreement("", math.nan)
 
 
-class Streak:
+class DecisionHistory:
     """Measurement decisions on one source at one node, in the order of their messages.
 
     For some sources (star sensors, lights) each measurement is reported, for others (INS, encoders) rejected ones only.
@@ -57,17 +57,17 @@ class Streak:
     def __init__(self, out_after: int, in_after: int) -> None:
         self._out_after, self._in_after = out_after, in_after
         self._kept = max(_KEPT, in_after)
-        self._verdicts: list[tuple[int, bool]] = []
+        self._decisions: list[tuple[int, bool]] = []
         self._off: deque[Any] = deque(maxlen=_LOOKED_AT)
         self.is_out, self.rejected_in_a_row, self.out_since_ns = False, 0, 0
         self.last_rejection_ns: int | None = None
         self.reason = Reason.NONE
-        self.is_judged = False
+        self.has_acceptances = False
 
     def note(self, stamp_ns: int, message: Any, now_ns: int, period_ns: float) -> None:
         """Record an Innovation; ``period_ns`` is the usual time between measurements, NaN if unknown."""
         accepted, revised = bool(message.accepted), message.reason == Reason.REVISED
-        self.is_judged = self.is_judged or accepted
+        self.has_acceptances = self.has_acceptances or accepted
         if not accepted:
             self.last_rejection_ns = now_ns
             if not revised:
@@ -75,15 +75,15 @@ class Streak:
             # An excluded source is estimated again and soon fits: only rejections by the gate show how it is off.
             if len(message.residual) and not message.nis <= message.gate:
                 self._off.append(message)
-        self._insert(stamp_ns, accepted, revised, period_ns)
+        self._add_decision(stamp_ns, accepted, revised, period_ns)
         self._decide()
 
     def note_whole(self, stamp_ns: int, is_used: bool, now_ns: int) -> None:
         """Record the decision on a whole exposure, after rejections of single stars or lights in it."""
-        self.is_judged = self.is_judged or is_used
+        self.has_acceptances = self.has_acceptances or is_used
         if not is_used:
             self.last_rejection_ns, self.reason = now_ns, Reason.TOO_FEW_STARS
-        self._insert(stamp_ns, is_used, False, math.nan)
+        self._add_decision(stamp_ns, is_used, False, math.nan)
         self._decide()
 
     def reinstate_if_used(self, now_ns: int, period_ns: float, used_since: int) -> None:
@@ -94,11 +94,11 @@ class Streak:
             period_ns: usual time between measurements, ns; NaN if unknown.
             used_since: number of measurements used since the last rejection.
         """
-        if self.is_judged or self.last_rejection_ns is None:
+        if self.has_acceptances or self.last_rejection_ns is None:
             return
         least_ns = SHOWN_NS if math.isnan(period_ns) else max(SHOWN_NS, self._in_after * period_ns)
         if now_ns - self.last_rejection_ns >= least_ns and used_since >= self._in_after:
-            self._verdicts.clear()
+            self._decisions.clear()
             self._reinstate()
             self.rejected_in_a_row = 0
 
@@ -112,12 +112,12 @@ class Streak:
         """Component and size of the last rejected residuals."""
         return disagreement(self._off) if self._off else NO_DISAGREEMENT
 
-    def _insert(self, stamp_ns: int, accepted: bool, revised: bool, period_ns: float) -> None:
+    def _add_decision(self, stamp_ns: int, accepted: bool, revised: bool, period_ns: float) -> None:
         """Append a decision in the order of arrival, whatever its stamp, or revise the one with the same stamp."""
-        verdicts = self._verdicts
-        known = next((place for place in range(len(verdicts) - 1, -1, -1) if verdicts[place][0] == stamp_ns), None)
+        decisions = self._decisions
+        known = next((place for place in range(len(decisions) - 1, -1, -1) if decisions[place][0] == stamp_ns), None)
         if known is not None:
-            self._correct(known, accepted, revised)
+            self._revise_decision(known, accepted, revised)
             return
         if revised:
             return
@@ -125,26 +125,26 @@ class Streak:
             self.rejected_in_a_row = 0
         else:
             # With NaN, an unknown period, the rejections count as a run.
-            is_separate = verdicts and stamp_ns - verdicts[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.is_judged
+            is_separate = decisions and stamp_ns - decisions[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.has_acceptances
             self.rejected_in_a_row = 1 if is_separate else self.rejected_in_a_row + 1
             if is_separate:
-                verdicts.clear()
-        verdicts.append((stamp_ns, accepted))
-        if len(verdicts) > self._kept:
-            del verdicts[0]
+                decisions.clear()
+        decisions.append((stamp_ns, accepted))
+        if len(decisions) > self._kept:
+            del decisions[0]
 
-    def _correct(self, place: int, accepted: bool, revised: bool) -> None:
+    def _revise_decision(self, place: int, accepted: bool, revised: bool) -> None:
         """Update a decision: a measurement is accepted if any part of it is, unless the message revises it."""
-        verdicts = self._verdicts
-        stamp_ns, known = verdicts[place]
-        verdicts[place] = (stamp_ns, accepted if revised else accepted or known)
+        decisions = self._decisions
+        stamp_ns, known = decisions[place]
+        decisions[place] = (stamp_ns, accepted if revised else accepted or known)
         run = self._last_in_a_row(False)
-        self.rejected_in_a_row = max(run, self.rejected_in_a_row) if run == len(verdicts) else run
+        self.rejected_in_a_row = max(run, self.rejected_in_a_row) if run == len(decisions) else run
 
     def _decide(self) -> None:
         if self.rejected_in_a_row >= self._out_after and not self.is_out:
             self.is_out = True
-            self.out_since_ns = self._verdicts[-min(self.rejected_in_a_row, len(self._verdicts))][0]
+            self.out_since_ns = self._decisions[-min(self.rejected_in_a_row, len(self._decisions))][0]
         elif self.is_out and self.accepted_again >= self._in_after:
             self._reinstate()
 
@@ -154,8 +154,8 @@ class Streak:
 
     def _last_in_a_row(self, accepted: bool) -> int:
         run = 0
-        for _, verdict in reversed(self._verdicts):
-            if verdict is not accepted:
+        for _, decision in reversed(self._decisions):
+            if decision is not accepted:
                 break
             run += 1
         return run

@@ -3,7 +3,7 @@
 import math
 from collections import deque
 
-from ship_watch.picture import NisVerdict
+from ship_watch.picture import NisConsistency
 
 WINDOW_NS = 60_000_000_000
 """Length of the window of innovations, ns."""
@@ -21,7 +21,7 @@ class NisWindow:
     def __init__(self) -> None:
         self._entries: deque[tuple[int, float, int]] = deque()
         self._nis, self._degrees = 0.0, 0
-        self._verdict: NisVerdict | None = None
+        self._consistency: NisConsistency | None = None
 
     def add(self, now_ns: int, nis: float, degrees: int) -> None:
         """Add the innovation of an accepted measurement; a NIS that is not finite is ignored.
@@ -35,29 +35,29 @@ class NisWindow:
             self._entries.append((now_ns, nis, degrees))
             self._nis += nis
             self._degrees += degrees
-            self._verdict = None
+            self._consistency = None
         self._forget(now_ns)
 
-    def verdict(self, now_ns: int) -> NisVerdict:
+    def consistency(self, now_ns: int) -> NisConsistency:
         """Return the consistency of the last minute: r = √(NIS / N) of N degrees of freedom within 1 ± 3.3/√(2 N).
 
         The sum of N squares of unit normals has mean N and variance 2 N, so that r has the sigma 1/√(2 N).
         """
         self._forget(now_ns)
-        if self._verdict is None:  # called more often than innovations arrive
-            self._verdict = self._judged()
-        return self._verdict
+        if self._consistency is None:  # called more often than innovations arrive
+            self._consistency = self._compute_consistency()
+        return self._consistency
 
-    def _judged(self) -> NisVerdict:
+    def _compute_consistency(self) -> NisConsistency:
         degrees = self._degrees
         if degrees == 0:
-            return NisVerdict(math.nan, 0, "", is_consistent=True)
+            return NisConsistency(math.nan, 0, "", is_consistent=True)
         ratio = math.sqrt(max(self._nis, 0.0) / degrees)
         band = BAND_SIGMAS / math.sqrt(2.0 * degrees)
         fits = abs(ratio - 1.0) <= band
         if not band <= WIDEST_BAND or ratio == 0.0:
-            return NisVerdict(ratio, degrees, "", fits)
-        return NisVerdict(ratio, degrees, f"σ {consistent_text(ratio) if fits else inconsistent_text(ratio)}", fits)
+            return NisConsistency(ratio, degrees, "", fits)
+        return NisConsistency(ratio, degrees, f"σ {consistent_text(ratio) if fits else inconsistent_text(ratio)}", fits)
 
     def _forget(self, now_ns: int) -> None:
         entries = self._entries
@@ -65,7 +65,7 @@ class NisWindow:
             _, nis, degrees = entries.popleft()
             self._nis -= nis
             self._degrees -= degrees
-            self._verdict = None
+            self._consistency = None
         if not entries:
             self._nis = 0.0  # remove rounding errors
 

@@ -37,7 +37,7 @@ from ship_watch.picture import (
 )
 from ship_watch.published_state import PublishedState, published_state
 from ship_watch.sources import STAR_INNOVATION, SourceBook, first_faulty_source, newest_age_s
-from ship_watch.states import COUNTDOWN, AngleClaim, HeldWord, TimeOver, angle_word
+from ship_watch.states import COUNTDOWN, AngleClaim, SafetyHysteresis, TimeOver, angle_word
 from ship_watch.topics import reading_node, source_of_topic, monitored_topic
 
 STEP_NS = 100_000_000
@@ -98,14 +98,14 @@ class Watch:
         self._book = SourceBook(self.limits)
         self._behind = BehindBook()
         self._mountings = MountingShifts()
-        self._words = {name: HeldWord(self.limits.better_after_s) for name in ANGLES}
+        self._words = {name: SafetyHysteresis(self.limits.better_after_s) for name in ANGLES}
         self._over = {name: TimeOver() for name in ANGLES}
         self._events = EventBook()
         self._newest_ns, self._utc_offset_ns, self._offset_met_ns = 0, 0, 0
         self._published = None
         self._shown_words: dict[str, Safety] = {}
         self._first_ns: int | None = None
-        self._judged_ns: int | None = None
+        self._evaluated_ns: int | None = None
 
     # -- messages -------------------------------------------------------------------------------------------
 
@@ -120,7 +120,7 @@ class Watch:
         taker = self._takers.get(topic) or self._taker(topic)
         if taker is not None:
             self._takers[topic] = taker
-            self._judge_until(arrival_ns)
+            self._evaluate_until(arrival_ns)
             with np.errstate(all="ignore"):  # invalid values become NaN, which fails every comparison
                 taker(message, arrival_ns)
 
@@ -130,7 +130,7 @@ class Watch:
         Raises:
             ValueError: the message contains a safety or a presence that does not exist.
         """
-        self._judge_until(arrival_ns)
+        self._evaluate_until(arrival_ns)
         self._published = published_state(message, arrival_ns)
 
     def _taker(self, topic: str) -> Callable[[Any, int], None] | None:
@@ -217,7 +217,7 @@ class Watch:
 
     def look(self, now_ns: int) -> Picture:
         """Return the state at the caller's time; it does not depend on how often it is requested."""
-        self._judge_until(now_ns)
+        self._evaluate_until(now_ns)
         utc_ns = now_ns + self._utc_offset_ns
         sources = [self._with_own_news(each, now_ns) for each in self._book.shown(self._standings(now_ns), now_ns)]
         shown = [self._shown(name, claim, now_ns) for name, claim in self._claims(sources, now_ns).items()]
@@ -251,20 +251,20 @@ class Watch:
         age_s = self._attitude.ins_age_s(source.age_s, now_ns) if source.name == "ins" else source.age_s
         return replace(source, mounting_shift=shift, age_s=age_s)
 
-    def _judge_until(self, now_ns: int) -> None:
+    def _evaluate_until(self, now_ns: int) -> None:
         """Evaluate at each step of time until now, before a message that arrives now is processed."""
-        if self._judged_ns is None:
-            self._judged_ns = self._first_ns = now_ns - now_ns % STEP_NS
-        if now_ns - self._judged_ns > LONGEST_GAP_NS:
-            self._judged_ns += (now_ns - self._judged_ns - LONGEST_GAP_NS) // STEP_NS * STEP_NS
-        while self._judged_ns + STEP_NS <= now_ns:
-            self._judged_ns += STEP_NS
-            self._judge(self._judged_ns)
+        if self._evaluated_ns is None:
+            self._evaluated_ns = self._first_ns = now_ns - now_ns % STEP_NS
+        if now_ns - self._evaluated_ns > LONGEST_GAP_NS:
+            self._evaluated_ns += (now_ns - self._evaluated_ns - LONGEST_GAP_NS) // STEP_NS * STEP_NS
+        while self._evaluated_ns + STEP_NS <= now_ns:
+            self._evaluated_ns += STEP_NS
+            self._evaluate(self._evaluated_ns)
 
     def _standings(self, now_ns: int) -> list[SourceStanding]:
         return self._behind.attributed(self._book.standings(now_ns, self._utc_offset_ns), now_ns)
 
-    def _judge(self, now_ns: int) -> None:
+    def _evaluate(self, now_ns: int) -> None:
         """Evaluate sources and angles and record their events; a current published state takes their place."""
         sources, utc_ns = self._standings(now_ns), now_ns + self._utc_offset_ns
         words: dict[str, tuple[Safety, str]] = {}
@@ -322,7 +322,7 @@ class Watch:
             limit=self.limits.angle_limit(name),
             unsafe_factor=self.limits.unsafe_factor,
             status=output.status,
-            hint=output.hint(now_ns, beacons),
+            diagnosis_hint=output.diagnosis_hint(now_ns, beacons),
             is_lessened=output.is_lessened(beacons),
             protection=output.protection(name, now_ns),
             faulty_source=None if behind else faulty_source,
@@ -330,9 +330,9 @@ class Watch:
         )
 
     def _shown(self, name: str, claim: AngleClaim, now_ns: int) -> AngleShown:
-        output, held, now = self._output(name), self._words[name], angle_word(claim)
-        shown = held.shown_word(now, now_ns)
-        word, is_held = shown.word, held.word is shown.word
+        output, hysteresis, now = self._output(name), self._words[name], angle_word(claim)
+        shown = hysteresis.shown_word(now, now_ns)
+        word, is_held = shown.word, hysteresis.word is shown.word
         return AngleShown(
             name=name,
             value=claim.value,
@@ -344,7 +344,7 @@ class Watch:
             age_s=output.age_s(now_ns),
             is_old=claim.is_old,
             stamp_ns=output.stamp_ns,
-            since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if claim.is_received else 0,
+            since_ns=(hysteresis.since_ns if is_held else now_ns) + self._utc_offset_ns if claim.is_received else 0,
             because_of=claim.faulty_source.name if claim.faulty_source is not None and word is not Safety.SAFE else "",
             over_s=self._over[name].lasted_s(now_ns),
             now=(now.word, now.reason),

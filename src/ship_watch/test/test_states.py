@@ -12,7 +12,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_geometry.rotations import ARCSEC
 from ship_watch.picture import Presence, Safety, SourceStanding
-from ship_watch.states import AngleClaim, AngleWord, HeldWord, AngleProtection, ShownWord, angle_word, word_and_reason
+from ship_watch.states import AngleClaim, AngleWord, SafetyHysteresis, AngleProtection, ShownWord, angle_word, word_and_reason
 
 SECOND = 1_000_000_000
 KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
@@ -26,7 +26,7 @@ GOOD = AngleClaim(
     limit=5.0,
     unsafe_factor=3.0,
     status=Status.VALID,
-    hint="",
+    diagnosis_hint="",
     is_lessened=False,
     protection=AngleProtection(IntegrityState.MET, 10.0, 30.0),
     faulty_source=None,
@@ -96,7 +96,7 @@ SILENT = AngleWord(Safety.CAUTION, "star.bow no data")
 
 
 def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
-    held = HeldWord(5.0)
+    held = SafetyHysteresis(5.0)
     assert held.note(SAFE, 0)
     assert held.note(AngleWord(Safety.UNSAFE, "invalid"), SECOND)
     assert held.word is Safety.UNSAFE
@@ -111,7 +111,7 @@ def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
 
 
 def test_flickering_safety_changes_once() -> None:
-    held, changes = HeldWord(5.0), 0
+    held, changes = SafetyHysteresis(5.0), 0
     for i in range(100):
         changes += held.note(SILENT if i % 2 else SAFE, i * SECOND // 2)
     assert changes == 2  # SAFE, then CAUTION
@@ -119,8 +119,8 @@ def test_flickering_safety_changes_once() -> None:
 
 def changes_of(accuracies: Iterable[float]) -> list[Safety | None]:
     """Return the displayed safeties in order, for the accuracy of each tenth of a second."""
-    held = HeldWord(5.0)
-    at_each = [(held.note(over(accuracy), i * SECOND // 10), held.word) for i, accuracy in enumerate(accuracies)]
+    hysteresis = SafetyHysteresis(5.0)
+    at_each = [(hysteresis.note(over(accuracy), i * SECOND // 10), hysteresis.word) for i, accuracy in enumerate(accuracies)]
     return [word for changed, word in at_each if changed]
 
 
@@ -138,12 +138,12 @@ def test_accuracy_near_three_times_its_limit_changes_the_safety_once() -> None:
 
 def safe_after_s(*accuracies: tuple[float, float]) -> float:
     """Return the time to SAFE after an accuracy over its limit of 5, s, for pairs of start time, s, and accuracy."""
-    held = HeldWord(5.0)
-    held.note(over(6.0), 0)
+    hysteresis = SafetyHysteresis(5.0)
+    hysteresis.note(over(6.0), 0)
     for tenth in range(1, 1000):
         accuracy = [value for start_s, value in accuracies if tenth >= start_s * 10][-1]
-        held.note(over(accuracy), tenth * SECOND // 10)
-        if held.word is Safety.SAFE:
+        hysteresis.note(over(accuracy), tenth * SECOND // 10)
+        if hysteresis.word is Safety.SAFE:
             return tenth / 10.0
     return math.inf
 
@@ -159,7 +159,7 @@ def test_hold_ends_after_five_seconds_below_the_margin_or_thirty_below_the_limit
 
 def test_margin_applies_only_to_an_accuracy_that_was_over_its_limit() -> None:
     """A source without data gives a CAUTION with a hold of 5 s, also if the accuracy is 2 % below its limit."""
-    held = HeldWord(5.0)
+    held = SafetyHysteresis(5.0)
     for tenth in range(100):
         now = over(4.9)
         silent = now._replace(word=Safety.CAUTION, reason="star.bow no data")
@@ -168,7 +168,7 @@ def test_margin_applies_only_to_an_accuracy_that_was_over_its_limit() -> None:
 
 
 def test_margin_no_longer_applies_after_the_hold() -> None:
-    held = HeldWord(5.0)
+    held = SafetyHysteresis(5.0)
     held.note(over(6.0), 0)
     held.note(over(4.0), 5 * SECOND)
     assert held.word is Safety.SAFE
@@ -193,7 +193,7 @@ def test_margin_no_longer_applies_after_the_hold() -> None:
     ],
 )
 def test_reason_is_the_current_one(before: AngleWord, now: AngleWord, at_s: float, word: Safety, reason: str) -> None:
-    held = HeldWord(5.0)
+    held = SafetyHysteresis(5.0)
     held.note(before, 0)
     shown = held.shown_word(now, round(at_s * SECOND))
     assert (shown.word, shown.reason(now, 5.0 * ARCSEC)) == (word, reason)

@@ -9,7 +9,7 @@ import pytest
 
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
-from ship_watch.streak import Streak, angle_text
+from ship_watch.streak import DecisionHistory, angle_text
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 5
@@ -27,16 +27,16 @@ def innovation(accepted: bool, reason: Reason = Reason.GATE, arcsec: Any = (), n
     )
 
 
-def run(streak: Streak, verdicts: str, start: int = 0, period_ns: float = PERIOD) -> int:
+def run(streak: DecisionHistory, decisions: str, start: int = 0, period_ns: float = PERIOD) -> int:
     """Record decisions, + accepted and - rejected; return the number of the next one."""
-    for i, verdict in enumerate(verdicts, start):
+    for i, decision in enumerate(decisions, start):
         stamp = 100 * SECOND + i * PERIOD
-        streak.note(stamp, innovation(verdict == "+"), stamp, period_ns)
-    return start + len(verdicts)
+        streak.note(stamp, innovation(decision == "+"), stamp, period_ns)
+    return start + len(decisions)
 
 
 def test_out_after_five_rejections_and_in_after_ten_acceptances() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     n = run(streak, "+++----")
     assert not streak.is_out
     n = run(streak, "-", n)
@@ -54,13 +54,13 @@ def test_out_after_five_rejections_and_in_after_ten_acceptances() -> None:
 
 
 def test_occasional_rejections_keep_a_source_in() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     run(streak, "+---+" * 50)
     assert not streak.is_out
 
 
 def test_rejected_stars_of_an_accepted_measurement_are_no_rejection() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     for i in range(20):
         stamp = 100 * SECOND + i * PERIOD
         for _ in range(3):
@@ -72,7 +72,7 @@ def test_rejected_stars_of_an_accepted_measurement_are_no_rejection() -> None:
 
 
 def test_revised_decision_replaces_the_first() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     run(streak, "+----")
     revised = innovation(True)
     revised.reason = int(Reason.REVISED)
@@ -83,7 +83,7 @@ def test_revised_decision_replaces_the_first() -> None:
 
 
 def test_distant_rejections_are_no_run_if_acceptances_are_not_reported() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     for i in range(50):  # one sample of the INS in ten
         stamp = 100 * SECOND + i * SECOND // 10
         streak.note(stamp, innovation(False), stamp, SECOND / 100)
@@ -92,7 +92,7 @@ def test_distant_rejections_are_no_run_if_acceptances_are_not_reported() -> None
 
 
 def test_use_without_reports_reinstates_a_source() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     run(streak, "-----")
     last = 100 * SECOND + 4 * PERIOD
     streak.reinstate_if_used(last + 3 * SECOND, PERIOD, 9)  # only nine used
@@ -105,7 +105,7 @@ def test_use_without_reports_reinstates_a_source() -> None:
 
 
 def test_disagreement_is_the_component_furthest_off() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     for i in range(5):
         stamp = 100 * SECOND + i * PERIOD
         told = innovation(False, arcsec=(-2.0, 1.0, 47.0 + i), names=("forward", "up", "right"))
@@ -119,14 +119,14 @@ def test_disagreement_is_the_component_furthest_off() -> None:
 
 
 def test_equal_residuals_of_all_stars_are_a_rotation_of_the_sensor() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     names = [f"HIP {n} {axis}" for n in (1, 2, 3) for axis in ("up", "right")]
     streak.note(SECOND, innovation(False, arcsec=(20.0, 1.0, 21.0, -1.0, 22.0, 0.0), names=names), SECOND, PERIOD)
     assert streak.disagreement.text == "up +21″"
 
 
 def test_single_wrong_star_is_named() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     names = [f"HIP {n} {axis}" for n in (1, 2, 3, 4, 5) for axis in ("up", "right")]
     streak.note(SECOND, innovation(False, arcsec=(0.0, 0.0, 0.0, -90.0) + (0.0,) * 6, names=names), SECOND, PERIOD)
     assert streak.disagreement.text == "HIP 2 right −90″"
@@ -137,7 +137,7 @@ def test_angle_texts() -> None:
 
 
 def test_source_is_in_again_after_stamps_from_the_future() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     n = run(streak, "+" * 10)
     for i in range(n, n + 10):
         told = innovation(False, Reason.FUTURE)
@@ -148,7 +148,7 @@ def test_source_is_in_again_after_stamps_from_the_future() -> None:
 
 
 def test_decisions_are_counted_in_the_order_of_arrival() -> None:
-    streak = Streak(5, 10)
+    streak = DecisionHistory(5, 10)
     run(streak, "+", -1)
     for i in (0, 2, 1, 4, 3, 6, 5):
         stamp = 100 * SECOND + i * PERIOD

@@ -20,7 +20,7 @@ def filled(sigma_ratio: float, seed: int, count: int = 300, degrees: int = 3) ->
 
 def test_correct_sigmas_are_consistent() -> None:
     # One run in a thousand is outside 3.3 sigma: about 2 of 2000, more than 9 in one of 20 000 such tests (Poisson).
-    found = [filled(1.0, seed, count=60, degrees=15).verdict(12 * SECOND) for seed in range(2000)]
+    found = [filled(1.0, seed, count=60, degrees=15).consistency(12 * SECOND) for seed in range(2000)]
     assert all(verdict.degrees == 900 for verdict in found)
     assert 1 <= sum(not verdict.is_consistent for verdict in found) <= 9
     stated = next(verdict for verdict in found if verdict.is_consistent)
@@ -29,7 +29,7 @@ def test_correct_sigmas_are_consistent() -> None:
 
 @pytest.mark.parametrize(("ratio", "text"), [(1.6, "σ optimistic by 1.6"), (0.5, "σ pessimistic by 2.0")])
 def test_wrong_sigma_is_reported_with_its_factor(ratio: float, text: str) -> None:
-    found = filled(ratio, 3, count=299, degrees=100).verdict(60 * SECOND)
+    found = filled(ratio, 3, count=299, degrees=100).consistency(60 * SECOND)
     assert not found.is_consistent
     assert found.text == text
 
@@ -46,16 +46,16 @@ def test_window_is_one_minute() -> None:
     window = filled(3.0, 1)
     for i in range(300):
         window.add((61 + i) * SECOND, 3.0, 3)
-    found = window.verdict(361 * SECOND)
+    found = window.consistency(361 * SECOND)
     assert found.degrees == 60 * 3  # from 301 s to 360 s
     assert found.ratio == pytest.approx(1.0)
 
 
 def test_too_few_innovations_give_no_text_and_none_gives_nan() -> None:
     window = NisWindow()
-    assert math.isnan(window.verdict(0).ratio)
+    assert math.isnan(window.consistency(0).ratio)
     window.add(0, 90.0, 3)
-    assert window.verdict(0).text == ""
+    assert window.consistency(0).text == ""
     window.add(0, math.nan, 3)
     window.add(0, math.inf, 3)
-    assert window.verdict(0).degrees == 3
+    assert window.consistency(0).degrees == 3

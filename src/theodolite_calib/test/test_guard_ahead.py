@@ -54,22 +54,22 @@ class Run:
     def take(self, samples: Iterable[ShipSample]) -> None:
         for sample in samples:
             told_rad = told_step_rad(sample.correlated_covariance_n, self._stated)
-            judged = self._judged(sample, told_rad)
+            judged = self._checked(sample, told_rad)
             self.said.append((said(judged), self.guard.rates))
             if judged.rejection is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
                 self._stated = sample.correlated_covariance_n
                 self._used.insert(judged.sample)
 
-    def _judged(self, sample: ShipSample, told_rad: float) -> JudgedIns:
+    def _checked(self, sample: ShipSample, told_rad: float) -> JudgedIns:
         if isinstance(self.guard, InsGuard):
             return self.guard.check(sample, self._used, {}, told_rad)
         return self.guard.check(sample, self._used, told_rad)
 
 
-def said(judged: JudgedIns) -> tuple[Any, ...]:
+def said(result: JudgedIns) -> tuple[Any, ...]:
     """Return all fields of a result, comparable to the bit."""
-    jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.is_drift) for jump in judged.jumps)
-    return judged.sample.content(), judged.rejection, jumps, judged.rates_wrong_after_ns
+    jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.is_drift) for jump in result.jumps)
+    return result.sample.content(), result.rejection, jumps, result.rates_wrong_after_ns
 
 
 def one_by_one(samples: Sequence[ShipSample]) -> list[Any]:

@@ -65,7 +65,7 @@ def axis_error_arcsec(epoch: Epochs, check: LightCheck) -> float:
 def test_right_beacons(lights_deg, with_prior):
     epoch = an_epoch(lights_deg)
     check = checked(epoch, encoder_prior(epoch) if with_prior else None)
-    assert check.verdict is BeaconCheckResult.CONSISTENT
+    assert check.result is BeaconCheckResult.CONSISTENT
     assert check.order == tuple(range(len(lights_deg)))
     assert axis_error_arcsec(epoch, check) < 15.0
     assert (check.prior_chi2 is not None) == with_prior
@@ -74,7 +74,7 @@ def test_right_beacons(lights_deg, with_prior):
 def test_two_swapped_beacons_are_found_with_a_prior():
     epoch = an_epoch()
     check = checked(seen_as(epoch, [1, 0]), encoder_prior(epoch))
-    assert check.verdict is BeaconCheckResult.SWAPPED
+    assert check.result is BeaconCheckResult.SWAPPED
     assert check.order == (1, 0)
     assert axis_error_arcsec(epoch, check) < 15.0
 
@@ -83,7 +83,7 @@ def test_two_swapped_beacons_are_consistent_without_a_prior():
     # The angle is the same: only the half turn of the image differs.
     epoch = an_epoch()
     check = checked(seen_as(epoch, [1, 0]))
-    assert check.verdict is BeaconCheckResult.CONSISTENT
+    assert check.result is BeaconCheckResult.CONSISTENT
     turned = check.attitude.rotation_nt.T @ epoch.truth.rotation_nt
     assert np.rad2deg(np.arccos(0.5 * (np.trace(turned) - 1.0))) == pytest.approx(180.0, abs=2.0)
 
@@ -92,7 +92,7 @@ def test_two_swapped_beacons_are_consistent_without_a_prior():
 def test_three_swapped_beacons_need_no_prior(order):
     epoch = an_epoch(THREE_LIGHTS_DEG)
     check = checked(seen_as(epoch, order))
-    assert check.verdict is BeaconCheckResult.SWAPPED
+    assert check.result is BeaconCheckResult.SWAPPED
     # Sighting check.order[i] is light i.
     assert [order[i] for i in check.order] == [0, 1, 2]
     assert axis_error_arcsec(epoch, check) < 15.0
@@ -107,7 +107,7 @@ def test_wrong_beacon(lights_deg, with_prior):
     elsewhere_deg[1, 0] += 0.05
     other = an_epoch(elsewhere_deg)
     check = checked(replace(epoch, image=other.image), encoder_prior(epoch) if with_prior else None)
-    assert check.verdict is BeaconCheckResult.CONFLICT
+    assert check.result is BeaconCheckResult.CONFLICT
 
 
 def test_a_baseline_a_second_late():
@@ -116,14 +116,14 @@ def test_a_baseline_a_second_late():
     across = np.cross(epoch.truth.direction_n[1], epoch.truth.direction_n[0])
     late = np.cross(across / np.linalg.norm(across), epoch.truth.direction_n[1]) * 2.0
     lights = replace(epoch.lights, baseline_n=epoch.lights.baseline_n + np.stack([np.zeros(3), late]))
-    assert checked(replace(epoch, lights=lights)).verdict is BeaconCheckResult.CONFLICT
+    assert checked(replace(epoch, lights=lights)).result is BeaconCheckResult.CONFLICT
 
 
 def test_consistent_beacons_with_an_inconsistent_prior():
     # An encoder stuck while the telescope went on for half a degree.
     epoch = an_epoch()
     check = checked(epoch, encoder_prior(epoch, off_arcmin=30.0))
-    assert check.verdict is BeaconCheckResult.PRIOR_CONFLICT
+    assert check.result is BeaconCheckResult.PRIOR_CONFLICT
     assert check.order == (0, 1)
     assert axis_error_arcsec(epoch, check) < 15.0
 
@@ -137,7 +137,7 @@ def test_a_little_better_the_other_way_round_is_no_swap():
     lights = replace(exact.lights, baseline_covariance_n=0.027**2 * np.eye(3))
     epoch = replace(exact, lights=lights)
     verdicts = {
-        checked(replace(epoch, image=replace(epoch.image, point_m=point_m))).verdict
+        checked(replace(epoch, image=replace(epoch.image, point_m=point_m))).result
         for shift_m in np.arange(-12e-6, 12e-6, 1e-6)
         for point_m in [epoch.image.point_m + np.outer([0.0, 1.0, 0.0], shift_m * along)]
     }
@@ -148,7 +148,7 @@ def test_beacons_in_one_direction_give_no_attitude():
     epoch = an_epoch()
     one_place = replace(epoch, image=replace(epoch.image, point_m=epoch.image.point_m[[0, 0]]))
     check = checked(one_place)
-    assert check.verdict is BeaconCheckResult.CONFLICT
+    assert check.result is BeaconCheckResult.CONFLICT
 
 
 def test_angle_residual_is_what_the_likelihood_leaves():

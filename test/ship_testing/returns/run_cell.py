@@ -81,7 +81,7 @@ def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
         "exception": "",
     }
     try:
-        result |= _judgement(cell, run)
+        result |= _evaluate(cell, run)
     except Exception:
         # A defect of the software is what is looked for; the other cells go on.
         result |= {"exception": traceback.format_exc(limit=-4), "returned": False}
@@ -152,7 +152,7 @@ class SteppedTruth:
         return self._truth.rotation_at_stamp(stamp_ns - self.offset_ns)
 
 
-def _judgement(cell: Cell, run: "_Run") -> dict[str, Any]:
+def _evaluate(cell: Cell, run: "_Run") -> dict[str, Any]:
     """Run the messages of a cell until all is normal, or the bound is exceeded; return the result of its outputs."""
     data, sink = run.data, run.sink
     bounds_s = {topic: _bound_s(cell, topic) for topic in sink.valid_since_ns}

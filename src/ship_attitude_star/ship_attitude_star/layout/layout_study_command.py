@@ -136,7 +136,7 @@ def _summary(computed: LayoutStudy, page: Path) -> str:
     if several:
         lines.append(f"recommended azimuths [deg from the bow]: {azimuths}")
     for name, found in computed.optics.items():
-        forward, up, right = found.held_arcsec
+        forward, up, right = found.quantile_arcsec
         lines.append(
             f"optics of {name}: {found.stars.mean():.1f} stars on average, {found.fewest_stars()[5]:.0f} or fewer in "
             f"5 % of the sky; noise about forward, up, right {forward:.2f}, {up:.2f}, {right:.2f} arcsec"
@@ -204,7 +204,7 @@ _OPTICS = (
 def _optics(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
     for name, found in study.optics.items():
         stars = (float(found.stars.mean()), *found.fewest_stars().values())
-        yield name, *found.field_deg, found.star_sigma_arcsec, *stars, *found.held_arcsec, *found.liebe_arcsec
+        yield name, *found.field_deg, found.star_sigma_arcsec, *stars, *found.quantile_arcsec, *found.liebe_arcsec
 
 
 def _budget(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:

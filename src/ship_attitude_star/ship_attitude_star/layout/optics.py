@@ -54,7 +54,7 @@ class OpticsOverSky:
     star_sigma_arcsec: float
     stars: FloatArray
     sigmas_arcsec: FloatArray
-    held_arcsec: FloatArray
+    quantile_arcsec: FloatArray
     liebe_arcsec: FloatArray
 
     def fewest_stars(self) -> dict[int, float]:
@@ -76,7 +76,7 @@ def over_sky(optics: Optics) -> OpticsOverSky:
     stars = np.array([float(len(seen)) for seen in fields])
     sigmas = np.array([attitude_sigmas(seen, sigma) for seen in fields])
     # Interpolation between infinite values would be NaN: the upper value is taken.
-    held = np.quantile(sigmas, optics.sky_share, axis=0, method="higher")
+    quantile = np.quantile(sigmas, optics.sky_share, axis=0, method="higher")
     arcsec = np.rad2deg(1.0) * 3600.0
     width, height = np.rad2deg(2.0 * np.arctan(optics.half_field()))
     return OpticsOverSky(
@@ -84,7 +84,7 @@ def over_sky(optics: Optics) -> OpticsOverSky:
         star_sigma_arcsec=sigma * arcsec,
         stars=stars,
         sigmas_arcsec=sigmas * arcsec,
-        held_arcsec=held * arcsec,
+        quantile_arcsec=quantile * arcsec,
         liebe_arcsec=liebe_sigmas(optics, float(stars.mean())) * arcsec,
     )
 

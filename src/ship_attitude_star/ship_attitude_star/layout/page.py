@@ -103,7 +103,7 @@ def _optics_text(study: LayoutStudy) -> str:
     for name, found in study.optics.items():
         stars = [f"{count:.0f}" for count in found.fewest_stars().values()]
         field = f"{found.field_deg[0]:.1f}° × {found.field_deg[1]:.1f}°"
-        sigmas = [" / ".join(arcsec_texts(triple)) for triple in (found.held_arcsec, found.liebe_arcsec)]
+        sigmas = [" / ".join(arcsec_texts(triple)) for triple in (found.quantile_arcsec, found.liebe_arcsec)]
         share = f"{100.0 * study.config.optics[name].sky_share:g} %"
         star = f"{found.star_sigma_arcsec:.2f}"
         rows.append([name, field, star, f"{found.stars.mean():.1f}", *stars, share, *sigmas])
@@ -193,7 +193,7 @@ def _advice(study: LayoutStudy) -> str:
             f"{_tolerance(turned)}</li>"
         )
     return (
-        f"<ul>{''.join(items)}</ul><p>Total error there {best:.2f}″, as given {given:.2f}″. {_verdict(given, best)}</p>"
+        f"<ul>{''.join(items)}</ul><p>Total error there {best:.2f}″, as given {given:.2f}″. {_gain_text(given, best)}</p>"
     )
 
 
@@ -224,7 +224,7 @@ def _tolerance(turned: AzimuthScan) -> str:
     return f"from {low:.0f}° clockwise to {high:.0f}° the error increases by less than a tenth"
 
 
-def _verdict(given: float, best: float) -> str:
+def _gain_text(given: float, best: float) -> str:
     gain = 1.0 - best / given
     if gain < 1e-6:
         return "The layout as given is the best one in azimuth."

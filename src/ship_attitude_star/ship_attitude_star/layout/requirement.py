@@ -88,12 +88,12 @@ class TradedElevation:
     """
 
     elevation_deg: float
-    judged: Candidate
+    candidate: Candidate
     refraction_arcsec: FloatArray
 
 
 @dataclass(frozen=True)
-class JudgedLayouts:
+class RequirementResult:
     """Results of the evaluation of a requirement.
 
     Attributes:
@@ -121,9 +121,9 @@ class JudgedLayouts:
         return next(one for one in self.ranking if one.name == AS_GIVEN)
 
 
-def judged(
+def evaluate_layouts(
     config: LayoutStudyConfig, layout: Layout, best: Layout, maps: list[ErrorMap], obstructions: Obstructions
-) -> JudgedLayouts:
+) -> RequirementResult:
     """Evaluate the layouts of a study by its requirement.
 
     Args:
@@ -133,32 +133,32 @@ def judged(
         maps: the errors over each sensor's mounting direction.
         obstructions: masks and horizon.
     """
-    judge = _Judge(config.requirement.limits_arcsec(), obstructions)
-    candidates = [judge.candidate(AS_GIVEN, layout)]
+    evaluator = _LayoutEvaluator(config.requirement.limits_arcsec(), obstructions)
+    candidates = [evaluator.candidate(AS_GIVEN, layout)]
     if not np.array_equal(layout.angles, best.angles):
-        candidates.append(judge.candidate(RECOMMENDED, best))
+        candidates.append(evaluator.candidate(RECOMMENDED, best))
     for name, alternative in config.alternatives.items():
         angles = layout.angles.copy()
         for sensor, place in alternative.sensors.items():
             angles[layout.names.index(sensor)] = place.angles()
-        candidates.append(judge.candidate(name, replace(layout, angles=angles)))
-    admissible = [judge.admissible_map(layout, number, moved) for number, moved in enumerate(maps)]
+        candidates.append(evaluator.candidate(name, replace(layout, angles=angles)))
+    admissible = [evaluator.admissible_map(layout, number, moved) for number, moved in enumerate(maps)]
     for number, (moved, allowed) in enumerate(zip(maps, admissible, strict=True)):
-        candidates += judge.best_of_map(layout, number, moved, allowed)
-    candidates.append(judge.searched(candidates, layout))
+        candidates += evaluator.best_of_map(layout, number, moved, allowed)
+    candidates.append(evaluator.searched(candidates, layout))
     # The sort is stable: of equal layouts the first of the list, which changes least, comes first.
     ranking = sorted(candidates, key=lambda one: (not one.admissible, bool(one.obstacles), _or_infinite(one.use)))
-    return JudgedLayouts(
-        limits_arcsec=judge.limits_arcsec,
+    return RequirementResult(
+        limits_arcsec=evaluator.limits_arcsec,
         ranking=ranking,
         maps=admissible,
-        trade=list(judge.traded(layout)),
-        allocations={one.name: allocated(one.layout, judge.limits_arcsec) for one in (ranking[0], candidates[0])},
+        trade=list(evaluator.traded(layout)),
+        allocations={one.name: allocated(one.layout, evaluator.limits_arcsec) for one in (ranking[0], candidates[0])},
     )
 
 
 @dataclass(frozen=True)
-class _Judge:
+class _LayoutEvaluator:
     """Evaluates layouts by limits, arcsec, shape (3,), and by obstructions."""
 
     limits_arcsec: FloatArray
@@ -258,12 +258,12 @@ class _Judge:
                 # If masks leave no azimuth, the sensor stays, and the candidate's obstacles name them.
                 places.append(turned[clear])
             best = self._descended(level, places)
-            judged_there = self.candidate(f"all at {elevation_deg:g} deg", best)
+            candidate = self.candidate(f"all at {elevation_deg:g} deg", best)
             refraction = np.zeros(3)
             for source in best.budget():
                 if source.source == _REFRACTION:
                     refraction = np.abs(source.errors_arcsec)
-            yield TradedElevation(float(elevation_deg), judged_there, refraction)
+            yield TradedElevation(float(elevation_deg), candidate, refraction)
 
 
 def _spread(layout: Layout) -> Iterator[Layout]:

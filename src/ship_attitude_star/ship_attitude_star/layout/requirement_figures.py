@@ -16,7 +16,7 @@ from matplotlib.ticker import MultipleLocator
 from ship_attitude_star.layout.allocation import use_of
 from ship_attitude_star.layout.installation_model import SHIP_ANGLES
 from ship_attitude_star.layout.joint_error import Layout
-from ship_attitude_star.layout.requirement import AdmissibleMap, JudgedLayouts
+from ship_attitude_star.layout.requirement import AdmissibleMap, RequirementResult
 from ship_attitude_star.layout.study import LayoutStudy
 from ship_geometry.deck_masks import DeckMasks
 from ship_geometry.rotations import FloatArray
@@ -29,7 +29,7 @@ _USES = (0.5, 0.7, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
 _MOST_USE = 3.0
 
 
-def admissible_figure(study: LayoutStudy, required: JudgedLayouts) -> Figure:
+def admissible_figure(study: LayoutStudy, required: RequirementResult) -> Figure:
     """Return the figure of each sensor's admissible directions with the others as given, with masks and horizon."""
     count = len(required.maps)
     figure, grid = plt.subplots(count, 1, figsize=(9.5, 3.9 * count + 0.8), squeeze=False, layout="constrained")
@@ -66,11 +66,11 @@ def _draw_admissible(axes: Axes, study: LayoutStudy, allowed: AdmissibleMap, num
     )
 
 
-def elevation_figure(required: JudgedLayouts) -> Figure:
+def elevation_figure(required: RequirementResult) -> Figure:
     """Return the figure of the errors over elevation: refraction at low, parallel boresights at high elevation."""
     elevations_deg = np.array([one.elevation_deg for one in required.trade])
     figure, axes = plt.subplots(figsize=(8.5, 4.6), layout="constrained")
-    sigmas = np.array([one.judged.sigmas_arcsec for one in required.trade])
+    sigmas = np.array([one.candidate.sigmas_arcsec for one in required.trade])
     refraction = np.array([one.refraction_arcsec for one in required.trade])
     for angle in np.flatnonzero(np.isfinite(required.limits_arcsec)):
         colour, line = _ANGLE_STYLES[angle]
@@ -79,7 +79,7 @@ def elevation_figure(required: JudgedLayouts) -> Figure:
     by_refraction = use_of(refraction, required.limits_arcsec)
     axes.plot(elevations_deg, by_refraction, color="0.5", lw=1.8, ls=":", label="refraction only")
     axes.axhline(1.0, color="black", lw=1.3, label="requirement")
-    _shade_blocked(axes, elevations_deg, np.array([bool(one.judged.obstacles) for one in required.trade]))
+    _shade_blocked(axes, elevations_deg, np.array([bool(one.candidate.obstacles) for one in required.trade]))
     axes.set(
         xlim=(elevations_deg[0], elevations_deg[-1]),
         ylim=(0.0, _MOST_USE),

@@ -8,7 +8,7 @@ import numpy as np
 
 from ship_attitude_star.layout.allocation import Allocation
 from ship_attitude_star.layout.installation_model import SHIP_ANGLES
-from ship_attitude_star.layout.requirement import JudgedLayouts
+from ship_attitude_star.layout.requirement import RequirementResult
 from ship_attitude_star.layout.requirement_told import binding, nearest_miss, places
 from ship_attitude_star.layout.study import LayoutStudy
 from ship_node.documents.html_page import arcsec_texts, folded, image, table
@@ -20,7 +20,7 @@ def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
     if required is None:
         return ""
     return (
-        f"<h2>Requirement</h2><p>{_verdict(required)}</p>"
+        f"<h2>Requirement</h2><p>{_summary(required)}</p>"
         f'<div class="table">{_ranking_table(required)}</div>'
         "<p>The use of a layout is 1σ / requirement of its worst angle. The ranking contains the layouts of the file, "
         "the recommended azimuths, each sensor moved alone, and all sensors moved together over a grid of 5°, which is "
@@ -43,7 +43,7 @@ def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
     )
 
 
-def _verdict(required: JudgedLayouts) -> str:
+def _summary(required: RequirementResult) -> str:
     asked = ", ".join(
         f"{name} {limit:g}″"
         for name, limit in zip(SHIP_ANGLES, required.limits_arcsec, strict=True)
@@ -59,7 +59,7 @@ def _verdict(required: JudgedLayouts) -> str:
     )
 
 
-def _ranking_table(required: JudgedLayouts) -> str:
+def _ranking_table(required: RequirementResult) -> str:
     rows = [
         [
             one.name,
@@ -75,12 +75,12 @@ def _ranking_table(required: JudgedLayouts) -> str:
     return table([*header, "azimuth/elevation [°]", "obstructions"], rows)
 
 
-def _best_elevation(required: JudgedLayouts) -> str:
-    free = [one for one in required.trade if not one.judged.obstacles and np.isfinite(one.judged.use)]
+def _best_elevation(required: RequirementResult) -> str:
+    free = [one for one in required.trade if not one.candidate.obstacles and np.isfinite(one.candidate.use)]
     if not free:
         return "At no elevation are the fields of all sensors clear."
-    best = min(free, key=lambda one: one.judged.use)
-    met = [one.elevation_deg for one in free if one.judged.admissible]
+    best = min(free, key=lambda one: one.candidate.use)
+    met = [one.elevation_deg for one in free if one.candidate.admissible]
     between = f"the requirement is met between {met[0]:g}° and {met[-1]:g}°" if met else "no elevation meets it"
     return f"The use is least with all sensors at {best.elevation_deg:g}°; {between}."
 

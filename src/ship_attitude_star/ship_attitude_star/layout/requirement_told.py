@@ -8,7 +8,7 @@ import numpy as np
 from ship_attitude_star.layout.allocation import Allocation, binding_angle
 from ship_attitude_star.layout.installation_model import SHIP_ANGLES
 from ship_attitude_star.layout.joint_error import Layout
-from ship_attitude_star.layout.requirement import Candidate, JudgedLayouts
+from ship_attitude_star.layout.requirement import Candidate, RequirementResult
 from ship_attitude_star.layout.study import LayoutStudy
 
 Table = tuple[tuple[str, ...], Iterator[tuple[Any, ...]]]
@@ -19,7 +19,7 @@ REQUIREMENT_TABLES = ("ranking.csv", "allocation.csv", "elevation_trade.csv", "a
 _SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
 
 
-def requirement_lines(required: JudgedLayouts) -> list[str]:
+def requirement_lines(required: RequirementResult) -> list[str]:
     """Return the ranking, the dominant errors and, if no layout meets the requirement, the nearest miss."""
     asked = [
         f"{name} {limit:g}"
@@ -28,8 +28,8 @@ def requirement_lines(required: JudgedLayouts) -> list[str]:
     ]
     lines = [f"required [arcsec, 1 sigma]: {', '.join(asked)}"]
     for place, one in enumerate(required.ranking, start=1):
-        verdict = "meets it" if one.admissible else "does not"
-        lines.append(f"{place:3d} {one.name:24}{verdict}: {told(one, required)}")
+        result = "meets it" if one.admissible else "does not"
+        lines.append(f"{place:3d} {one.name:24}{result}: {told(one, required)}")
     if not required.met:
         lines.append(f"no layout meets the requirement; nearest miss: {nearest_miss(required)}")
     for name, allocations in required.allocations.items():
@@ -37,7 +37,7 @@ def requirement_lines(required: JudgedLayouts) -> list[str]:
     return lines
 
 
-def told(one: Candidate, required: JudgedLayouts) -> str:
+def told(one: Candidate, required: RequirementResult) -> str:
     """Return a description of one layout: requirement use, directions of the sensors, obstructions."""
     if np.isnan(one.use):
         uses = "a boresight is too near to the horizon"
@@ -55,7 +55,7 @@ def places(layout: Layout) -> str:
     )
 
 
-def nearest_miss(required: JudgedLayouts) -> str:
+def nearest_miss(required: RequirementResult) -> str:
     """Return a description of the best layout that is not admissible: its deficit or its obstructions."""
     nearest = required.ranking[0]
     if nearest.obstacles or np.isnan(nearest.use):
@@ -79,12 +79,12 @@ def binding(allocations: list[Allocation]) -> str:
     return text + f"alone it may be up to {first.alone_arcsec:.3g} arcsec"
 
 
-def requirement_tables(study: LayoutStudy, required: JudgedLayouts) -> dict[str, Table]:
+def requirement_tables(study: LayoutStudy, required: RequirementResult) -> dict[str, Table]:
     """Return header and rows of each of :data:`REQUIREMENT_TABLES`."""
-    judged = ("admissible", "share_used", *_SIGMAS)
+    evaluation = ("admissible", "share_used", *_SIGMAS)
     where = ("azimuths_and_elevations_deg", "obstacles")
     return {
-        "ranking.csv": (("rank", "layout", *judged, *where), _ranking(required)),
+        "ranking.csv": (("rank", "layout", *evaluation, *where), _ranking(required)),
         "allocation.csv": (
             (
                 *("layout", "parameter", "kind", "sigma_arcsec", "share_of_binding_variance"),
@@ -94,7 +94,7 @@ def requirement_tables(study: LayoutStudy, required: JudgedLayouts) -> dict[str,
         ),
         "elevation_trade.csv": (
             (
-                *("elevation_deg", *judged),
+                *("elevation_deg", *evaluation),
                 *("heading_refraction_arcsec", "pitch_refraction_arcsec", "roll_refraction_arcsec", *where),
             ),
             _trade(required),
@@ -106,29 +106,29 @@ def requirement_tables(study: LayoutStudy, required: JudgedLayouts) -> dict[str,
     }
 
 
-def _ranking(required: JudgedLayouts) -> Iterator[tuple[Any, ...]]:
+def _ranking(required: RequirementResult) -> Iterator[tuple[Any, ...]]:
     for place, one in enumerate(required.ranking, start=1):
-        yield place, one.name, *_judged(one), places(one.layout), "; ".join(one.obstacles)
+        yield place, one.name, *_evaluation_columns(one), places(one.layout), "; ".join(one.obstacles)
 
 
-def _judged(one: Candidate) -> tuple[Any, ...]:
+def _evaluation_columns(one: Candidate) -> tuple[Any, ...]:
     return int(one.admissible), one.use, *one.sigmas_arcsec
 
 
-def _allocations(required: JudgedLayouts) -> Iterator[tuple[Any, ...]]:
+def _allocations(required: RequirementResult) -> Iterator[tuple[Any, ...]]:
     for name, allocations in required.allocations.items():
         for row in allocations:
             sizes = row.sigma_arcsec, row.share, row.together_arcsec, row.alone_arcsec
             yield name, row.key, row.kind, *sizes
 
 
-def _trade(required: JudgedLayouts) -> Iterator[tuple[Any, ...]]:
+def _trade(required: RequirementResult) -> Iterator[tuple[Any, ...]]:
     for one in required.trade:
-        where = places(one.judged.layout), "; ".join(one.judged.obstacles)
-        yield one.elevation_deg, *_judged(one.judged), *one.refraction_arcsec, *where
+        where = places(one.candidate.layout), "; ".join(one.candidate.obstacles)
+        yield one.elevation_deg, *_evaluation_columns(one.candidate), *one.refraction_arcsec, *where
 
 
-def _maps(study: LayoutStudy, required: JudgedLayouts) -> Iterator[tuple[Any, ...]]:
+def _maps(study: LayoutStudy, required: RequirementResult) -> Iterator[tuple[Any, ...]]:
     for moved, allowed in zip(study.maps, required.maps, strict=True):
         admissible = allowed.admissible()
         for row, elevation_deg in enumerate(moved.elevations_deg):

@@ -14,7 +14,7 @@ from ship_attitude_star.layout.installation_model import Curve, all_curves
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, SourceError, error_map, total_arcsec
 from ship_attitude_star.layout.masks import Obstructions
 from ship_attitude_star.layout.optics import LEAST_STARS, OpticsOverSky, over_sky
-from ship_attitude_star.layout.requirement import JudgedLayouts, judged
+from ship_attitude_star.layout.requirement import RequirementResult, evaluate_layouts
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import FloatArray, wrap_pi
 
@@ -78,7 +78,7 @@ class LayoutStudy:
     curves: list[Curve]
     optics: dict[str, OpticsOverSky]
     obstructions: Obstructions
-    required: JudgedLayouts | None
+    required: RequirementResult | None
 
 
 def study(config: LayoutStudyConfig) -> LayoutStudy:
@@ -114,7 +114,7 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
         curves=all_curves(config.figures),
         optics=optics,
         obstructions=obstructions,
-        required=judged(config, layout, best, maps, obstructions) if config.requirement.given else None,
+        required=evaluate_layouts(config, layout, best, maps, obstructions) if config.requirement.given else None,
     )
 
 
@@ -126,7 +126,7 @@ def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) 
     """
     sensors = dict(config.sensors)
     for name, found in optics.items():
-        if not np.isfinite(found.held_arcsec).all():
+        if not np.isfinite(found.quantile_arcsec).all():
             raise ParameterError(
                 f"parameter 'optics.{name}.magnitude_limit': in {100.0 * found.share_without():.0f} % of the sky the "
                 f"field of {found.field_deg[0]:.1f} x {found.field_deg[1]:.1f} deg contains fewer than {LEAST_STARS} "
@@ -134,7 +134,7 @@ def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) 
                 "wider field",
                 f"optics.{name}.magnitude_limit",
             )
-        forward, up, right = (float(sigma) for sigma in found.held_arcsec)
+        forward, up, right = (float(sigma) for sigma in found.quantile_arcsec)
         sensors[name] = replace(
             sensors[name], sigma_forward_arcsec=forward, sigma_up_arcsec=up, sigma_right_arcsec=right
         )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.outcome import Decision, Measurement, Outcome, Status
+from ship_estimation.outcome import MeasurementDecision, Measurement, Outcome, Status
 from ship_geometry.rotations import FloatArray
 
 StampArray = NDArray[np.int64]
@@ -90,7 +90,7 @@ ATTITUDE_COMPONENTS = ("forward", "up", "right")
 
 
 @dataclass(frozen=True)
-class AttitudeDecision(Decision[Measurement]):
+class AttitudeDecision(MeasurementDecision[Measurement]):
     """Decision about a measurement of the ship filter.
 
     ``components`` are ATTITUDE_COMPONENTS, or "HIP 92420 up" and "HIP 92420 right" for each star used.

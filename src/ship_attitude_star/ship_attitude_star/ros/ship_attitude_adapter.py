@@ -30,14 +30,14 @@ from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior
 from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
-from ship_attitude_star.ship_attitude.manoeuvre import TurnHint
+from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
-from ship_estimation.rate_guard import Rates
+from ship_estimation.rate_guard import RateStatus
 from ship_estimation.recovery.displacements import TOGETHER
 from ship_estimation.refusals import failure
 from ship_geometry.attitude_track import AttitudeSample
@@ -87,13 +87,13 @@ _WORDS = {
     Status.INVALID: (Level.ERROR, "INVALID: neither the INS nor stars give an attitude"),
 }
 _RATES = {
-    Rates.UNPROVEN: (Level.OK, "not checked yet: too little motion, or no rates in the messages"),
-    Rates.MEASURED: (Level.OK, "angular_velocity is consistent with the orientation"),
-    Rates.NOT_MEASURED: (
+    RateStatus.UNPROVEN: (Level.OK, "not checked yet: too little motion, or no rates in the messages"),
+    RateStatus.MEASURED: (Level.OK, "angular_velocity is consistent with the orientation"),
+    RateStatus.NOT_MEASURED: (
         Level.WARN,
         "angular_velocity is not consistent with the orientation: not used (zero, noise, other axes, another unit?)",
     ),
-    Rates.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
+    RateStatus.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
 _OBSERVED_EACH_NS = 60 * SECOND_NS
 """Period of the observability diagnostics, in the time of the data, ns."""
@@ -216,15 +216,15 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)
             read, read_rows = self._star_readers(id_, star)
             take, source = core.add_measurement, f"star.{id_}"
-            yield Feed(topic, source, read, take, judged=True, read_rows=read_rows, continuous=INNOVATION)
+            yield Feed(topic, source, read, take, has_decision=True, read_rows=read_rows, continuous=INNOVATION)
         for name, reference in config.references.items():
             topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, named=True)
             read = functools.partial(messages_in.reference_measurement, name=name, config=reference)
-            yield Feed(topic, f"reference.{name}", read, core.add_measurement, judged=True, continuous=INNOVATION)
+            yield Feed(topic, f"reference.{name}", read, core.add_measurement, has_decision=True, continuous=INNOVATION)
         if config.ship_baseline.is_aboard:
             antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, named=True)
             read_baseline = functools.partial(messages_in.baseline, config=config.ship_baseline)
-            yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, judged=True)
+            yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, has_decision=True)
         if self._watch is not None:
             yield from surroundings_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
         elif config.follows_vertical:
@@ -326,7 +326,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             # Without stars a turn has no effect.
             sees = latest.status is Status.VALID
             told = self.core.learnt()
-            turn = hint_text(self.core.worthwhile_turn(latest.rotation_nd)) if sees else ""
+            turn = manoeuvre_text(self.core.worthwhile_turn(latest.rotation_nd)) if sees else ""
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in told.left.items()}
             values |= {"not told apart": "; ".join(told.open) or "nothing", "turn": turn or "none recommended"}
             text = turn or "no turn of the ship would improve the attitude much"
@@ -364,7 +364,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ]
 
 
-def hint_text(hint: TurnHint | None) -> str:
+def manoeuvre_text(hint: RecommendedTurn | None) -> str:
     """Return a text about a recommended turn; empty for none."""
     if hint is None:
         return ""

@@ -116,7 +116,7 @@ class StarAttitudeAdapter(BlockAdapter):
                 masks=sensor.sensor_masks,
                 catalogue=self._watch.catalogue,
             )
-            yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, judged=True)
+            yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, has_decision=True)
         yield from surroundings_feeds(
             config.sky, untimed(lambda told: StarOutcome(core.add_surroundings(told)))
         )

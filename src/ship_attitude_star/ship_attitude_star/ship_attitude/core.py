@@ -37,7 +37,7 @@ from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.linearised import Linearised
-from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, TurnHint, worthwhile_turn
+from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, RecommendedTurn, worthwhile_turn
 from ship_attitude_star.ship_attitude.memory import (
     departure_sigmas,
     is_undisputed,
@@ -57,7 +57,7 @@ from ship_estimation.ins import InsChange, InsJump
 from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
-from ship_estimation.rate_guard import Rates
+from ship_estimation.rate_guard import RateStatus
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.refusals import Rejection
 from ship_estimation.time_shift import with_shifted_stamps
@@ -389,7 +389,7 @@ class ShipAttitudeCore:
         """Return which states and combinations of states the data have determined."""
         return learnt(self.filter, self.config, self.state)
 
-    def worthwhile_turn(self, rotation_nd: FloatArray) -> TurnHint | None:
+    def worthwhile_turn(self, rotation_nd: FloatArray) -> RecommendedTurn | None:
         """Return the turn of the ship that would improve the attitude most; None if none is worthwhile."""
         return worthwhile_turn(self.filter, self.state, rotation_nd, self._lately)
 
@@ -479,7 +479,7 @@ class ShipAttitudeCore:
         self._shell.continue_outputs(live._shell)
 
     @property
-    def rates(self) -> Rates:
+    def rates(self) -> RateStatus:
         """Result of the rate check of the INS: faulty rates are not used."""
         return self._plausibility.ins.rates
 

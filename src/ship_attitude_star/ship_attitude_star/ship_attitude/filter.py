@@ -244,7 +244,7 @@ class ShipFilter:
             return self._reject(state, measurement, NotCompared(before, found.ins_time_ns))
         if isinstance(found.measured, AttitudeMeasurement):
             predicted = self._with_common(predicted, found.measured)
-        return self._judged(state, predicted, measurement, found)
+        return self._evaluate(state, predicted, measurement, found)
 
     def _optics_contradiction(
         self, state: FilterState, exposure: StarExposure, optics: slice
@@ -262,7 +262,7 @@ class ShipFilter:
         add_error(stack, len(state.means), part, optics, np.diag(1.0 + learned**2))
         return changed(state, stack=stack)
 
-    def _judged(
+    def _evaluate(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
     ) -> tuple[FilterState, AttitudeDecision]:
         """Evaluate a linearised measurement by the gate of each filter, update the filters and detect faults.
@@ -304,12 +304,12 @@ class ShipFilter:
         elif source in state.excluded and (accepted[0] or state.excluded[source].offset is None):
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
-            after, decision = self._held(after, decision, found)
+            after, decision = self._reject_by_gate(after, decision, found)
         is_ins_confirmed = self._is_ins_confirmed(state, found)
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # No other data show whether the INS has jumped.
             after = changed(after, unconfirmed=_unconfirmed_ins_jump(measurement.time_ns))
-        after, text = self.fault_detector.judged(after, source, innovations, is_ins_confirmed, measurement.time_ns)
+        after, text = self.fault_detector.detect_faults(after, source, innovations, is_ins_confirmed, measurement.time_ns)
         return after, self._told(decision, after, text)
 
     def _lacks_latitude(self, time_ns: int) -> bool:
@@ -414,7 +414,7 @@ class ShipFilter:
             return state
         return changed(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
 
-    def _held(
+    def _reject_by_gate(
         self, state: FilterState, decision: AttitudeDecision, found: Linearised
     ) -> tuple[FilterState, AttitudeDecision]:
         """Reject a measurement that failed the gate.

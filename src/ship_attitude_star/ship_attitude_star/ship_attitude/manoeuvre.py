@@ -56,7 +56,7 @@ class RecentSource(NamedTuple):
         return self.period_s < math.inf and since_s <= _MISSED * self.period_s
 
 
-class TurnHint(NamedTuple):
+class RecommendedTurn(NamedTuple):
     """A recommended turn.
 
     Attributes:
@@ -76,7 +76,7 @@ class TurnHint(NamedTuple):
 
 def worthwhile_turn(
     filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, RecentSource]
-) -> TurnHint | None:
+) -> RecommendedTurn | None:
     """Return the turn that improves the attitude most; None if none is worthwhile or no source measures.
 
     Args:
@@ -99,7 +99,7 @@ def worthwhile_turn(
     hints = []
     for turn_deg in _TURNS_DEG:
         after = voyage.after_turn(turn_deg)
-        hints += [TurnHint(turn_deg, name, now[name], on_course[name], after[name]) for name in after]
+        hints += [RecommendedTurn(turn_deg, name, now[name], on_course[name], after[name]) for name in after]
     best = min(hints, key=lambda hint: hint.after / hint.on_course)
     # Written so that NaN is not recommended.
     return best if best.after <= _WORTH_TELLING * best.on_course else None

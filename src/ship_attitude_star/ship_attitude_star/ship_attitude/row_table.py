@@ -142,10 +142,10 @@ class RowTable:
         """
         key = sources, tuple(excluded)
         if key not in self._asked:
-            self._asked[key] = self._held_against(sources, excluded)
+            self._asked[key] = self._find_relevant(sources, excluded)
         return self._asked[key]
 
-    def _held_against(self, sources: Collection[str], excluded: Collection[str]) -> Asked:
+    def _find_relevant(self, sources: Collection[str], excluded: Collection[str]) -> Asked:
         others = [name for name in sources if name in self.sources and name not in excluded]
         hypotheses = [row - 1 for row in self.singles if self.names[row - 1] not in excluded]
         hypotheses += [row - 1 for row in self.pairs_in_question(others, excluded)]

@@ -183,7 +183,7 @@ class Suspects:
         """
         return solution_separations(state.means, state.stack, self._ins_attitude)
 
-    def judged(
+    def detect_faults(
         self, state: FilterState, source: str, innovations: FilterInnovations, is_ins_confirmed: bool, time_ns: int
     ) -> tuple[FilterState, str]:
         """Detect and isolate faults after a measurement.

@@ -178,7 +178,7 @@ class StampedValues(Generic[Value]):
             self._stamps.insert(place, time_ns)
             self._taken.insert(place, _Stamped(time_ns, value))
             self._beliefs.insert(place, self._belief_before(place))
-        return self._judge_from(place)
+        return self._evaluate_from(place)
 
     def drop_before(self, time_ns: int, keep: int = 1) -> None:
         """Drop old values, but keep the last ``keep`` accepted ones at or before a time and all later ones."""
@@ -219,7 +219,7 @@ class StampedValues(Generic[Value]):
 
     # -- decisions ------------------------------------------------------------------------------------------
 
-    def _judge_from(self, place: int) -> int | None:
+    def _evaluate_from(self, place: int) -> int | None:
         """Evaluate a value and those after it until their state is unchanged; returns as :meth:`insert`."""
         belief, first = self._belief_before(place), place
         while place < len(self._taken):
@@ -242,8 +242,8 @@ class StampedValues(Generic[Value]):
         """
         begin = bisect.bisect_left(self.times, self._stamps[first])
         end = bisect.bisect_right(self.times, self._stamps[last - 1])
-        judged = zip(self._taken[first:last], self._beliefs[first:last], strict=True)
-        good = [(one, belief.follows_jump) for one, belief in judged if belief.last_accepted is one]
+        evaluated = zip(self._taken[first:last], self._beliefs[first:last], strict=True)
+        good = [(one, belief.follows_jump) for one, belief in evaluated if belief.last_accepted is one]
         # Skip the values that are unchanged; the rest differs from its first one on.
         while good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.follows_jump[begin]:
             del good[0]

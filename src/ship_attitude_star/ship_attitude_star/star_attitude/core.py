@@ -236,7 +236,7 @@ class StarCore:
             rejected_stars: stars of the message that cannot be used.
             arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
         """
-        used, refusal = self._judged(exposure)
+        used, refusal = self._evaluate(exposure)
         if not used:
             return StarOutcome(refusal)
         self._taken[exposure.source, exposure.time_ns] = exposure
@@ -269,7 +269,7 @@ class StarCore:
 
     # -- checks ---------------------------------------------------------------------------------------------
 
-    def _judged(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
+    def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
         """Return True if an exposure is used, and a rejection or remark; a conflict is reported in either case."""
         refusal = self._arrivals.late(exposure.time_ns)
         if refusal is not None:

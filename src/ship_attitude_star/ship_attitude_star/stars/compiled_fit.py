@@ -162,7 +162,7 @@ def normal_equations(
     return information, right_side
 
 
-def judged(
+def solve_normal_equations(
     jacobian: cython.const[cython.double][:, :, :],
     displacement: cython.const[cython.double][:, :],
     members: cython.const[cython.uchar][:],

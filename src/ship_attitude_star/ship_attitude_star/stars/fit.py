@@ -139,36 +139,36 @@ class StarFit:
         )
         return found
 
-    def judge(self, members: NDArray[np.bool_] | None = None) -> "StarJudgement":
+    def solve(self, members: NDArray[np.bool_] | None = None) -> "StarFitSolution":
         """Return the most likely unknowns of the members (None: all stars), and the remaining chi².
 
         Raises:
             numpy.linalg.LinAlgError: the members do not determine the attitude.
         """
-        information, constrained, solution, chi_square, count = compiled_fit.judged(
+        information, constrained, solution, chi_square, count = compiled_fit.solve_normal_equations(
             self.jacobian, self.displacement, self._chosen(members), self.free_count
         )
-        return StarJudgement(information, constrained, solution, chi_square, 2 * count - self.free_count)
+        return StarFitSolution(information, constrained, solution, chi_square, 2 * count - self.free_count)
 
     def _chosen(self, members: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
         """Return the members as the compiled loops take them (None: all stars)."""
         return np.ones(len(self.displacement), dtype=np.uint8) if members is None else members.view(np.uint8)
 
-    def gain_by_leaving_out(self, judgement: "StarJudgement", members: NDArray[np.bool_]) -> FloatArray:
+    def gain_by_leaving_out(self, solution: "StarFitSolution", members: NDArray[np.bool_]) -> FloatArray:
         """Return the reduction of chi² when one member is left out, for each member, shape (n_members,).
 
         Each value is distributed as chi² with two degrees of freedom if all members are correctly identified.
         """
         jacobian = self.jacobian[members]
-        left = self.displacement[members] - jacobian @ judgement.solution
-        leverage = jacobian @ np.linalg.inv(judgement.constrained) @ np.swapaxes(jacobian, -1, -2)
+        left = self.displacement[members] - jacobian @ solution.solution
+        leverage = jacobian @ np.linalg.inv(solution.constrained) @ np.swapaxes(jacobian, -1, -2)
         # Along the line of sight the displacement is zero and the matrix is the identity, so it adds nothing.
         gain: FloatArray = np.einsum("ki,ki->k", left, np.linalg.solve(np.eye(3) - leverage, left[..., None])[..., 0])
         return gain
 
 
 @dataclass(frozen=True)
-class StarJudgement:
+class StarFitSolution:
     """Most likely unknowns of some stars, and the remaining chi².
 
     Attributes:
@@ -234,7 +234,7 @@ class AttitudeFit:
     rotation_nb: FloatArray
     white_covariance_n: FloatArray
     fit: StarFit
-    judgement: StarJudgement
+    solution: StarFitSolution
     field_weight: FloatArray | None = None
 
 
@@ -246,7 +246,7 @@ def fit_attitude(stars: SightedStars, members: NDArray[np.bool_] | None = None) 
         return None
     fit = linearized(stars, solution.rotation_nd)
     if stars.smear_b is None and stars.field_b is None:
-        return AttitudeFit(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
+        return AttitudeFit(solution.rotation_nd, solution.covariance_n, fit, fit.solve(members))
     # Wahba's problem has one sigma per star, also along a streak, and no shared field errors. One Gauss-Newton step
     # from its solution gives the best attitude.
     information, right_side = fit.normal_equations(members)
@@ -257,7 +257,7 @@ def fit_attitude(stars: SightedStars, members: NDArray[np.bool_] | None = None) 
     covariance_n: FloatArray = np.asarray(np.linalg.inv(information[ATTITUDE, ATTITUDE]), dtype=float)
     rotation_nb = exp_rotation(covariance_n @ right_side[ATTITUDE]) @ solution.rotation_nd
     fit = linearized(stars, rotation_nb)
-    return AttitudeFit(rotation_nb, covariance_n, fit, fit.judge(members), weight)
+    return AttitudeFit(rotation_nb, covariance_n, fit, fit.solve(members), weight)
 
 
 def field_columns(stars: SightedStars, unknowns: int) -> slice:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance, surely_few
-from ship_attitude_star.stars.fit import AttitudeFit, SightedStars, StarFit, StarJudgement, fit_attitude, linearized
+from ship_attitude_star.stars.fit import AttitudeFit, SightedStars, StarFit, StarFitSolution, fit_attitude, linearized
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
 
@@ -123,7 +123,7 @@ def _select_alone(stars: SightedStars) -> Choice:
     if len(stars) < 2:
         return Choice(~everything)
     whole = fit_attitude(stars)
-    if whole is not None and whole.judgement.probability >= DROP_PROBABILITY:
+    if whole is not None and whole.solution.probability >= DROP_PROBABILITY:
         return Choice(everything, whole)
     trials = _pair_trials(stars)
     for trial in trials[:_TRIALS_REFINED]:
@@ -141,11 +141,11 @@ def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
         refined = fit_attitude(stars, members)
         if refined is None:
             break
-        if refined.judgement.probability >= DROP_PROBABILITY:
+        if refined.solution.probability >= DROP_PROBABILITY:
             return members
         if np.count_nonzero(members) <= FEWEST_VERIFIED:
-            return members if refined.judgement.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
-        members = _without_worst(refined.fit, refined.judgement, members)
+            return members if refined.solution.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
+        members = _without_worst(refined.fit, refined.solution, members)
     return np.zeros_like(members)
 
 
@@ -154,13 +154,13 @@ def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
 
     A member is ambiguous if a star left out explains the rest as well as it does.
     """
-    limit = fit.judge(members).chi_square + CLEARLY_BETTER
+    limit = fit.solve(members).chi_square + CLEARLY_BETTER
     kept: BoolArray = members.copy()
     for outsider in np.flatnonzero(~members):
         both = members.copy()
         both[outsider] = True
-        judgement = fit.judge(both)
-        without_one = judgement.chi_square - fit.gain_by_leaving_out(judgement, both)
+        solution = fit.solve(both)
+        without_one = solution.chi_square - fit.gain_by_leaving_out(solution, both)
         # Written so that NaN rejects the star.
         kept[np.flatnonzero(both)[~(without_one >= limit)]] = False
     return kept
@@ -226,7 +226,7 @@ def _select_by_prior(stars: SightedStars, prior: StarPrior, near_nb: FloatArray 
     else:
         expected_n, covariance_n = prior.seen_from(near_nb)
         fit = linearized(stars, near_nb).with_prior(covariance_n, expected_n)
-    if fit.judge(everything).probability >= DROP_PROBABILITY:
+    if fit.solve(everything).probability >= DROP_PROBABILITY:
         return everything
     trials = _single_trials(stars, fit)
     for trial in trials[:_TRIALS_REFINED]:
@@ -239,19 +239,19 @@ def _select_by_prior(stars: SightedStars, prior: StarPrior, near_nb: FloatArray 
 def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
     """Drop the members that do not fit the rest and the prior; return none if no member fits the prior."""
     while members.any():
-        judgement = fit.judge(members)
-        if judgement.probability >= DROP_PROBABILITY:
+        solution = fit.solve(members)
+        if solution.probability >= DROP_PROBABILITY:
             return members
         if np.count_nonzero(members) == 1:
-            return members if judgement.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
-        members = _without_worst(fit, judgement, members)
+            return members if solution.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
+        members = _without_worst(fit, solution, members)
     return members
 
 
-def _without_worst(fit: StarFit, judgement: StarJudgement, members: BoolArray) -> BoolArray:
+def _without_worst(fit: StarFit, solution: StarFitSolution, members: BoolArray) -> BoolArray:
     """Drop the member that explains most of the misfit."""
     kept: BoolArray = members.copy()
-    kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(judgement, members))]] = False
+    kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(solution, members))]] = False
     return kept
 
 

@@ -194,7 +194,7 @@ def likely_attitude(stars: SightedStars, prior: StarPrior) -> FloatArray:
     rotation_nb = prior.rotation_nb
     for _ in range(_MOST_STEPS):
         expected_n, covariance_n = prior.seen_from(rotation_nb)
-        sigmas = linearized(stars, rotation_nb).with_prior(covariance_n, expected_n).judge().solution[ATTITUDE]
+        sigmas = linearized(stars, rotation_nb).with_prior(covariance_n, expected_n).solve().solution[ATTITUDE]
         turn_n = expected_n + square_root(covariance_n) @ sigmas
         rotation_nb = exp_rotation(turn_n) @ rotation_nb
         if np.linalg.norm(turn_n) < _SMALL_TURN:
@@ -220,7 +220,7 @@ def _covariance_by_source(stars: SightedStars, found: AttitudeFit, members: NDAr
     """Return the covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
-    information, jacobian = found.judgement.information, found.fit.jacobian
+    information, jacobian = found.solution.information, found.fit.jacobian
     # Order of the unknowns: mounting and time transfer, field errors, shared errors.
     shared, of_field = stars.shared_n.shape[-1], [SOLUTION_TERMS.index(source) for source in stars.field_sources]
     installed = len(information) - ATTITUDE.stop - len(of_field) - shared

@@ -159,13 +159,13 @@ class ParquetFile(TableFile):
             ],
             metadata={"title": head.title, "topic": head.topic, "type": head.type_name},
         )
-        self._held: list[Any] = []
+        self._pending_batches: list[Any] = []
         self._writer = parquet.ParquetWriter(self._stream, self._schema)
 
     def _write(self, values: list[list[Any]]) -> None:
         arrays = [self._pyarrow.array(column, kind) for column, kind in zip(values, self._schema.types, strict=True)]
-        self._held.append(self._pyarrow.record_batch(arrays, schema=self._schema))
-        if sum(batch.nbytes for batch in self._held) > _ROW_GROUP_BYTES:
+        self._pending_batches.append(self._pyarrow.record_batch(arrays, schema=self._schema))
+        if sum(batch.nbytes for batch in self._pending_batches) > _ROW_GROUP_BYTES:
             self._write_group()
 
     def _end(self) -> None:
@@ -173,9 +173,9 @@ class ParquetFile(TableFile):
         self._writer.close()
 
     def _write_group(self) -> None:
-        if self._held:
-            self._writer.write_table(self._pyarrow.Table.from_batches(self._held, self._schema))
-            self._held = []
+        if self._pending_batches:
+            self._writer.write_table(self._pyarrow.Table.from_batches(self._pending_batches, self._schema))
+            self._pending_batches = []
 
     def discard(self) -> None:
         """See :meth:`TableFile.discard`."""

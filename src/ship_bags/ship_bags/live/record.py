@@ -211,10 +211,10 @@ class Recorder:
         if self._is_simulated_time and now_ns < self._last_log_ns:
             self._say_step("/clock", now_ns - self._last_log_ns, now_ns)
         self._last_log_ns = now_ns
-        self._write_held(now_ns)
+        self._write_pending(now_ns)
         self._bag.write_raw(topic, type_name, data, now_ns, info["source_timestamp"])
 
-    def _write_held(self, now_ns: int) -> None:
+    def _write_pending(self, now_ns: int) -> None:
         for topic, type_name, data, sent_ns in self._before_clock:
             self._bag.write_raw(topic, type_name, data, now_ns, sent_ns)
         self._before_clock.clear()

@@ -33,7 +33,7 @@ from ship_bags.topic_names import relative_topic
 # A name since rosbag2's metadata version 9, a number before.
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
 
-MAX_HELD_MB = 512
+MAX_MEMORY_MB = 512
 """Maximum part of a bag in memory, MB. Of an ordinary bag that is a chunk or two: the next one begins in time when
 these have ended."""
 
@@ -171,10 +171,10 @@ class Bag:
         waiting: list[tuple[int, int, BagRecord]] = []
         for number, bag_place in enumerate(places):
             waiting.extend(self._chunk_records(bag_place, channels[bag_place.file_number]))
-            if sum(len(record.data) + _RECORD_BYTES for _, _, record in waiting) > MAX_HELD_MB * 1_000_000:
+            if sum(len(record.data) + _RECORD_BYTES for _, _, record in waiting) > MAX_MEMORY_MB * 1_000_000:
                 raise BadInput(
                     f"the chunk at byte {bag_place.place.offset} and those that overlap it in "
-                    f"time hold more than {MAX_HELD_MB} MB",
+                    f"time hold more than {MAX_MEMORY_MB} MB",
                     file=self._files[bag_place.file_number].path,
                 )
             # The order in the file decides for equal times and is unique, so records are never compared.

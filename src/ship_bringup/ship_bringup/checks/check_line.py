@@ -55,7 +55,7 @@ def table(lines: Sequence[CheckLine]) -> list[str]:
     return text
 
 
-def verdict(lines: Sequence[CheckLine]) -> str:
+def summary_text(lines: Sequence[CheckLine]) -> str:
     """Return the last line: ready or not ready, and the numbers of failed, warning and unchecked rows."""
     counts = Counter(line.result for line in lines)
     words = [

@@ -92,7 +92,7 @@ def ptp_state(text: str) -> ClockState | None:
     return ClockState("PTP", abs(float(offset[1])) * 1e-9, math.nan, present[1] == "true", detail)
 
 
-def judge_clock(state: ClockState, limits: Limits) -> CheckLine:
+def check_clock(state: ClockState, limits: Limits) -> CheckLine:
     """Check the clock against the ship's limits: FAIL over the limit of stamps, WARN over that of the heading."""
     if state.is_dead:
         found = f"no program synchronises the clock: {state.detail}"

@@ -94,7 +94,7 @@ def look_at_disk(folder: Path) -> DiskState:
         return DiskState(folder, None, None)
 
 
-def judge_disk(
+def check_disk(
     state: DiskState, needs_bytes_per_s: float, hours: float, limits: Limits, must_be_there: str = ""
 ) -> Iterator[CheckLine]:
     """Check that the free space is sufficient for a number of hours.

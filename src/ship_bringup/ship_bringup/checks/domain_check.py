@@ -14,7 +14,7 @@ _LAST_SAFE_DOMAIN = 101
 """Ports of higher domains are in the range that Linux assigns to any program."""
 
 
-def judge_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
+def check_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
     """Check the variables that define the domain and the range of discovery."""
     text = environment.get(DOMAIN, "")
     if not text:
@@ -39,7 +39,7 @@ def judge_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
         yield CheckLine(_CHECK, Result.OK, f"range of discovery: {reach or 'SUBNET'}")
 
 
-def judge_domain(state: NetworkState, own: Collection[str], beside: Collection[str] = ()) -> Iterator[CheckLine]:
+def check_domain(state: NetworkState, own: Collection[str], beside: Collection[str] = ()) -> Iterator[CheckLine]:
     """Check the nodes in the domain.
 
     Args:

@@ -57,7 +57,7 @@ def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
     return found
 
 
-def judge_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator[CheckLine]:
+def check_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator[CheckLine]:
     """Check all paths.
 
     Args:

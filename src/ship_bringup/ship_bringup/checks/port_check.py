@@ -18,7 +18,7 @@ from typing import Any
 from ship_bags.parameter_yaml import full_name
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_node.parameters.parameter_file import read
-from ship_node.parameters.places import HeldPlace, PlaceKind, held_port
+from ship_node.parameters.places import MachineResource, PlaceKind, port_resource
 
 _CHECK = "ports"
 _SOCKETS = {PlaceKind.UDP: socket.SOCK_DGRAM, PlaceKind.TCP: socket.SOCK_STREAM}
@@ -42,7 +42,7 @@ class PlaceState:
 
     node: str
     named_by: str
-    place: HeldPlace
+    place: MachineResource
     error: int = 0
     holder: str = ""
 
@@ -58,7 +58,7 @@ def look_at_places(path: Path, namespace: str, companions: Mapping[str, Any]) ->
     for name, config in companions.items():
         node = full_name(name, namespace)
         file = read(path, node)
-        own = [held_port(key, PlaceKind.UDP, _ANY_PORT, address) for key, address in config.interfaces.items()]
+        own = [port_resource(key, PlaceKind.UDP, _ANY_PORT, address) for key, address in config.interfaces.items()]
         for place in (*config.places, *own):
             named_by = f"{path}:{file.line_of(place.parameter)}: {place.parameter}"
             if place.kind in _SOCKETS:
@@ -69,7 +69,7 @@ def look_at_places(path: Path, namespace: str, companions: Mapping[str, Any]) ->
                 yield PlaceState(node, named_by, place, errno.EADDRINUSE, holder)
 
 
-def judge_places(states: Sequence[PlaceState], running: Collection[str]) -> Iterator[CheckLine]:
+def check_places(states: Sequence[PlaceState], running: Collection[str]) -> Iterator[CheckLine]:
     """Check all ports and devices.
 
     Args:
@@ -101,11 +101,11 @@ def _problem(state: PlaceState) -> tuple[str, str]:
     return f"is not available: {os.strerror(state.error)}", "correct it in the suite file"
 
 
-def _words(place: HeldPlace) -> str:
+def _words(place: MachineResource) -> str:
     return str(place) if place.name else place.address
 
 
-def _binding_error(place: HeldPlace) -> int:
+def _binding_error(place: MachineResource) -> int:
     """Bind a port as the nodes do; return the errno of the failure, 0 if there is none."""
     try:
         with socket.socket(socket.AF_INET, _SOCKETS[place.kind]) as tried:
@@ -126,7 +126,7 @@ def _is_device(path: str) -> bool:
         return False
 
 
-def _sockets(place: HeldPlace) -> set[str]:
+def _sockets(place: MachineResource) -> set[str]:
     """Return the names of sockets of a port in /proc/PID/fd, for any address."""
     found = set()
     for table in _TABLES[place.kind]:

@@ -11,7 +11,7 @@ from ship_bringup.security.keystore import KeystoreUse, keystore_faults
 _SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
 
 
-def judge_security(
+def check_security(
     environment: Mapping[str, str], has_security: bool | None, is_required: bool
 ) -> Iterator[CheckLine]:
     """Check that DDS security is available and enforced: FAIL if the ship's profile, or the environment, demands it.
@@ -34,7 +34,7 @@ def judge_security(
         yield CheckLine(_SECURITY, Result.WARN, text, advice)
 
 
-def judge_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterator[CheckLine]:
+def check_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterator[CheckLine]:
     """Check the keystore and the policies in it.
 
     Args:

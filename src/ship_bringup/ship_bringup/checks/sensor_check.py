@@ -49,7 +49,7 @@ def asked_qualities(
     return found
 
 
-def judge_sensors(
+def check_sensors(
     state: NetworkState,
     limits: Limits,
     lags_s: Mapping[str, float],
@@ -80,13 +80,13 @@ def judge_sensors(
             advice = f"start {own_command}, then preflight again, and end it before the suite"
             yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
-        result, found, advice = _judged(observed, limits, lags_s, asked.get(observed.input.topic, {}))
+        result, found, advice = _evaluate_input(observed, limits, lags_s, asked.get(observed.input.topic, {}))
         if result is Result.FAIL and state.has_clock and found.endswith(_OLD):
             advice = "a bag is being played, as /clock shows: end its player"
         yield CheckLine(_CHECK, result, f"{observed.input.topic}: {found}", advice)
 
 
-def _judged(
+def _evaluate_input(
     observed: ObservedTopic, limits: Limits, lags_s: Mapping[str, float], asked: Mapping[str, str]
 ) -> tuple[Result, str, str]:
     topic = observed.input.topic

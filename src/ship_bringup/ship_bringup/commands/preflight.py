@@ -16,15 +16,15 @@ from ship_bags.live.dds import dds_has_security, is_demanded, loaded_libraries
 from ship_bags.live.ros_process import namespace_name, positive
 from ship_bags.parameter_yaml import full_name
 from ship_bags.renamed_topics import ship_names
-from ship_bringup.checks.check_line import CheckLine, Result, exit_code, table, verdict, worst_first
-from ship_bringup.checks.clock_check import judge_clock, look_at_clock
-from ship_bringup.checks.disk_check import judge_disk, look_at_disk, night_bytes
-from ship_bringup.checks.domain_check import judge_domain, judge_settings
-from ship_bringup.checks.file_check import judge_files, look_at_files
+from ship_bringup.checks.check_line import CheckLine, Result, exit_code, table, summary_text, worst_first
+from ship_bringup.checks.clock_check import check_clock, look_at_clock
+from ship_bringup.checks.disk_check import check_disk, look_at_disk, night_bytes
+from ship_bringup.checks.domain_check import check_domain, check_settings
+from ship_bringup.checks.file_check import check_files, look_at_files
 from ship_bringup.checks.network_look import NetworkState, look_at_network
-from ship_bringup.checks.port_check import judge_places, look_at_places
-from ship_bringup.checks.security_check import judge_keystore, judge_security
-from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
+from ship_bringup.checks.port_check import check_places, look_at_places
+from ship_bringup.checks.security_check import check_keystore, check_security
+from ship_bringup.checks.sensor_check import asked_qualities, check_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
 from ship_bringup.security.rights import companions_of, nmea_in_topics, suite_rights
@@ -119,14 +119,14 @@ def _preflight(options: argparse.Namespace) -> int:
     suite = _Suite(options, limits, nodes, findings, AdapterChain([node.adapter for node in nodes]))
     # Before a node is created, which would fail if security is demanded but not available.
     security = list(_security(suite))
-    settings = list(judge_settings(os.environ))
+    settings = list(check_settings(os.environ))
     network = _network(suite, settings)
-    domain = [*settings, *judge_domain(network, suite.names, suite.companion_names)]
+    domain = [*settings, *check_domain(network, suite.names, suite.companion_names)]
     checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
     checks += [_files(suite), _ports(suite, network), _sensors(suite, network), _load(suite, network)]
     lines = worst_first(checks)
     print("\n".join(table(lines)))
-    print(f"{options.file}: {verdict(lines)}")
+    print(f"{options.file}: {summary_text(lines)}")
     return exit_code(lines)
 
 
@@ -142,7 +142,7 @@ def _parameters(suite: _Suite) -> Iterable[CheckLine]:
 
 def _security(suite: _Suite) -> Iterable[CheckLine]:
     required, keystore = suite.limits.machine.require_security, os.environ.get(KEYSTORE, "")
-    yield from judge_security(os.environ, dds_has_security(loaded_libraries()), required)
+    yield from check_security(os.environ, dds_has_security(loaded_libraries()), required)
     is_demand = required or is_demanded(os.environ)
     if keystore or is_demand:
         namespace, names = suite.options.namespace, ship_names(suite.options.file)
@@ -159,11 +159,11 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
             voyage=datetime.timedelta(days=suite.options.days),
             authority_sha256=suite.limits.machine.authority_sha256,
         )
-        yield from judge_keystore(keystore, use, is_demand)
+        yield from check_keystore(keystore, use, is_demand)
 
 
 def _clock(suite: _Suite) -> Iterable[CheckLine]:
-    yield judge_clock(look_at_clock(), suite.limits)
+    yield check_clock(look_at_clock(), suite.limits)
 
 
 def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
@@ -189,17 +189,17 @@ def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
     for state, _, named_by in states:
         # The needs of all folders on one disk are added.
         needs = sum(bytes_per_s for other, bytes_per_s, _ in states if other.device == state.device)
-        yield from judge_disk(state, needs, suite.options.hours, suite.limits, named_by)
+        yield from check_disk(state, needs, suite.options.hours, suite.limits, named_by)
 
 
 def _files(suite: _Suite) -> Iterable[CheckLine]:
     states = look_at_files(suite.options.file, suite.options.box)
-    yield from judge_files(states, list(without_saved_file(suite.options.file, suite.nodes)))
+    yield from check_files(states, list(without_saved_file(suite.options.file, suite.nodes)))
 
 
 def _ports(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
     states = look_at_places(suite.options.file, suite.options.namespace, suite.companions)
-    yield from judge_places(list(states), network.nodes)
+    yield from check_places(list(states), network.nodes)
 
 
 def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
@@ -209,7 +209,7 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
     asked = asked_qualities(options.file, lags_s, options.namespace, options.reliable_inputs)
-    yield from judge_sensors(network, suite.limits, lags_s, asked, nmea_in_topics(suite.companions), _nmea_in(suite))
+    yield from check_sensors(network, suite.limits, lags_s, asked, nmea_in_topics(suite.companions), _nmea_in(suite))
 
 
 def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:

@@ -23,11 +23,11 @@ _MARGIN_S = 5.0
 _FIRST_EPHEMERAL = 32768
 
 
-class HeldPorts:
+class ReservedPorts:
     """UDP ports that no other process can take, each for the time of a lease."""
 
     def __init__(self) -> None:
-        self._held: list[tuple[float, list[socket.socket]]] = []
+        self._reserved: list[tuple[float, list[socket.socket]]] = []
 
     def hold(self, ports: frozenset[int]) -> None:
         """Reserve those of some ports that are free, and release those whose time is over.
@@ -35,23 +35,23 @@ class HeldPorts:
         A failure is ignored: the successor is then discovered later. The process may have no file descriptors left.
         """
         now_s = time.monotonic()
-        for until_s, sockets in self._held:
+        for until_s, sockets in self._reserved:
             if until_s <= now_s:
                 _close(sockets)
-        self._held = [(until_s, sockets) for until_s, sockets in self._held if until_s > now_s]
+        self._reserved = [(until_s, sockets) for until_s, sockets in self._reserved if until_s > now_s]
         taken = []
         for port in sorted(ports):
             with contextlib.suppress(OSError):
                 own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
                 taken.append(own)
                 own.bind(("", port))
-        self._held.append((now_s + _LEASE_S + _MARGIN_S, taken))
+        self._reserved.append((now_s + _LEASE_S + _MARGIN_S, taken))
 
     def close(self) -> None:
         """Release all ports."""
-        for _, sockets in self._held:
+        for _, sockets in self._reserved:
             _close(sockets)
-        self._held = []
+        self._reserved = []
 
 
 def ports_of(pid: int) -> frozenset[int]:

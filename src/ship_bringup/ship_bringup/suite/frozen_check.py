@@ -68,9 +68,9 @@ class FrozenCheck:
         for kept in programs:
             for process in kept.processes if kept.program.role is not Role.PLAYER else ():
                 process.heartbeat_age.add(step_s)
-                self._judge(kept, process)
+                self._check_process(kept, process)
 
-    def _judge(self, kept: KeptProgram, process: Process) -> None:
+    def _check_process(self, kept: KeptProgram, process: Process) -> None:
         heartbeat_age, name = process.heartbeat_age, _name(kept, process)
         limit_s = self._restart_s if heartbeat_age.has_beaten else max(_LONGEST_START_S, self._restart_s)
         if heartbeat_age.time_s >= limit_s and not heartbeat_age.is_ended:

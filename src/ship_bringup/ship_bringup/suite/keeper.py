@@ -15,7 +15,7 @@ from functools import partial
 from types import FrameType
 
 from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE
-from ship_bringup.suite.dds_ports import HeldPorts, ports_of
+from ship_bringup.suite.dds_ports import ReservedPorts, ports_of
 from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S, FrozenCheck
 from ship_bringup.suite.kept_program import KeptProgram
 from ship_bringup.suite.process import Process
@@ -57,7 +57,7 @@ class Keeper:
         self._end_requested = self._ending = False
         self._kill_due_s: float | None = None
         self._failure = EXIT_DONE
-        self._held_ports = HeldPorts()
+        self._reserved_ports = ReservedPorts()
         self._frozen_check = FrozenCheck(frozen_report_s, frozen_restart_s, partial(self._say, _SUITE))
 
     def run(self) -> int:
@@ -75,7 +75,7 @@ class Keeper:
                     self._guarded_work()
             finally:
                 self._kill_all()
-                self._held_ports.close()
+                self._reserved_ports.close()
                 heartbeats.close()
         return self._failure
 
@@ -173,9 +173,9 @@ class Keeper:
             if self._ending:
                 self._kill_due_s = None
             else:
-                self._judge_end(kept, code, ran_s)
+                self._handle_unrequested_end(kept, code, ran_s)
 
-    def _judge_end(self, kept: KeptProgram, code: int, ran_s: float) -> None:
+    def _handle_unrequested_end(self, kept: KeptProgram, code: int, ran_s: float) -> None:
         """Handle an end that the suite did not request."""
         how = f"{kept.program.name} ended after {ran_s:.1f} s: {end_words(code)}"
         if kept.program.role is Role.PLAYER:
@@ -194,7 +194,7 @@ class Keeper:
         when = "at once" if delay_s == 0.0 else f"in {delay_s:.0f} s"
         self._say(_SUITE, f"{how}; started again {when} (restart {kept.restarts.in_a_row} in a row)")
         kept.due_s = time.monotonic() + delay_s
-        self._held_ports.hold(kept.ports)
+        self._reserved_ports.hold(kept.ports)
 
     def _start_due(self) -> None:
         now_s = time.monotonic()

@@ -73,7 +73,7 @@ class Displacement:
         self._mean = np.zeros(0)
         self._covariance = self._start_covariance = np.zeros((0, 0))
         self._since_step, self._is_clear = 0, False
-        self._held: MemoryResidual | None = None
+        self._delayed: MemoryResidual | None = None
         self._newest: MemoryResidual | None = None
         # The displacement before the last step, and the largest one, or change of it, before the last change.
         self._before = self._largest = np.zeros(0)
@@ -97,7 +97,7 @@ class Displacement:
         self._pending.clear()
         if self._newest is None:
             return
-        self._absorb_held()
+        self._absorb_delayed()
         self._add_error(_AT_REST, covariance)
         if self.largest_rad and _square(self._displaced, self._displaced_covariance + covariance) <= self._within_noise:
             self._start(self._by_both @ self._mean, self._residual_covariance)
@@ -125,12 +125,12 @@ class Displacement:
             self._largest = self._largest_until_now(newest)
             if self._since_step >= _STEP_LASTS:
                 self._before, self._since_step = self._displaced, 0
-            self._held = None
+            self._delayed = None
             self._add_error(_DISPLACED, _UNKNOWN_RAD2 * np.eye(self._size))
             self._update(newest)
         else:
-            self._absorb_held()
-            self._held = newest
+            self._absorb_delayed()
+            self._delayed = newest
         self._since_step = min(self._since_step + 1, _STEP_LASTS)
         within = _square(self._displaced, self._displaced_covariance) <= self._within_noise
         self._is_clear = self._is_clear or not within
@@ -180,11 +180,11 @@ class Displacement:
         by_both = self._by_both
         return LinearMeasurement(residual.turn - by_both @ self._mean, by_both, {0: residual.noise})
 
-    def _absorb_held(self) -> None:
+    def _absorb_delayed(self) -> None:
         """Update with the delayed second: the update must not contain a second in which a step begins."""
-        if self._held is not None:
-            self._update(self._held)
-            self._held = None
+        if self._delayed is not None:
+            self._update(self._delayed)
+            self._delayed = None
 
     def _update(self, residual: MemoryResidual) -> None:
         """Update the state with a residual."""

@@ -19,7 +19,7 @@ All decisions follow from the inputs and their order, once a second of the waiti
 from collections.abc import Callable, Mapping, Sequence, Set
 from typing import Any, Protocol
 
-from ship_estimation.outcome import Decision, Outcome, Status
+from ship_estimation.outcome import MeasurementDecision, Outcome, Status
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.displacements import Displacements
@@ -176,7 +176,7 @@ class EstimatorRecovery:
         """Sources that have moved and not moved back; see :attr:`Displacements.displaced`."""
         return self._displacements.displaced
 
-    def note_decision(self, live: RecoverableCore, decision: Decision[Any]) -> None:
+    def note_decision(self, live: RecoverableCore, decision: MeasurementDecision[Any]) -> None:
         """Add the residual of a measurement from the state before the first sign of trouble."""
         if self._before_step is None or decision.revised:
             return

@@ -156,8 +156,8 @@ def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str
         off = f" · {source.disagreement}" if source.disagreement else ""
         sigmas = f" · residual {abs(source.residual):.1f} σ" if np.isfinite(source.residual) else ""
         return f"✕ {name}  OUT{axis} · {source.reason}{off}{sigmas}", True
-    verdict = f" · {source.verdict.text}" if source.verdict and source.verdict.text else ""
-    return f"✓ {name}  {source.presence.value}{axis}{verdict}", False
+    consistency = f" · {source.nis_consistency.text}" if source.nis_consistency and source.nis_consistency.text else ""
+    return f"✓ {name}  {source.presence.value}{axis}{consistency}", False
 
 
 def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[str, FloatArray]:

@@ -169,9 +169,9 @@ def _why(source: SourceShown) -> list[str]:
 
 
 def _source_row(source: SourceShown, *, is_because: bool, is_alone: bool) -> dict[str, Any]:
-    verdict = source.verdict.text if source.verdict is not None else ""
+    consistency = source.nis_consistency.text if source.nis_consistency is not None else ""
     shift = f"mounting shifted by {words.small_angle(source.mounting_shift)}" if source.mounting_shift > 0.0 else ""
-    sub = source.disagreement or shift or verdict
+    sub = source.disagreement or shift or consistency
     if source.presence is Presence.OUT:
         # With several banners the list has the details that are otherwise under the banner.
         since = f"{source.reason} since {words.utc_clock(source.out_since_ns)}" if source.out_since_ns else source.reason

@@ -89,7 +89,7 @@ def _of_angle(angle: AngleShown, picture: Picture, pen: Pen) -> list[Line]:
 
 
 def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
-    verdict = source.verdict
+    consistency = source.nis_consistency
     residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else words.NO_VALUE
     rows = {
         "reason": source.reason or words.NO_VALUE,
@@ -98,7 +98,7 @@ def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
         "out since": words.date_and_clock(source.out_since_ns) if source.out_since_ns else words.NO_VALUE,
         "because of": source.because_of or words.NO_VALUE,
         "rejected in a row": str(source.rejected_in_a_row),
-        "sigma": (verdict.text or f"{verdict.degrees} degrees of freedom") if verdict else words.NO_VALUE,
+        "sigma": (consistency.text or f"{consistency.degrees} degrees of freedom") if consistency else words.NO_VALUE,
     }
     inputs = []
     for each in picture.inputs:

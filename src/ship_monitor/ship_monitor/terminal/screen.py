@@ -148,8 +148,8 @@ def source_line(source: SourceShown, picture: Picture, pen: Pen, *, is_chosen: b
     """
     is_out = source.presence is Presence.OUT
     is_consequence = is_out and source.because_of in {each.name for each in picture.sources if not each.because_of}
-    verdict = source.verdict.text if source.verdict is not None else ""
-    known = [source.reason, source.disagreement] if is_out else [source.disagreement, verdict]
+    consistency = source.nis_consistency.text if source.nis_consistency is not None else ""
+    known = [source.reason, source.disagreement] if is_out else [source.disagreement, consistency]
     if is_out and source.because_of and not is_consequence and source.because_of not in source.reason:
         known.append(f"because of {source.because_of}")
     rate = f"{source.rate_hz:7.1f} Hz" if math.isfinite(source.rate_hz) else " " * 10

@@ -9,10 +9,10 @@ from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
 from ship_node.parameters.places import (
     ANY_ADDRESS,
-    HeldPlace,
+    MachineResource,
     PlaceKind,
-    held_path,
-    held_port,
+    path_resource,
+    port_resource,
     is_ipv4,
     refuse_clashes,
 )
@@ -90,16 +90,16 @@ class NmeaSourceConfig:
             return f"{os.path.normpath(self.device)} at {self.baud} Bd"
         return f"{self.kind} {self.address or ANY_ADDRESS}:{self.port}"
 
-    def held(self, name: str) -> HeldPlace | None:
+    def held(self, name: str) -> MachineResource | None:
         """Return the port or device of this machine that it occupies; None if there is none.
 
         Args:
             name: of the source's group of parameters, for example ``sources.gyro``.
         """
         if self.kind == SERIAL:
-            return held_path(f"{name}.device", self.device)
+            return path_resource(f"{name}.device", self.device)
         if self.kind == UDP:
-            return held_port(f"{name}.port", PlaceKind.UDP, self.port, self.address)
+            return port_resource(f"{name}.port", PlaceKind.UDP, self.port, self.address)
         return None
 
 
@@ -130,9 +130,9 @@ class NmeaInConfig:
         refuse_clashes(self.places)
 
     @property
-    def places(self) -> tuple[HeldPlace, ...]:
+    def places(self) -> tuple[MachineResource, ...]:
         """Return the ports and devices that the node occupies; one shared by sources is listed once, by the first."""
-        held: dict[str, HeldPlace | None] = {}
+        held: dict[str, MachineResource | None] = {}
         for id_, source in self.sources.items():
             held.setdefault(source.place, source.held(f"sources.{id_}"))
         return tuple(filter(None, held.values()))

@@ -178,7 +178,7 @@ class Source:
     def _status(self, problem: str, dropped: int, now_ns: int) -> DiagnosticStatus:
         if dropped > self._dropped:
             self._dropped, self._dropped_ns = dropped, now_ns
-        level, text = self._judged(problem, now_ns)
+        level, text = self._evaluate(problem, now_ns)
         given = sum(self._given[topic] for topic in self._wanted)
         span_s = max(now_ns - self._told_ns, 1) / NS_PER_S
         values = {
@@ -200,7 +200,7 @@ class Source:
         self._given_before, self._told_ns = given, now_ns
         return DiagnosticStatus(f"source {self.id}", level, text, values)
 
-    def _judged(self, problem: str, now_ns: int) -> tuple[Level, str]:
+    def _evaluate(self, problem: str, now_ns: int) -> tuple[Level, str]:
         report, limit_ns = self._report, self.config.silent_after_s * NS_PER_S
         topics = " or ".join(self._wanted)
         recent = [reason for reason, at_ns in report.rejected_ns.items() if now_ns - at_ns <= SHOWN_NS]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
 from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES
-from ship_node.parameters.places import HeldPlace, PlaceKind, held_path, held_port, is_ipv4, refuse_clashes
+from ship_node.parameters.places import MachineResource, PlaceKind, path_resource, port_resource, is_ipv4, refuse_clashes
 
 UDP, TCP_SERVER, SERIAL, FILE = "udp", "tcp_server", "serial", "file"
 ALF, ALC, HBT = "ALF", "ALC", "HBT"
@@ -86,19 +86,19 @@ class SinkConfig:
             return True
         return not self.from_ and self.kind == UDP and address == self.address
 
-    def held(self, name: str) -> HeldPlace | None:
+    def held(self, name: str) -> MachineResource | None:
         """Return the port, device or file of this machine that it occupies; None if others may share its destination.
 
         Args:
             name: of the sink's group of parameters, for example ``sinks.bridge``.
         """
         if self.kind == TCP_SERVER:
-            return held_port(f"{name}.port", PlaceKind.TCP, self.port, self.address)
+            return port_resource(f"{name}.port", PlaceKind.TCP, self.port, self.address)
         if self.kind == SERIAL:
-            return held_path(f"{name}.device", self.device)
+            return path_resource(f"{name}.device", self.device)
         if self.kind == FILE:
-            return held_path(f"{name}.path", self.path)
-        return held_port(f"{name}.listen_port", PlaceKind.UDP, self.listen_port) if self.listen_port else None
+            return path_resource(f"{name}.path", self.path)
+        return port_resource(f"{name}.listen_port", PlaceKind.UDP, self.listen_port) if self.listen_port else None
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class NmeaOutConfig:
         refuse_clashes(self.places)
 
     @property
-    def places(self) -> tuple[HeldPlace, ...]:
+    def places(self) -> tuple[MachineResource, ...]:
         """Return the ports, devices and files of this machine that the node occupies."""
         return tuple(filter(None, (sink.held(f"sinks.{name}") for name, sink in self.sinks.items())))
 

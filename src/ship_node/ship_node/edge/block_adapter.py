@@ -74,7 +74,7 @@ class BlockAdapter(ReportingAdapter):
         if count:
             unmoved = samples.some(slice(count))
             count = self._contested.count_before_change(topic, unmoved.times_ns, unmoved.rotations_nd)
-        ahead = block.core.look_ahead(samples.some(slice(count)), receive_ns[:count]) if count else None
+        ahead = block.core.evaluate_batch(samples.some(slice(count)), receive_ns[:count]) if count else None
         if ahead is None:
             return None
         count = ahead.followed.count

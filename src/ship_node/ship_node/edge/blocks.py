@@ -51,7 +51,7 @@ SamplesAhead = TypeVar("SamplesAhead", bound=Ahead)
 class AheadCore(Protocol[SamplesAhead]):
     """Interface of a core that evaluates batches of samples before it commits them."""
 
-    def look_ahead(self, samples: Any, arrivals_ns: StampArray) -> SamplesAhead | None:
+    def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> SamplesAhead | None:
         """Evaluate the leading samples that need no special treatment; None if the first one does."""
         ...
 

@@ -33,7 +33,7 @@ _EXPECTED_REASONS = (Reason.GATE, Reason.REVISED)
 
 _EDGES = (*(f"up to {edge:g} s" for edge in LATE_EDGES_S), f"above {LATE_EDGES_S[-1]:g} s")
 
-_Verdict = tuple[Level, str]
+_Issue = tuple[Level, str]
 
 
 class _State(NamedTuple):
@@ -130,7 +130,7 @@ class InputHealthBook(InputRecords):
 
     def _state(self, record: InputRecord, now_ns: int, waiting_ns: int) -> _State:
         latency_s, rate_hz = record.latency_s, record.rate_hz(waiting_ns)
-        level, text = self._judge(record, latency_s, rate_hz, waiting_ns)
+        level, text = self._worst_issue(record, latency_s, rate_hz, waiting_ns)
         return _State(record, level, text, rate_hz, latency_s, record.age_s(now_ns))
 
     def _status(self, state: _State) -> DiagnosticStatus:
@@ -153,30 +153,30 @@ class InputHealthBook(InputRecords):
             values["lost by the middleware"] = str(self._lost[topic])
         return DiagnosticStatus(f"input {topic}", state.level, state.text, values)
 
-    def _judge(self, record: InputRecord, latency_s: float, rate_hz: float, waiting_ns: int) -> _Verdict:
+    def _worst_issue(self, record: InputRecord, latency_s: float, rate_hz: float, waiting_ns: int) -> _Issue:
         """Return the worst issue; of equally bad ones the first."""
-        verdicts = [
-            *self._judge_connection(record, waiting_ns),
+        issues = [
+            *self._connection_issues(record, waiting_ns),
             *([(Level.ERROR, self._age_text(latency_s))] if record.is_too_old else []),
-            *_judge_refusals(record, waiting_ns),
+            *_rejection_issues(record, waiting_ns),
             *_timeout_issues(record, waiting_ns),
         ]
         if record.received == 0:
-            verdicts.append((Level.OK, "no message yet"))
-        verdicts.append((Level.OK, f"{_rate_text(record, rate_hz)}, latency {_latency_text(latency_s)}"))
-        return max(verdicts, key=lambda verdict: verdict[0])
+            issues.append((Level.OK, "no message yet"))
+        issues.append((Level.OK, f"{_rate_text(record, rate_hz)}, latency {_latency_text(latency_s)}"))
+        return max(issues, key=lambda verdict: verdict[0])
 
     def _age_text(self, latency_s: float) -> str:
         hint = " /clock is published: start with use_sim_time:=true" if self._is_clock_unused else ""
         return f"stamps {_latency_text(latency_s)} before the node's clock: a bag of another time?{hint}"
 
-    def _judge_connection(self, record: InputRecord, waiting_ns: int) -> list[_Verdict]:
+    def _connection_issues(self, record: InputRecord, waiting_ns: int) -> list[_Issue]:
         """Return issues that prevent messages from arriving at all."""
-        topic, verdicts = record.input.topic, []
+        topic, issues = record.input.topic, []
         if topic in self._incompatible:
-            verdicts.append((Level.ERROR, f"incompatible QoS: {self._incompatible[topic]}"))
+            issues.append((Level.ERROR, f"incompatible QoS: {self._incompatible[topic]}"))
         if self._contested.get(topic):
-            verdicts.append((Level.ERROR, self._contested[topic]))
+            issues.append((Level.ERROR, self._contested[topic]))
         waited = self.start_ns is not None and waiting_ns - self.start_ns >= WATCHDOG_NS
         if waited and record.last_arrival_ns is None:
             publishers = self._publishers.get(topic)
@@ -187,10 +187,10 @@ class InputHealthBook(InputRecords):
                 hint = f"no message for {waited_s:.0f} s since the start"
                 hint += ": no publisher" if publishers == 0 else ""
             if record.input.required:
-                verdicts.append((Level.ERROR, f"required: {hint}"))
+                issues.append((Level.ERROR, f"required: {hint}"))
             elif (publishers and not record.input.at_times) or record.input.named:
-                verdicts.append((Level.WARN, hint))
-        return verdicts
+                issues.append((Level.WARN, hint))
+        return issues
 
 
 def _message(factory: MessageFactory, state: _State, now_ns: int) -> Any:
@@ -211,7 +211,7 @@ def _message(factory: MessageFactory, state: _State, now_ns: int) -> Any:
     )
 
 
-def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
+def _rejection_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:
     """Return issues from rejected messages."""
     last = record.last_rejection
     if last is None or record.last_rejection_ns is None:
@@ -234,7 +234,7 @@ def _latency_text(latency_s: float) -> str:
     return "nan s" if math.isnan(latency_s) else duration_text(round(latency_s * 1e9))
 
 
-def _timeout_issues(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
+def _timeout_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:
     """Return the issue of a timeout."""
     if record.last_arrival_ns is None or record.input.at_times:
         return []

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.outcome import Decision
+from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.refusals import Reason, Rejection
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import InputTopic
@@ -251,7 +251,7 @@ class InputRecords:
         self.arrived(topic, waiting_ns)
         self.rejected(topic, rejection, receive_ns, stamp_ns)
 
-    def judged(self, topic: str, decision: Decision[Any], now_ns: int) -> None:
+    def record_decision(self, topic: str, decision: MeasurementDecision[Any], now_ns: int) -> None:
         """Record the decision on a measurement of a topic.
 
         Args:

@@ -12,7 +12,7 @@ import numpy as np
 from ship_bags.cdr_encoder import cdr_text
 from ship_bags.cdr_template import HEADER, CdrMessage
 from ship_bags.message_factory import MessageFactory
-from ship_estimation.outcome import Decision
+from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.protection import IntegrityConfig, IntegrityReport, IntegrityState
 from ship_estimation.refusals import Reason, Rejection, shortened
 from ship_geometry.ros_axes import enu_covariance
@@ -110,7 +110,7 @@ def diagnostic_array(
     return CdrMessage(DIAGNOSTICS_TYPE, bytes(data), {"header": lambda _: header, "status": lambda _: told})
 
 
-def judged_input(factory: MessageFactory, source: str, decision: Decision[Any]) -> Any:
+def decision_message(factory: MessageFactory, source: str, decision: MeasurementDecision[Any]) -> Any:
     """Return the ship_msgs/Innovation of a measurement that was compared, for the first time or again.
 
     Args:
@@ -122,8 +122,8 @@ def judged_input(factory: MessageFactory, source: str, decision: Decision[Any]) 
     if decision.accepted and not decision.measurement.covariance_known:
         reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
     if decision.revised:
-        verdict = "now accepted" if decision.accepted else f"now rejected: {reason.word}"
-        reason, text = Reason.REVISED, f"re-evaluated after a late measurement, {verdict} {text}".rstrip()
+        result = "now accepted" if decision.accepted else f"now rejected: {reason.word}"
+        reason, text = Reason.REVISED, f"re-evaluated after a late measurement, {result} {text}".rstrip()
     # Layouts are cached; a text with numbers would need a new one each time.
     make = factory.make if text else factory.encoded
     return make(

@@ -65,7 +65,7 @@ class RecoveringAdapter(BlockAdapter):
 
     def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
         """Return the sources, named as in exclusions, that a usable message shows to be present."""
-        return () if feed.judged else (feed.source,)
+        return () if feed.has_decision else (feed.source,)
 
     def sources_of_decision(self, decision: Any) -> Iterable[str]:
         """Return the sources that a compared measurement shows to be present."""

@@ -32,7 +32,7 @@ from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Dia
 from ship_node.edge.overload import Overload
 from ship_node.edge.time_base import TimeBase
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
-from ship_node.edge.verdict_report import VerdictReport
+from ship_node.edge.verdict_report import InnovationReport
 
 INPUT_HEALTH_TOPIC = "input_health"
 OWN_OUTPUTS = (
@@ -82,7 +82,7 @@ class Feed:
     source: str
     read: Callable[..., ReadMessage[Any]]
     take: Callable[[Any, int], Any]
-    judged: bool = False
+    has_decision: bool = False
     measured_by: str = ""
     block: BlockFeed | None = None
     read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
@@ -168,7 +168,7 @@ class ReportingAdapter(ABC):
         self.latest: Any = None
         self.budget_due: Any = None
         self.conflicts: dict[str, str] = {}
-        self.innovation_report = VerdictReport()
+        self.innovation_report = InnovationReport()
         self.slow_due_ns: int | None = None
         self.published_levels = ToldLevels()
         self.behind: Overload | None = None
@@ -250,7 +250,7 @@ class ReportingAdapter(ABC):
         """
         time_ns = reading.value.time_ns
         rejection = None if outcome is None else outcome.refusal
-        used = not feed.judged or outcome is None
+        used = not feed.has_decision or outcome is None
         self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, rejection, used)
         published: list[Published] = []
         for name, left_out in reading.rejected_parts:
@@ -261,7 +261,7 @@ class ReportingAdapter(ABC):
 
     def see(self, feed: Feed, reading: ReadMessage[Any]) -> None:
         """Check, before the core gets a value, that it belongs to one stream."""
-        if feed.continuous is None or feed.judged or reading.empty:
+        if feed.continuous is None or feed.has_decision or reading.empty:
             return
         topic = feed.input.topic
         if self._contested.see(topic, reading.value.time_ns, reading.value):
@@ -387,10 +387,10 @@ class ReportingAdapter(ABC):
 
     def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
         """Record an outcome of the core and return its messages: decisions, failures, estimates."""
-        judged = []
+        decisions = []
         for decision in outcome.decisions:
             feed = self._measured_by[decision.measurement.source]
-            self.health.judged(feed.input.topic, decision, now_ns)
+            self.health.record_decision(feed.input.topic, decision, now_ns)
             if decision.reason is Reason.ATTITUDE_CONFLICT:
                 self.conflicts[feed.source] = decision.text
             elif decision.accepted:
@@ -398,14 +398,14 @@ class ReportingAdapter(ABC):
             topic, is_attitude = feed.input.topic, decision.noise.shape == _OF_ATTITUDE and not decision.revised
             if is_attitude and self._contested.see(topic, decision.measurement.time_ns, decision):
                 self._pass_on_contested(topic)
-            judged.append((feed.source, decision))
-        self.innovation_report.pending += judged
+            decisions.append((feed.source, decision))
+        self.innovation_report.pending += decisions
         published: list[Published] = []
-        for source, decision in judged:
+        for source, decision in decisions:
             time_ns = decision.measurement.time_ns
             for name, left_out in decision.left_out:
                 published.append(self._rejected_part(source, time_ns, name, left_out))
-            message = messages_out.judged_input(self.factory, source, decision)
+            message = messages_out.decision_message(self.factory, source, decision)
             published.append((self.innovation_topic, message))
         for time_ns, rejection in outcome.failures:
             published.append(self.failed(self.main_topic, time_ns, rejection))

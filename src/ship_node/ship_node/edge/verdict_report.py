@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ship_estimation.kalman import StateModel
-from ship_estimation.outcome import Decision
+from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.verdicts import InnovationDiagnosis, VerdictBook, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_out import DiagnosticStatus, Level
@@ -20,7 +20,7 @@ _MOST_PENDING = 5000
 _GOOD = (DiagnosisKind.AS_STATED, DiagnosisKind.UNKNOWN)
 
 
-class VerdictReport:
+class InnovationReport:
     """Innovation diagnoses of a node's sources as diagnostics.
 
     Attributes:
@@ -28,7 +28,7 @@ class VerdictReport:
     """
 
     def __init__(self) -> None:
-        self.pending: deque[tuple[str, Decision[Any]]] = deque(maxlen=_MOST_PENDING)
+        self.pending: deque[tuple[str, MeasurementDecision[Any]]] = deque(maxlen=_MOST_PENDING)
         self._history = VerdictBook()
 
     def clear(self) -> None:
@@ -36,7 +36,7 @@ class VerdictReport:
         self.pending.clear()
         self._history.clear()
 
-    def verdicts(self) -> dict[str, InnovationDiagnosis]:
+    def diagnoses(self) -> dict[str, InnovationDiagnosis]:
         """Return the diagnosis of each source whose measurements were compared with a prediction."""
         while self.pending:
             self._history.add(*self.pending.popleft())
@@ -44,7 +44,7 @@ class VerdictReport:
 
     def statuses(self) -> list[DiagnosticStatus]:
         """Return one diagnostic status per diagnosis."""
-        return [_status(source, verdict) for source, verdict in self.verdicts().items()]
+        return [_status(source, verdict) for source, verdict in self.diagnoses().items()]
 
 
 def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> DiagnosticStatus:
@@ -59,16 +59,16 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
     return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within configured limits")
 
 
-def _status(source: str, verdict: InnovationDiagnosis) -> DiagnosticStatus:
-    level = Level.OK if verdict.kind in _GOOD else Level.WARN
-    values = {"measurements": str(verdict.count)}
-    if verdict.nis_band is not None:
-        low, high = verdict.nis_band
+def _status(source: str, diagnosis: InnovationDiagnosis) -> DiagnosticStatus:
+    level = Level.OK if diagnosis.kind in _GOOD else Level.WARN
+    values = {"measurements": str(diagnosis.count)}
+    if diagnosis.nis_band is not None:
+        low, high = diagnosis.nis_band
         values |= {
-            "NIS per component": f"{verdict.nis:.2f} (expected {low:.2f} to {high:.2f})",
-            "factor of its sigma": f"{verdict.factor:.2f}",
-            "far off (%)": f"{100.0 * verdict.far_share:.1f}",
+            "NIS per component": f"{diagnosis.nis:.2f} (expected {low:.2f} to {high:.2f})",
+            "factor of its sigma": f"{diagnosis.factor:.2f}",
+            "far off (%)": f"{100.0 * diagnosis.far_share:.1f}",
         }
-        values |= {f"bias {axis} (sigma)": f"{value:+.2f}" for axis, value in verdict.bias_sigma.items()}
-        values |= {f"correlation {axis}": f"{value:+.2f}" for axis, value in verdict.correlation.items()}
-    return DiagnosticStatus(f"verdict {source}", level, verdict.text, values)
+        values |= {f"bias {axis} (sigma)": f"{value:+.2f}" for axis, value in diagnosis.bias_sigma.items()}
+        values |= {f"correlation {axis}": f"{value:+.2f}" for axis, value in diagnosis.correlation.items()}
+    return DiagnosticStatus(f"verdict {source}", level, diagnosis.text, values)

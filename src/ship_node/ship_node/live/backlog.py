@@ -64,7 +64,7 @@ class Backlog:
         self._worked = TimeoutClock(lambda: self._running_ns)
         self._last_short_ns: int | None = None
 
-    def judge(self, waited_ns: int, running_ns: int) -> Change:
+    def evaluate(self, waited_ns: int, running_ns: int) -> Change:
         """Return the change of the overload state.
 
         Args:

@@ -123,7 +123,7 @@ class LiveNode:
         while not stop() and self._context.ok():
             if self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S):
                 self._all_received_ns = self._clock.running_ns()
-            self._guard.call("backlog", self._judge_backlog)
+            self._guard.call("backlog", self._check_backlog)
             self._guard.call("work", self._work)
             if self._clock.is_dead() and not self._status_log.tells_of("clock"):
                 self._guard.call("watch", self._watch)
@@ -206,11 +206,11 @@ class LiveNode:
         if are_two and topic not in self._contested:
             self._look_at_publishers(topic)
 
-    def _judge_backlog(self) -> None:
+    def _check_backlog(self) -> None:
         """Cut the waiting messages if the node is behind; report each change to the adapter."""
         running_ns, since_ns = self._clock.running_ns(), self._inbox.since_ns
         waited_ns = running_ns - since_ns if since_ns else 0
-        change = self._backlog.judge(waited_ns, running_ns)
+        change = self._backlog.evaluate(waited_ns, running_ns)
         if change is Change.NONE:
             return
         now_ns, waiting_ns = self._clock.times()

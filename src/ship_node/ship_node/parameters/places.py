@@ -21,7 +21,7 @@ class PlaceKind(Enum):
 
 
 @dataclass(frozen=True)
-class HeldPlace:
+class MachineResource:
     """Listening port, serial device or file; made by :func:`port_resource` and :func:`path_resource`.
 
     Attributes:
@@ -53,7 +53,7 @@ class HeldPlace:
         except ValueError:
             return False
 
-    def conflicts_with(self, other: "HeldPlace") -> bool:
+    def conflicts_with(self, other: "MachineResource") -> bool:
         """Return True if only one of the two resources can be used."""
         if (self.kind, self.name) != (other.kind, other.name):
             return False
@@ -70,12 +70,12 @@ def is_ipv4(text: str) -> bool:
         return False
 
 
-def held_port(parameter: str, kind: PlaceKind, port: int, address: str = "") -> HeldPlace:
+def port_resource(parameter: str, kind: PlaceKind, port: int, address: str = "") -> MachineResource:
     """Return a port of an own address or of a group; without an address, or with 0.0.0.0, of all addresses."""
-    return HeldPlace(parameter, kind, port, "" if address == ANY_ADDRESS else address)
+    return MachineResource(parameter, kind, port, "" if address == ANY_ADDRESS else address)
 
 
-def held_path(parameter: str, path: str) -> HeldPlace:
+def path_resource(parameter: str, path: str) -> MachineResource:
     """Return a device or a file by its path as written, without redundant slashes and dots.
 
     Links to one device are not resolved: at the start another device may be plugged in.
@@ -84,15 +84,15 @@ def held_path(parameter: str, path: str) -> HeldPlace:
         >>> held_path("sinks.log.path", "/var/log//ship/./a.nmea").name
         '/var/log/ship/a.nmea'
     """
-    return HeldPlace(parameter, PlaceKind.PATH, os.path.normpath(path))
+    return MachineResource(parameter, PlaceKind.PATH, os.path.normpath(path))
 
 
-def clashes(places: Iterable[HeldPlace]) -> Iterator[tuple[HeldPlace, HeldPlace]]:
+def clashes(places: Iterable[MachineResource]) -> Iterator[tuple[MachineResource, MachineResource]]:
     """Yield pairs of resources of which only one can be used, in their order."""
     return ((one, other) for one, other in combinations(places, 2) if one.conflicts_with(other))
 
 
-def refuse_clashes(places: Iterable[HeldPlace]) -> None:
+def refuse_clashes(places: Iterable[MachineResource]) -> None:
     """Refuse conflicting resources of one node.
 
     Raises:

@@ -141,14 +141,14 @@ def axis_sightings(
     """
     found = AxisSightings()
 
-    class Listening(OpticalAxisAdapter):
+    class DecisionRecorder(OpticalAxisAdapter):
         def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
             for decision in outcome.decisions:
                 found.take(self.core, decision)
             return super().published(outcome, now_ns, waiting_ns)
 
     with read_bag(bag_path) as bag:
-        chain, _ = suite_chain(bag, (Listening,), RosbagsFactory(), config_path, namespace)
+        chain, _ = suite_chain(bag, (DecisionRecorder,), RosbagsFactory(), config_path, namespace)
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
         run = ReplayRun(chain, _Sink(), ReplaySummary(), ())
         for record in watch(bag.records(names), bag):

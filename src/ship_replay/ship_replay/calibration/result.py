@@ -68,7 +68,7 @@ class JointRotation:
     @property
     def observed(self) -> str:
         """Observability: yes, partly or no."""
-        return verdict(self.ratio)
+        return observability(self.ratio)
 
 
 def combinations(
@@ -126,7 +126,7 @@ def _variances(covariance_by_source: FloatArray, functional: FloatArray) -> Floa
     return variances
 
 
-def verdict(ratio: float) -> str:
+def observability(ratio: float) -> str:
     """Return the observability for a ratio of sigmas, after / before: yes, partly or no."""
     if ratio >= NOT_OBSERVED:
         return "no"
@@ -167,7 +167,7 @@ class InstalledAngle:
         """Observability: yes, partly or no; empty if the angle is not separable from another."""
         if not np.isfinite(self.sigma):
             return ""
-        observed = verdict(self.sigma / self.sigma_before)
+        observed = observability(self.sigma / self.sigma_before)
         return "partly" if observed == "yes" and self.unresolved_in else observed
 
 
@@ -283,10 +283,10 @@ def _angle_changes(combination: JointRotation, angles: FloatArray) -> FloatArray
 
 def _gate_warning(source: str, count: InputCount) -> str:
     """Return a warning if too many messages of a device were too improbable; else an empty text."""
-    judged = count.used + count.improbable
-    if count.improbable <= _EXPECTED_SHARE * judged:
+    total = count.used + count.improbable
+    if count.improbable <= _EXPECTED_SHARE * total:
         return ""
     return (
-        f"{source}: {count.improbable} of {judged} messages were rejected as improbable: its installation or its noise "
+        f"{source}: {count.improbable} of {total} messages were rejected as improbable: its installation or its noise "
         "is not as configured (installation: use --prior-sigma)"
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force, check_file, write_whole
 from ship_bags.renamed_topics import add_bag_names
-from ship_replay.evaluation.bounds import Bounds, judge, read_bounds
+from ship_replay.evaluation.bounds import Bounds, check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.evaluation.tables import print_evaluation, table_console
 
@@ -58,10 +58,10 @@ def _run(options: argparse.Namespace) -> int:
         write_whole(options.json, evaluation.json_text())
     if options.figure is not None:
         _draw(evaluation, options.bag.name, options.figure)
-    judged = judge(evaluation.flat(), bounds, str(options.bounds))
-    for bound in judged:
+    checks = check_bounds(evaluation.flat(), bounds, str(options.bounds))
+    for bound in checks:
         print(bound.line)
-    return EXIT_DONE if all(bound.met for bound in judged) else EXIT_BOUND_NOT_MET
+    return EXIT_DONE if all(bound.met for bound in checks) else EXIT_BOUND_NOT_MET
 
 
 def _draw(evaluation: Evaluation, title: str, path: Path) -> None:

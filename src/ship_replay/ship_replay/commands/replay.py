@@ -96,7 +96,7 @@ def _run(options: argparse.Namespace) -> int:
         _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, _replaying, *arrival))
     if options.report is not None:
         _report(options)
-    return EXIT_DONE if verification is None else _judge(verification, options.verify)
+    return EXIT_DONE if verification is None else _print_verification(verification, options.verify)
 
 
 def _report_names(options: argparse.Namespace) -> tuple[str, str]:
@@ -132,16 +132,16 @@ def _print(summary: ReplaySummary) -> None:
         print(f"not in the bag: {', '.join(summary.absent)}")
     for problem in summary.problems:
         print(f"warning: {problem}")
-    held_up = summary.log_times.held_up()
-    if held_up:
-        print(f"warning: {held_up}; --arrival stamps uses the stamps as arrival times")
+    irregularity = summary.log_times.held_up()
+    if irregularity:
+        print(f"warning: {irregularity}; --arrival stamps uses the stamps as arrival times")
     rate = summary.duration_s / summary.elapsed_s
     print(f"{summary.duration_s:.1f} s of data in {summary.elapsed_s:.1f} s ({rate:.0f} x real time)")
     for line in [*summary.course_lines(), *summary.reasons]:
         print(line)
 
 
-def _judge(verification: Verification, decides: bool) -> int:
+def _print_verification(verification: Verification, decides: bool) -> int:
     """Print the result of a comparison and return the exit code: a difference counts only with --verify."""
     print(f"used:  {_counts(verification.used)}")
     print(f"equal: {_counts(verification.equal)}")

@@ -60,7 +60,7 @@ class _Entry:
 
 
 @dataclass(frozen=True)
-class JudgedBound:
+class CheckedBound:
     """A quantity compared with its limits. NaN never meets a bound."""
 
     quantity: str
@@ -106,7 +106,7 @@ def read_bounds(path: Path) -> Bounds:
     return Bounds(skip_s, limits)
 
 
-def judge(values: Mapping[str, float], bounds: Bounds, name: str) -> list[JudgedBound]:
+def check_bounds(values: Mapping[str, float], bounds: Bounds, name: str) -> list[CheckedBound]:
     """Compare each bounded quantity with its limits.
 
     Raises:
@@ -115,4 +115,4 @@ def judge(values: Mapping[str, float], bounds: Bounds, name: str) -> list[Judged
     missing = sorted(bounds.limits.keys() - values.keys())
     if missing:
         raise BadInput(f"{name}: no such quantity: {', '.join(missing)}; there are {', '.join(sorted(values))}")
-    return [JudgedBound(key, values[key], *limits) for key, limits in bounds.limits.items()]
+    return [CheckedBound(key, values[key], *limits) for key, limits in bounds.limits.items()]

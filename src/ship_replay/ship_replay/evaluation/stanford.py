@@ -162,8 +162,8 @@ def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, watch: Wa
     ]
     if not rows:
         return None
-    status, errors, held, limits = (np.array(part) for part in zip(*rows, strict=True))
-    return Epochs(orientation, errors, held, limits, np.isin(status, (Status.VALID, Status.COASTING)))
+    status, errors, level, limits = (np.array(part) for part in zip(*rows, strict=True))
+    return Epochs(orientation, errors, level, limits, np.isin(status, (Status.VALID, Status.COASTING)))
 
 
 def _error_arcsec(orientation: Orientation, angles: FloatArray, truth_nd: FloatArray) -> FloatArray:

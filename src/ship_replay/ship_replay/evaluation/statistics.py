@@ -158,7 +158,7 @@ def _root_mean_square(values: FloatArray) -> float:
 
 
 @dataclass(frozen=True)
-class Judged:
+class AcceptedInnovation:
     """Innovation of an accepted measurement.
 
     Attributes:
@@ -183,7 +183,7 @@ class SourceInnovations:
         rejected: reason → number of rejected measurements.
     """
 
-    compared: dict[int, Judged] = field(default_factory=dict)
+    compared: dict[int, AcceptedInnovation] = field(default_factory=dict)
     rejected: Counter[str] = field(default_factory=Counter)
 
     def since(self, start_ns: int) -> "SourceInnovations":
@@ -193,14 +193,14 @@ class SourceInnovations:
 
     def components(self) -> list[str]:
         """Return the names of all components, in order of their first occurrence."""
-        return list(dict.fromkeys(name for judged in self.compared.values() for name in judged.components))
+        return list(dict.fromkeys(name for innovation in self.compared.values() for name in innovation.components))
 
     def series(self, component: str) -> tuple[np.ndarray, FloatArray, FloatArray]:
         """Return stamps (ns), residuals and sigmas (rad) of a component, in order of stamps, if measured."""
         rows = [
             (stamp_ns, residual, sigma)
-            for stamp_ns, judged in sorted(self.compared.items())
-            for name, residual, sigma in zip(judged.components, judged.residual, judged.sigma, strict=True)
+            for stamp_ns, innovation in sorted(self.compared.items())
+            for name, residual, sigma in zip(innovation.components, innovation.residual, innovation.sigma, strict=True)
             if name == component and np.isfinite(residual)
         ]
         stamps = np.array([row[0] for row in rows], dtype=np.int64)
@@ -240,7 +240,7 @@ class InnovationBook:
         if message.accepted and len(message.residual):
             axes = tuple(name.rpartition(" ")[2] for name in message.components)
             residual, sigma = np.array(message.residual), np.array(message.sigma)
-            source.compared[stamp_ns] = Judged(axes, residual, sigma, float(message.nis))
+            source.compared[stamp_ns] = AcceptedInnovation(axes, residual, sigma, float(message.nis))
             return
         if not message.accepted:
             source.rejected[reason_name(message)] += 1

@@ -45,7 +45,7 @@ class Identification:
         return self.fitted[0]
 
     @property
-    def verdict(self) -> str:
+    def model_choice(self) -> str:
         """Selected model and its criteria, as text."""
         first, *others = self.fitted
         if not others:

@@ -144,7 +144,7 @@ def run_session(
     """
     comparisons, listening = StarComparisons(), []
 
-    class Listening(ShipAttitudeAdapter):
+    class DecisionRecorder(ShipAttitudeAdapter):
         def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
             super().__init__(session_config(config), factory, files)
             self.configured = config
@@ -162,7 +162,7 @@ def run_session(
             return []
 
     with read_bag(bag_path) as bag:
-        chain, left_out = suite_chain(bag, (Listening, StarAttitudeAdapter), RosbagsFactory(), config_path, namespace)
+        chain, left_out = suite_chain(bag, (DecisionRecorder, StarAttitudeAdapter), RosbagsFactory(), config_path, namespace)
         if not listening or not listening[0].config.star_sensors:
             text = f"the configuration has no star_sensors of {ShipAttitudeAdapter.node_name}: the error of"
             raise BadInput(f"{text} the INS is not observable", file=bag.path)

@@ -22,7 +22,7 @@ def parameter_file_text(identification: Identification) -> str:
         values[what.name] = _number(value), f"{_known(value, log_sigma)} [{what.unit}]"
     for name, value in best.model.fixed.items():
         values[name] = _number(value), "as configured"
-    head = [f"By identify_noise from {session.name}. {identification.verdict}.", *identification.warnings]
+    head = [f"By identify_noise from {session.name}. {identification.model_choice}.", *identification.warnings]
     lines = [*(f"# {line}" for line in head), f"{anywhere(ShipAttitudeAdapter.node_name)}:", f"  {PARAMETERS_KEY}:"]
     return "\n".join([*lines, "    ins:", *_nested(values)]) + "\n"
 
@@ -63,7 +63,7 @@ def said(identification: Identification) -> list[str]:
         lines.append(f"{name}: log likelihood {fitted.log_likelihood:.1f}, {len(fitted.values)} parameters")
         lines += [f"  {line}" for line in _parameters(fitted)]
         lines += [f"  {_outage(check)}" for check in identification.outages[name]]
-    return [*lines, identification.verdict]
+    return [*lines, identification.model_choice]
 
 
 def _parameters(fitted: FittedModel) -> Iterator[str]:

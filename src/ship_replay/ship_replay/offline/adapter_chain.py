@@ -75,9 +75,9 @@ def suite_nodes(
         BadInput: there is none, it is no parameter file, or a section nearly fits a node but not exactly.
     """
     if config_path is not None:
-        return _judged_nodes(config_path, adapter_classes, namespace)
+        return _checked_nodes(config_path, adapter_classes, namespace)
     try:
-        return _judged_nodes(suite_text(bag, None), adapter_classes, namespace)
+        return _checked_nodes(suite_text(bag, None), adapter_classes, namespace)
     except BadInput as problem:
         raise attached(bag, problem) from problem
 
@@ -101,7 +101,7 @@ def nodes_of(
     return tuple(meant)
 
 
-def _judged_nodes(
+def _checked_nodes(
     source: Path | str, adapter_classes: Sequence[type[Adapter]], namespace: str
 ) -> tuple[type[Adapter], ...]:
     for kind in adapter_classes:

@@ -128,8 +128,8 @@ class StatusCourse:
         start_ns, total_ns = spans[0].start_ns, spans[-1].end_ns - spans[0].start_ns
         lines = [f"status of {topic} from {utc_text(start_ns)}, {total_ns / NS_PER_S:.1f} s:"]
         for word in sorted(counts, key=_rank):
-            held_ns = sum(span.end_ns - span.start_ns for span in spans if span.status == word)
-            share = held_ns / total_ns if total_ns else counts[word] / counts.total()
+            duration_ns = sum(span.end_ns - span.start_ns for span in spans if span.status == word)
+            share = duration_ns / total_ns if total_ns else counts[word] / counts.total()
             lines.append(f"  {word:9} {share:6.1%} of the time, {counts[word]} of {counts.total()} outputs")
         kept = sorted(sorted(spans, key=lambda span: span.start_ns - span.end_ns)[:_MOST_SPANS], key=_start)
         for span in kept if len(spans) > 1 else ():

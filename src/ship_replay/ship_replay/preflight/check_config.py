@@ -23,7 +23,7 @@ from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
-from ship_node.parameters.places import HeldPlace
+from ship_node.parameters.places import MachineResource
 from ship_replay.offline.adapter_chain import nodes_of
 
 _OF_ONE_NODE = ("magnitude_limit", "refraction_time_s", "position_time_s")
@@ -136,8 +136,8 @@ def check_file(
     named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
     checked = (_checked(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
-    held = [place for companion in companions for place in _held_places(path, companion, namespace, findings)]
-    findings.errors += list(_held_twice(path, held))
+    places = [place for companion in companions for place in _companion_places(path, companion, namespace, findings)]
+    findings.errors += list(_place_conflicts(path, places))
     findings.warnings += list(_told_differently(path, nodes))
     _check_names(path, nodes, findings)
     return nodes
@@ -190,9 +190,9 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
     return None
 
 
-def _held_places(
+def _companion_places(
     path: Path, companion: Companion, namespace: str, findings: Findings
-) -> Iterator[tuple[str, ParameterFile, HeldPlace]]:
+) -> Iterator[tuple[str, ParameterFile, MachineResource]]:
     """Yield full name, parameters and each exclusive resource of another node, and check its parameters."""
     try:
         kind = companion.config_type
@@ -207,9 +207,9 @@ def _held_places(
         yield node, file, place
 
 
-def _held_twice(path: Path, held: Sequence[tuple[str, ParameterFile, HeldPlace]]) -> Iterator[str]:
+def _place_conflicts(path: Path, places: Sequence[tuple[str, ParameterFile, MachineResource]]) -> Iterator[str]:
     """Yield errors for exclusive resources of the machine that two nodes use."""
-    for (node, file, place), (other_node, other_file, other) in itertools.combinations(held, 2):
+    for (node, file, place), (other_node, other_file, other) in itertools.combinations(places, 2):
         if node != other_node and place.conflicts_with(other):
             reason = f"parameter '{other.parameter}' = {other.name!r} of {other_node}"
             reason += f": '{place.parameter}' of {node}, line {file.line_of(place.parameter)}, has {place} already"

@@ -52,7 +52,7 @@ def check_sigmas(check: BagCheck, until_ns: int) -> None:
         if rests_on_ins and _check_ins_noise(check, node, until_ns):
             continue
         if isinstance(node.adapter, ReportingAdapter):
-            for source, diagnosis in node.adapter.innovation_report.verdicts().items():
+            for source, diagnosis in node.adapter.innovation_report.diagnoses().items():
                 _check_source(check, node, node.adapter, source, diagnosis)
 
 

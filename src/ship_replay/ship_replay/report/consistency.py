@@ -13,7 +13,7 @@ from scipy.stats import binom, chi2, norm
 
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
-from ship_watch.picture import NisVerdict
+from ship_watch.picture import NisConsistency
 from ship_watch.verdict import BAND_SIGMAS, WIDEST_BAND, WINDOW_NS, NisWindow, consistent_text, inconsistent_text
 
 TOO_FEW = "too few"
@@ -113,16 +113,16 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
     minutes does not exceed the 99.9 % quantile of the binomial distribution.
     """
     stamps = np.array(sorted(part.compared), dtype=np.int64)
-    judged = [part.compared[stamp] for stamp in stamps.tolist()]
-    nis = np.array([one.nis for one in judged])
-    degrees = np.array([int(np.isfinite(one.residual).sum()) for one in judged])
+    accepted = [part.compared[stamp] for stamp in stamps.tolist()]
+    nis = np.array([one.nis for one in accepted])
+    degrees = np.array([int(np.isfinite(one.residual).sum()) for one in accepted])
     number = (stamps - stamps[0]) // WINDOW_NS
-    diagnoses: list[NisVerdict] = []
+    diagnoses: list[NisConsistency] = []
     for minute in np.unique(number):
         window, rows = NisWindow(), np.flatnonzero(number == minute)
         for row in rows:
             window.add(int(stamps[row]), float(nis[row]), int(degrees[row]))
-        diagnoses.append(window.verdict(int(stamps[rows[-1]])))
+        diagnoses.append(window.consistency(int(stamps[rows[-1]])))
     diagnoses = [verdict for verdict in diagnoses if verdict.text]  # too few innovations in the others
     outside = {
         "optimistic": [verdict for verdict in diagnoses if not verdict.is_consistent and verdict.ratio > 1.0],
@@ -142,7 +142,7 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
     return SigmaFit("NIS", name, mean, freedom, int(known.sum()), math.nan, told, words)
 
 
-def _together(diagnoses: list[NisVerdict]) -> float:
+def _together(diagnoses: list[NisConsistency]) -> float:
     """Return the actual over stated sigma of several minutes together."""
     degrees = sum(verdict.degrees for verdict in diagnoses)
     return math.sqrt(sum(verdict.ratio**2 * verdict.degrees for verdict in diagnoses) / degrees)

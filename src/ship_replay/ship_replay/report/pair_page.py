@@ -18,7 +18,7 @@ from ship_replay.report.pair_tables import (
     only_one_has,
     rejection_rows_of_both,
 )
-from ship_replay.report.pair_verdict import pair_verdict
+from ship_replay.report.pair_verdict import pair_summary
 from ship_replay.report.pair_warnings import pair_warnings
 from ship_replay.report.tables import shares
 from ship_replay.report.wording import duration, utc
@@ -59,7 +59,7 @@ def pair_page(pair: Pair) -> str:
         start=utc(start_ns),
         end=utc(end_ns),
         length=duration((end_ns - start_ns) / NS_PER_S),
-        verdict=[text for text in pair_verdict(pair, errors, parameters) if text not in warned],
+        verdict=[text for text in pair_summary(pair, errors, parameters) if text not in warned],
         warnings=warnings,
         shares=_shares_of_both(a, b),
         states=states_svg(pair),

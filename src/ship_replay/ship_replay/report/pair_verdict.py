@@ -25,7 +25,7 @@ _ON_SKY = "_cos_elevation"
 _NEVER_NS = 1 << 63
 
 
-def pair_verdict(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[ParameterDifference]) -> list[str]:
+def pair_summary(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[ParameterDifference]) -> list[str]:
     """Return the summary, one or two sentences per point.
 
     Args:

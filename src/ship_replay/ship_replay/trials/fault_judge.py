@@ -47,7 +47,7 @@ _ONE_LIGHT_KINDS = ("swap", "false_lights", "hide", "wrong_id")
 
 
 @dataclass(frozen=True)
-class FaultVerdict:
+class FaultOutcome:
     """Outcome of one fault.
 
     Attributes:
@@ -74,7 +74,7 @@ class FaultVerdict:
     longest_beyond_s: float
 
 
-def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, until_s: float) -> FaultVerdict:
+def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, until_s: float) -> FaultOutcome:
     """Evaluate a fault.
 
     Args:
@@ -100,7 +100,7 @@ def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, unt
     beyond_s, longest_s = beyond(after)
     levels = [claim.over_level for claim in after if np.isfinite(claim.over_level)]
     names = first_named(signs)
-    return FaultVerdict(
+    return FaultOutcome(
         changed=len(changed_ns),
         detected=bool(own) or is_new or any(sign.reason == EXCLUSION for sign in signs),
         attributed=bool(names) and all(is_source(name, fault) for name in names),

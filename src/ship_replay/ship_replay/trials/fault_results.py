@@ -53,7 +53,7 @@ def _key(result: Result) -> tuple[int, str, str]:
 def threat_rows(results: Sequence[Result]) -> list[Row]:
     """Return one row per threat, and one for all of them."""
     by_threat: dict[str, list[Result]] = defaultdict(list)
-    for fault in _judged_faults(results):
+    for fault in _evaluated_faults(results):
         by_threat[fault["threat"]].append(fault)
     rows = [_threat_row(threat, by_threat[threat]) for threat in sorted(by_threat)]
     everything = [fault for faults in by_threat.values() for fault in faults]
@@ -83,7 +83,7 @@ def pair_rows(results: Sequence[Result]) -> list[Row]:
     """Return one row per pair of threats present at the same time."""
     pairs: dict[tuple[str, str], list[Result]] = defaultdict(list)
     for result in results:
-        faults = _judged_faults([result]) if result["mode"] == OVERLAPPING else []
+        faults = _evaluated_faults([result]) if result["mode"] == OVERLAPPING else []
         for first, second in combinations(faults, 2):
             if max(first["start_s"], second["start_s"]) < min(first["end_s"], second["end_s"]):
                 key = tuple(sorted((first["threat"], second["threat"])))
@@ -116,7 +116,7 @@ def totals(results: Sequence[Result]) -> Totals:
     raised = [result for result in results if result["exception"] or result["failures"]]
     overlapping = [result for result in results if result["mode"] == OVERLAPPING and "longest_beyond_s" in result]
     longest_s = max((result["longest_beyond_s"] for result in overlapping), default=0.0)
-    single = [fault for fault in _judged_faults(results) if fault["mode"] == SINGLE]
+    single = [fault for fault in _evaluated_faults(results) if fault["mode"] == SINGLE]
     bounds = [
         (not raised, f"{len(results)} voyages: {len(raised)} with exceptions; bound 0"),
         *_single_bounds(single),
@@ -130,7 +130,7 @@ def totals(results: Sequence[Result]) -> Totals:
     ]
     lines = [f"{'met' if met else 'NOT MET':7}  {text}" for met, text in bounds]
     lines += [f"voyage {one['voyage']} ({one['bag']}): {_last_line(one)}" for one in raised]
-    pairs = [fault for fault in _judged_faults(results) if fault["mode"] == OVERLAPPING]
+    pairs = [fault for fault in _evaluated_faults(results) if fault["mode"] == OVERLAPPING]
     over, worst, level = _above(pairs, "worst_sigmas", BEYOND), _most(pairs, "worst_sigmas"), _most(pairs, _LEVEL)
     lines.append(
         f"         overlapping faults: {over} of {len(pairs)} beyond 5σ; worst {_number(worst)} σ, "
@@ -178,7 +178,7 @@ def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
     ]
 
 
-def _judged_faults(results: Sequence[Result]) -> list[Result]:
+def _evaluated_faults(results: Sequence[Result]) -> list[Result]:
     """Return the faults of completed voyages, with the mode of their voyage."""
     return [
         {**fault, "mode": result["mode"]} for result in results for fault in result["faults"] if "detected" in fault

@@ -93,8 +93,8 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
         "faults": [],
     }
     try:
-        verdicts, told = fly(voyage.bag, drawn, voyage.number, clean)
-        result |= {"failures": told.failures, "faults": verdicts, "longest_beyond_s": round(beyond(told.claims)[1], 4)}
+        outcomes, told = fly(voyage.bag, drawn, voyage.number, clean)
+        result |= {"failures": told.failures, "faults": outcomes, "longest_beyond_s": round(beyond(told.claims)[1], 4)}
     except Exception:
         # Software defects are recorded, and the other voyages continue.
         result |= {"exception": traceback.format_exc(limit=-4), "faults": [_described(one) for one in drawn]}
@@ -113,17 +113,17 @@ def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> t
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
     injection = Injection(path, faults, seed)
     told = replayed(injection)
-    verdicts = []
+    outcomes = []
     for number, (name, one) in enumerate(zip(faults, drawn, strict=True)):
         changed_ns = np.array(injection.effect(name).times_ns)
         if not changed_ns.size:
             continue
         later = [other.fault.start_s for other in drawn[number + 1 :]]
-        verdict = judged(one.fault, changed_ns, told, clean, min([*later, clean.length_s]))
-        plain = {key: _plain(value) for key, value in dataclasses.asdict(verdict).items()}
+        outcome = judged(one.fault, changed_ns, told, clean, min([*later, clean.length_s]))
+        plain = {key: _plain(value) for key, value in dataclasses.asdict(outcome).items()}
         row = {"threat": clean.unseen(one.fault, int(changed_ns[0])) or one.threat.label}
-        verdicts.append(_described(one) | row | plain | {"alert_limit_s": clean.alert_limit_s(one.fault)})
-    return verdicts, told
+        outcomes.append(_described(one) | row | plain | {"alert_limit_s": clean.alert_limit_s(one.fault)})
+    return outcomes, told
 
 
 def clean_voyage(path: Path) -> Passage:

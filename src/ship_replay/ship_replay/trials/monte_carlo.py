@@ -50,7 +50,7 @@ from theodolite_calib.measured.samples import (
 )
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
-_JUDGED_AT_ONCE = 256
+_MAX_BATCH = 256
 """Maximum number of INS samples per batch."""
 
 
@@ -160,7 +160,7 @@ class _InsBatches:
         """Add a sample that arrived."""
         if self._ahead is None:
             next_wanted = int(self._wanted[np.searchsorted(self._wanted, index)])
-            block = self._block.some(slice(index, min(next_wanted, index + _JUDGED_AT_ONCE)))
+            block = self._block.some(slice(index, min(next_wanted, index + _MAX_BATCH)))
             if self._in_order and len(block.times_ns):
                 self._ahead, self._arrived = self._core.look_ahead(block, block.times_ns), 0
             if self._ahead is None:

@@ -39,15 +39,15 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
         raise BadInput(f"the fault changes no message of {fault.topic}", file=path)
     clean, told = clean_voyage(path), replayed(injection)
     start_ns, until_s = clean.start_ns, clean.length_s
-    verdict = judged(fault, changed_ns, told, clean, until_s)
+    outcome = judged(fault, changed_ns, told, clean, until_s)
     unseen = clean.unseen(fault, int(changed_ns[0]))
-    worst = f"worst error {verdict.worst_sigmas:.1f} σ, {verdict.worst_over_level:.2f} of its protection level"
-    beyond = f"beyond 5σ for {verdict.beyond_s:.1f} s, longest {verdict.longest_beyond_s:.1f} s"
+    worst = f"worst error {outcome.worst_sigmas:.1f} σ, {outcome.worst_over_level:.2f} of its protection level"
+    beyond = f"beyond 5σ for {outcome.beyond_s:.1f} s, longest {outcome.longest_beyond_s:.1f} s"
     return [
         f"{path.name}: {fault.kind} on {fault.topic} from {fault.start_s:g} s to {min(fault.end_s, until_s):g} s",
-        f"changed {verdict.changed} messages, the first at {_seconds(int(changed_ns[0]), start_ns).strip()}",
+        f"changed {outcome.changed} messages, the first at {_seconds(int(changed_ns[0]), start_ns).strip()}",
         *([f"undetectable: {unseen}"] if unseen else []),
-        f"detected {verdict.detected} after {verdict.alert_s:.2f} s, attributed {verdict.attributed}",
+        f"detected {outcome.detected} after {outcome.alert_s:.2f} s, attributed {outcome.attributed}",
         f"while VALID: {worst}; {beyond}; failures {told.failures}",
         *_worst_by_time(told, start_ns),
         *_statuses(told, start_ns),

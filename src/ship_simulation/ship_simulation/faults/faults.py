@@ -168,13 +168,13 @@ def _conflict(deliveries: Deliveries, window: _Window) -> Deliveries:
 
 
 def _freeze(deliveries: Deliveries, window: _Window) -> Deliveries:
-    held: Any = None
+    frozen_message: Any = None
     for delivery in deliveries:
         if window.hits(delivery):
-            if held is None:
-                held = copy.deepcopy(delivery.message)
+            if frozen_message is None:
+                frozen_message = copy.deepcopy(delivery.message)
             else:
-                frozen = copy.deepcopy(held)
+                frozen = copy.deepcopy(frozen_message)
                 frozen.header = delivery.message.header
                 delivery.message, delivery.data = frozen, None
         yield delivery

@@ -70,21 +70,21 @@ LogEntry = tuple[str, Any, int]
 def messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> Iterator[LogEntry]:
     """Yield all messages of a voyage's stretches in order of log time; the truth is logged at its stamps."""
     topics: dict[str, _Topic] = {}
-    held: dict[str, list[LogEntry]] = {}
+    pending: dict[str, list[LogEntry]] = {}
     for run in runs:
         streams = dict(_truths(run, factory))
         for topic, (time_ns, log_time_ns, maker) in _sources(run, factory).items():
             if topic not in topics:
                 topics[topic] = _Topic(run, topic)
             streams[topic] = topics[topic].delivered(run, time_ns, log_time_ns, maker)
-        streams = {topic: chain(held.get(topic, ()), stream) for topic, stream in streams.items()}
+        streams = {topic: chain(pending.get(topic, ()), stream) for topic, stream in streams.items()}
         if run.stretch.ends:
             yield from _in_order(streams)
             return
-        held = {topic: list(stream) for topic, stream in streams.items()}
+        pending = {topic: list(stream) for topic, stream in streams.items()}
         until_ns = min(run.stretch.end_ns - 1, *(topic.passed_ns for topic in topics.values()))
-        yield from _in_order({topic: [e for e in entries if e[2] <= until_ns] for topic, entries in held.items()})
-        held = {topic: [entry for entry in entries if entry[2] > until_ns] for topic, entries in held.items()}
+        yield from _in_order({topic: [e for e in entries if e[2] <= until_ns] for topic, entries in pending.items()})
+        pending = {topic: [entry for entry in entries if entry[2] > until_ns] for topic, entries in pending.items()}
 
 
 def _in_order(streams: Mapping[str, Iterable[LogEntry]]) -> Iterator[LogEntry]:

@@ -45,14 +45,14 @@ def _result(study: DesignStudy) -> str:
     azimuth, elevation, on_sky = study.given_arcsec
     largest = max(study.budget, key=lambda source: source.given_arcsec[2])
     required_arcsec = study.config.required_arcsec
-    verdict = ""
+    requirement_text = ""
     if required_arcsec > 0.0:
         word = "is met" if study.meets_requirement else "is <b>not</b> met"
-        verdict = f" The {required_arcsec:g}″ required {word}."
+        requirement_text = f" The {required_arcsec:g}″ required {word}."
     return (
         f"The given lights give the pointing to <b>{on_sky:.2f}″</b> on the sky ({azimuth:.2f}″ in azimuth · cos E, "
         f"{elevation:.2f}″ in elevation); encoders and ship alone give {study.unaided_arcsec:.3g}″. The largest error "
-        f"source is {_words(largest.source)} with {largest.given_arcsec[2]:.2f}″.{verdict}"
+        f"source is {_words(largest.source)} with {largest.given_arcsec[2]:.2f}″.{requirement_text}"
     )
 
 

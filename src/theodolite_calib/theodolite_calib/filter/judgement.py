@@ -51,7 +51,7 @@ class SightingJudge:
     def __init__(self, filter_: CalibrationFilter, gate: GateConfig) -> None:
         self._filter, self._gate = filter_, gate
 
-    def judge(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement:
+    def evaluate_sighting(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement:
         """Evaluate a sighting against the state propagated to its time."""
         comparison = self._filter.compare(state, sighting)
         if comparison is None:
@@ -79,11 +79,11 @@ class SightingJudge:
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
         check = check_lights(sighting.image, camera, prediction.lines, self._gate.probability, prior)
-        mended = self._renamed(state, sighting, exposure, check.order) if check.verdict is BeaconCheckResult.SWAPPED else None
+        mended = self._renamed(state, sighting, exposure, check.order) if check.result is BeaconCheckResult.SWAPPED else None
         mended = mended or self._without_one(state, sighting, exposure)
         if mended is not None:
             return mended
-        if check.verdict is BeaconCheckResult.CONFLICT or check.verdict is BeaconCheckResult.SWAPPED:
+        if check.result is BeaconCheckResult.CONFLICT or check.result is BeaconCheckResult.SWAPPED:
             text = _angles_text(sighting, camera, prediction.lines)
             decision = self._decision(exposure, sighting, comparison)
             return Judgement(replace(decision, reason=Reason.LIGHT_CONFLICT, text=text))
@@ -106,10 +106,10 @@ class SightingJudge:
         comparison = self._filter.compare(state, renamed)
         if comparison is None or not self._passes(comparison):
             return None
-        judgement = self._acceptance(exposure, renamed, comparison)
+        result = self._acceptance(exposure, renamed, comparison)
         exchanged = [f"{sighting.names[j]} is {name}" for name, j in zip(sighting.names, order, strict=True)]
         text = f"lights used with exchanged names, the only consistent: {', '.join(exchanged)}"
-        return replace(judgement, decision=replace(judgement.decision, reason=Reason.LIGHT_CONFLICT, text=text))
+        return replace(result, decision=replace(result.decision, reason=Reason.LIGHT_CONFLICT, text=text))
 
     def _without_one(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
         """Evaluate three or more beacons without one of them; return the best decision that passes, or None."""
@@ -125,9 +125,9 @@ class SightingJudge:
         if not trials:
             return None
         _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
-        judgement = self._acceptance(exposure, others, comparison)
+        result = self._acceptance(exposure, others, comparison)
         rejected = sighting.names[row], Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it")
-        return replace(judgement, decision=replace(judgement.decision, left_out=(rejected,)))
+        return replace(result, decision=replace(result.decision, left_out=(rejected,)))
 
     def _acceptance(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
         """Return the decision for a sighting that passes the gate."""

@@ -170,7 +170,7 @@ class ShipErrorStep:
         new_n: covariance of the added error, rad², shape (3, 3) or (N, 3, 3).
     """
 
-    kept: FloatArray
+    retained: FloatArray
     new_n: FloatArray
 
 
@@ -265,7 +265,7 @@ def ship_error_step(followed_n: FloatArray | None, now_n: FloatArray | None) -> 
     if now_n is None:
         return None
     steps = ship_error_steps(followed_n, now_n[None])
-    return None if steps is None else ShipErrorStep(steps.kept[0], steps.new_n[0])
+    return None if steps is None else ShipErrorStep(steps.retained[0], steps.new_n[0])
 
 
 def ship_error_steps(followed_n: FloatArray | None, now_n: FloatArray) -> ShipErrorStep | None:
@@ -309,8 +309,8 @@ def with_step(
         step: the step.
     """
     mean, parts = mean.copy(), parts.copy()
-    mean[..., columns] *= step.kept
-    parts[..., columns, :] *= step.kept[:, None]
-    parts[..., columns] *= step.kept
+    mean[..., columns] *= step.retained
+    parts[..., columns, :] *= step.retained[:, None]
+    parts[..., columns] *= step.retained
     parts[..., source_index, columns, columns] += step.new_n
     return mean, parts

@@ -91,7 +91,7 @@ class Observability:
     def with_ship_step(self, unaided: ObservabilityState, step: ShipErrorStep) -> ObservabilityState:
         """Apply a step of the ship's error."""
         root = unaided.root.copy()
-        root[self._ship] *= step.kept[:, None]
+        root[self._ship] *= step.retained[:, None]
         return ObservabilityState(_triangle(np.hstack([root, self._of_ship(step.new_n)])))
 
     def updated(self, unaided: ObservabilityState, jacobian: FloatArray, noise: FloatArray) -> ObservabilityState:

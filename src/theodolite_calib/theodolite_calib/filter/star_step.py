@@ -18,7 +18,7 @@ from theodolite_calib.filter.alternatives import CHAIN
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.star_comparison import StarComparison
-from theodolite_calib.filter.step import held_back, hypothesis_factors, separations
+from theodolite_calib.filter.step import count_rejection, hypothesis_factors, separations
 from theodolite_calib.filter.trust import FaultDetector
 from theodolite_calib.measured.samples import ExposureDecision
 from theodolite_calib.measured.star_sighting import StarSighting
@@ -44,10 +44,10 @@ class StarStep:
 
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         """Return state and decision after an exposure; ``state`` is that after the previous sighting."""
-        after, decision = self._judged(state, sighting)
+        after, decision = self._evaluate(state, sighting)
         return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded)))
 
-    def _judged(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
+    def _evaluate(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         predicted = self._filter.unknown(predicted)
         exposure = sighting.exposure.after(state.stays.get(sighting.exposure.source))
@@ -61,7 +61,7 @@ class StarStep:
         decision = ExposureDecision(sighting.exposure, found.reason, text=found.text)
         # With encoders or ship excluded there is no prediction that stars could contradict.
         if found.reason in _CONTRADICTS and not state.fault_state.excluded & CHAIN:
-            return held_back(state, decision, self._gate, "stars")
+            return count_rejection(state, decision, self._gate, "stars")
         return state, decision
 
     def _compared(
@@ -84,12 +84,12 @@ class StarStep:
         # Written so that NaN fails.
         if not nis <= gate:
             decision = replace(decision, text=f"NIS {nis:.1f} exceeds gate {gate:.1f}")
-            return held_back(state, decision, self._gate, "stars")
+            return count_rejection(state, decision, self._gate, "stars")
         after = self._filter.used_stars(predicted, sighting.exposure, found)
         contradiction = self._filter.stars.optics_rejection(after.mean, after.covariance, sighting)
         if contradiction is not None:
             decision = replace(decision, reason=contradiction.reason, text=contradiction.text)
-            return held_back(state, decision, self._gate, "stars")
+            return count_rejection(state, decision, self._gate, "stars")
         alternatives = self._filter.subfilters.seen_stars(
             predicted.subfilters, measurement, predicted.mean, found.stars.by_turn, self._gate.probability
         )

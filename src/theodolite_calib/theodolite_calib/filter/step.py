@@ -81,7 +81,7 @@ class SightingStep:
         for name, jump in jumps:
             predicted = self._jumped(predicted, sighting, name, jump)
         try:
-            after, decision = self._judged(state, predicted, sighting, exposure)
+            after, decision = self._evaluate(state, predicted, sighting, exposure)
         except np.linalg.LinAlgError:
             rejection = singular_covariance()
             after, decision = state, ExposureDecision(exposure, rejection.reason, text=rejection.text)
@@ -108,12 +108,12 @@ class SightingStep:
         trust = self._fault_detector.without(state.fault_state, source, exclusion, explaining_subfilter)
         return replace(self._filter.without(state, source), trust=trust)
 
-    def _judged(
+    def _evaluate(
         self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Return state and decision; ``predicted`` may exclude sources that ``state`` still uses."""
         excluded = predicted.fault_state.excluded
-        held = state if excluded == state.fault_state.excluded else predicted
+        unused_state = state if excluded == state.fault_state.excluded else predicted
         rows = range(len(sighting.names))
         used_rows = [row for row in rows if BEACON + sighting.names[row] not in excluded]
         excluded_beacons = tuple(self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON + name in excluded)
@@ -122,29 +122,29 @@ class SightingStep:
             predicted = self._monitor_prediction(predicted, sighting, source)
         trust = self._monitor_beacons(predicted.fault_state, unknown, sighting, bool(used_rows))
         if not used_rows:
-            held = replace(held, alternatives=predicted.subfilters, trust=trust)
+            unused_state = replace(unused_state, alternatives=predicted.subfilters, trust=trust)
             reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
-            return held, ExposureDecision(exposure, reason, text=text, rejected_parts=excluded_beacons)
+            return unused_state, ExposureDecision(exposure, reason, text=text, rejected_parts=excluded_beacons)
         unknown = replace(unknown, trust=trust)
         chosen = sighting if len(used_rows) == len(rows) else sighting.chosen(used_rows)
         if excluded & CHAIN:
             unknown = self._filter.aligned(unknown, chosen)
-        judgement = self._judge.judge(unknown, chosen, exposure)
-        decision = replace(judgement.decision, left_out=excluded_beacons + judgement.decision.rejected_parts)
-        if judgement.sighting is not None and judgement.comparison is not None:
-            after, compared = self._filter.used(unknown, judgement.sighting, judgement.comparison)
+        result = self._judge.evaluate_sighting(unknown, chosen, exposure)
+        decision = replace(result.decision, left_out=excluded_beacons + result.decision.rejected_parts)
+        if result.sighting is not None and result.comparison is not None:
+            after, compared = self._filter.used(unknown, result.sighting, result.comparison)
             if ENCODER in excluded:
                 # The predicted attitude uses the excluded encoders; the update gives the attitude by the beacons.
                 turned = exp_rotation(compared.prediction.by_state_n @ (after.mean - unknown.mean))
-                rotation_nt = turned @ judgement.comparison.prediction.rotation_nt
-                told_dt = judgement.sighting.deck_from_telescope(rotation_nt), _sigma_seen(compared)
+                rotation_nt = turned @ result.comparison.prediction.rotation_nt
+                told_dt = result.sighting.deck_from_telescope(rotation_nt), _sigma_seen(compared)
                 decision = replace(decision, telescope_dt=told_dt)
-            return self._learnt(unknown, after, judgement.sighting.names, compared, decision)
+            return self._learnt(unknown, after, result.sighting.names, compared, decision)
         comparison = self._filter.compare(unknown, chosen)
-        held = replace(held, trust=trust)
+        unused_state = replace(unused_state, trust=trust)
         if comparison is None:
-            return held_back(held, decision, self._gate, "lights")
-        return self._record_rejected(held, unknown, chosen, comparison, decision)
+            return count_rejection(unused_state, decision, self._gate, "lights")
+        return self._record_rejected(unused_state, unknown, chosen, comparison, decision)
 
     def _learnt(
         self,
@@ -181,7 +181,7 @@ class SightingStep:
 
     def _record_rejected(
         self,
-        held: CalibrationState,
+        unused_state: CalibrationState,
         predicted: CalibrationState,
         sighting: Sighting,
         comparison: Comparison,
@@ -198,24 +198,24 @@ class SightingStep:
             self._gate.probability,
         )
         time_ns = sighting.time_ns
-        trust = self._fault_detector.update_means(held.fault_state, sighting.names, innovations, False, time_ns)
+        trust = self._fault_detector.update_means(unused_state.fault_state, sighting.names, innovations, False, time_ns)
         is_detected, found, explaining = self._fault_detector.isolate_fault(trust, np.zeros(len(self._filter.subfilters.sources)), time_ns)
         after = replace(predicted, alternatives=alternatives, trust=trust)
         source = found
-        if found in (ENCODER, SHIP) and not held.fault_state.excluded:
-            source = self._isolate_by_streams(held, found, explaining, decision)
+        if found in (ENCODER, SHIP) and not unused_state.fault_state.excluded:
+            source = self._isolate_by_streams(unused_state, found, explaining, decision)
             source = self._faulty(source, explaining, time_ns)
         if source is not None:
-            return self._attributed(replace(after, refusals=held.refusals + 1), source, decision, found)
+            return self._attributed(replace(after, refusals=unused_state.refusals + 1), source, decision, found)
         trust = self._fault_detector.disagreed(trust, _disagreement_n(comparison), lasting=is_detected)
-        return held_back(replace(held, alternatives=alternatives, trust=trust), decision, self._gate, "lights")
+        return count_rejection(replace(unused_state, alternatives=alternatives, trust=trust), decision, self._gate, "lights")
 
     def _isolate_by_streams(
-        self, held: CalibrationState, source: str, explaining: Set[str], decision: ExposureDecision
+        self, unused_state: CalibrationState, source: str, explaining: Set[str], decision: ExposureDecision
     ) -> str | None:
         """Isolate a fault of encoders or ship by their own streams; return the faulty source or None."""
         time_ns = decision.measurement.time_ns
-        told = None if held.used_ns is None else self._streams_since(held.used_ns, time_ns)
+        told = None if unused_state.used_ns is None else self._streams_since(unused_state.used_ns, time_ns)
         if told is None:
             return source
         return isolate_step_fault(source, explaining, told, float(np.max(np.abs(decision.residual))))
@@ -295,7 +295,7 @@ def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> Fac
     return factors(config, [by_source.get(source, priors.beacon) for source in sources])
 
 
-def held_back(
+def count_rejection(
     state: CalibrationState, decision: ExposureDecision, gate: GateConfig, what: str
 ) -> tuple[CalibrationState, ExposureDecision]:
     """Count a rejected sighting; report a run of them and, if configured, inflate the covariance.

@@ -45,7 +45,7 @@ class LightCheck:
         prior_chi2: of the difference between that attitude and the prior, 3 degrees of freedom; None without a prior.
     """
 
-    verdict: BeaconCheckResult
+    result: BeaconCheckResult
     order: tuple[int, ...]
     attitude: TelescopeAttitude
     prior_chi2: float | None
@@ -129,8 +129,8 @@ class _Trial:
         chi2 = float(self.attitude.chi2) + (self.prior_chi2 or 0.0)
         return chi2 if np.isfinite(chi2) else np.inf
 
-    def check(self, verdict: BeaconCheckResult) -> LightCheck:
-        return LightCheck(verdict, self.order, self.attitude, self.prior_chi2)
+    def check(self, result: BeaconCheckResult) -> LightCheck:
+        return LightCheck(result, self.order, self.attitude, self.prior_chi2)
 
 
 def _trial(

@@ -19,7 +19,7 @@ from ship_estimation.unconfirmed import Unconfirmed
 from ship_estimation.value_guards import (
     Continuation,
     JumpGuard,
-    JumpVerdict,
+    JumpDecision,
     Match,
     StuckGuard,
     size,
@@ -136,15 +136,15 @@ class EncoderCheck:
             match = self._match(_before(track, sample.time_ns), sample)
             return CheckedReading(None if match is None or match.fits else _gate_rejection(match))
         self._newest_ns = sample.time_ns
-        judged = self._check_jump(sample)
-        if judged.rejection is not None:
-            return judged
-        if judged.jump is not None:
-            self._unconfirmed = Unconfirmed(judged.jump.time_ns, "the encoders have jumped", "lights")
+        result = self._check_jump(sample)
+        if result.rejection is not None:
+            return result
+        if result.jump is not None:
+            self._unconfirmed = Unconfirmed(result.jump.time_ns, "the encoders have jumped", "lights")
             self._steps.restart()
         step = self._steps.observe(sample.time_ns, sample.vector, self._sigma_rad, self._stuck.coarseness_rad)
         if step is not None:
-            judged = self._check_step(step)
+            result = self._check_step(step)
         self._check_motion(sample)
         if self._stuck.observe(sample.time_ns, sample.vector, self._sigma_rad, self._motion_references):
             # Stuck readings cannot be extrapolated.
@@ -153,7 +153,7 @@ class EncoderCheck:
             self._unconfirmed = Unconfirmed(sample.time_ns, "the encoders were stuck", "lights")
             text = "both encoders stuck: unchanged while, by the lights, the telescope rotates in the deck"
             return CheckedReading(Rejection(Reason.STUCK, text))
-        return judged
+        return result
 
     def see_lights(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
         """Record the telescope's attitude in the deck by beacons, shape (3, 3), and the error about its worst axis."""
@@ -196,15 +196,15 @@ class EncoderCheck:
         step = match if self._all is self._taken else self._match(self._all, sample)
         fits = match is None or (match.fits if step is None else match.fits_again(step))
         is_after_rejection = self._jumps.rejected_count > 0
-        verdict = self._jumps.judge(sample.time_ns, fits, step is None or step.fits)
-        if verdict is JumpVerdict.REJECTED:
+        result = self._jumps.check(sample.time_ns, fits, step is None or step.fits)
+        if result is JumpDecision.REJECTED:
             assert match is not None
             is_first_rejection = self._jumps.rejected_count == 1
             self._all = (_extrapolate_back(sample, *self._taken) if is_first_rejection else self._all[-1], sample)
             return CheckedReading(_gate_rejection(match))
         healthy = self._all is self._taken
         self._all = (*self._all[-1:], sample)
-        if verdict is JumpVerdict.JUMPED:
+        if result is JumpDecision.JUMPED:
             assert match is not None
             self._taken = self._all
             return CheckedReading(jump=EncoderJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_guard import Followed, InsGuard, JudgedIns
-from ship_estimation.rate_guard import Rates
+from ship_estimation.rate_guard import RateStatus
 from ship_geometry.attitude_track import AttitudeTrack, SampleBlock
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -42,7 +42,7 @@ class GuardAhead:
     def _forget_expected(self) -> None:
         self._expected: list[ShipSample] = []
         # Those of them that came, each with the step reported by the source; the check before the first.
-        self._judged: list[tuple[ShipSample, float]] = []
+        self._checked: list[tuple[ShipSample, float]] = []
         self._before: InsGuard | None = None
         # Those that were checked in a block, and the index of the first of them.
         self._checked_block: Followed | None = None
@@ -55,13 +55,13 @@ class GuardAhead:
         self._ins_check.reconfigure(config)
 
     @property
-    def rates(self) -> Rates:
+    def rates(self) -> RateStatus:
         """Status of the rates."""
-        return self._ins_check.rates if self._checked_block is None else Rates.MEASURED
+        return self._ins_check.rates if self._checked_block is None else RateStatus.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
         """Announce the next attitudes, as far as they are known."""
-        if self._judged or not self._expected:
+        if self._checked or not self._expected:
             self._discard_checked_block()
             self._forget_expected()
             self._before = copy.deepcopy(self._ins_check)
@@ -76,14 +76,14 @@ class GuardAhead:
             used: accepted attitudes so far.
             told_rad: step with it that the source itself reports, rad.
         """
-        place = len(self._judged)
+        place = len(self._checked)
         if place == len(self._expected) or sample is not self._expected[place]:
             self._discard_checked_block()
             self._forget_expected()
             return self._ins_check.check(sample, accepted_track, {}, reported_step_rad)
         if self._checked_block is None:
             self._check_block(place, reported_step_rad)
-        self._judged.append((sample, reported_step_rad))
+        self._checked.append((sample, reported_step_rad))
         followed = self._checked_block
         if followed is None:
             return self._ins_check.check(sample, accepted_track, {}, reported_step_rad)
@@ -119,7 +119,7 @@ class GuardAhead:
             return
         assert self._before is not None
         self._ins_check, nothing = self._before, AttitudeTrack(0)
-        for sample, reported_step_rad in self._judged:
+        for sample, reported_step_rad in self._checked:
             self._ins_check.check(sample, nothing, {}, reported_step_rad)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.outcome import Decision, Outcome, Status
+from ship_estimation.outcome import MeasurementDecision, Outcome, Status
 from ship_estimation.refusals import Rejection
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
@@ -246,7 +246,7 @@ class TargetEstimate:
 
 
 @dataclass(frozen=True)
-class ExposureDecision(Decision[AnyExposure]):
+class ExposureDecision(MeasurementDecision[AnyExposure]):
     """Decision about an exposure.
 
     ``residual`` and ``sigma`` are angles on the sky: of each beacon to the right and up, of each star up and to the

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_guard import JudgedIns
-from ship_estimation.rate_guard import Rates
+from ship_estimation.rate_guard import RateStatus
 from ship_estimation.refusals import same_stamp
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.attitude_track import AttitudeTrack
@@ -46,7 +46,7 @@ class ShipCheck:
     @property
     def proven(self) -> bool:
         """True if the rates are measured: every step of some standard deviations of a sample is then detected."""
-        return self._batch_check.rates is Rates.MEASURED
+        return self._batch_check.rates is RateStatus.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
         """Announce the next attitudes, with rates and covariances, as far as they are known."""
@@ -55,19 +55,19 @@ class ShipCheck:
     def check(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
         """Check a sample; none before ``oldest_ns`` will come."""
         self._used.drop_before(oldest_ns)
-        judged = self._batch_check.check(sample, self._used, told_step_rad(sample.correlated_covariance_n, self._stated))
-        if judged.rates_wrong_after_ns is not None:
-            self._used.forget_rates(judged.rates_wrong_after_ns)
-        if judged.jumps:
-            since_ns = judged.jumps[-1].time_ns + self._shift_ns
+        result = self._batch_check.check(sample, self._used, told_step_rad(sample.correlated_covariance_n, self._stated))
+        if result.rates_wrong_after_ns is not None:
+            self._used.forget_rates(result.rates_wrong_after_ns)
+        if result.jumps:
+            since_ns = result.jumps[-1].time_ns + self._shift_ns
             self._unconfirmed = Unconfirmed(since_ns, f"{self._source} has jumped", "lights")
-        if judged.rejection is None:
+        if result.rejection is None:
             if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
                 self._stated = sample.correlated_covariance_n
             known = self._used.get(sample.time_ns)
-            if known is None or same_stamp(known, judged.sample)[0]:
-                self._used.insert(judged.sample)
-        return judged
+            if known is None or same_stamp(known, result.sample)[0]:
+                self._used.insert(result.sample)
+        return result
 
     def confirm(self, time_ns: int) -> None:
         """Record that beacons were consistent with the attitude at a time."""

@@ -200,13 +200,13 @@ class OpticalAxisCore:
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         track, shell = self._tracks.encoder, self._shell
-        judged = self._encoder_check.check(sample, track, shell.window.late(sample.time_ns))
-        outcome = PointingOutcome(judged.rejection)
-        self._note_own_fault(ENCODER, sample.time_ns, judged.rejection, judged.jump is not None)
-        self._note_own_jump(sample.time_ns, judged)
-        if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
-            shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
-        if judged.rejection is not None:
+        result = self._encoder_check.check(sample, track, shell.window.late(sample.time_ns))
+        outcome = PointingOutcome(result.rejection)
+        self._note_own_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
+        self._note_own_jump(sample.time_ns, result)
+        if result.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
+            shell.add_jump(result.jump.time_ns, ENCODER, result.jump, track.cut(result.jump.time_ns))
+        if result.rejection is not None:
             shell.add_rejected(ENCODER, track, sample)
             self._check_repeated_time()
             return outcome
@@ -459,17 +459,17 @@ class OpticalAxisCore:
 
     def _check_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Rejection | None, ShipSample]:
         """Check an attitude of the ship; return its rejection or None, and the attitude as it may be used."""
-        judged = self._ship_check.check(sample, self._shell.window.oldest_ns)
-        if judged.rates_wrong_after_ns is not None:
+        result = self._ship_check.check(sample, self._shell.window.oldest_ns)
+        if result.rates_wrong_after_ns is not None:
             # Exposures compared with these rates are compared again without them.
-            changed_after_ns = self._tracks.ship.forget_rates(judged.rates_wrong_after_ns)
+            changed_after_ns = self._tracks.ship.forget_rates(result.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._shell.data_changed(changed_after_ns + self._tracks.ship_shift_ns)
                 self._shell.apply(outcome)
-        if judged.noise is not None:
-            self._shell.data_changed(self._tracks.ship.add_noise(judged.noise) + self._tracks.ship_shift_ns)
+        if result.noise is not None:
+            self._shell.data_changed(self._tracks.ship.add_noise(result.noise) + self._tracks.ship_shift_ns)
             self._shell.apply(outcome)
-        for jump in judged.jumps:
+        for jump in result.jumps:
             self._note_own_fault(SHIP, jump.time_ns, None, jumped=True)
             changed_after_ns = self._tracks.ship.cut(jump.time_ns)
             time_ns = jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
@@ -478,10 +478,10 @@ class OpticalAxisCore:
             jump = replace(jump, time_ns=time_ns)
             self._own_jumps.append(OwnJump(jump))
             self._shell.add_jump(time_ns, "ins", jump, changed_after_ns)
-        assert isinstance(judged.sample, ShipSample)
+        assert isinstance(result.sample, ShipSample)
         # With the INS alone the pointing uses its attitudes only, so that no wrong rate can affect it.
         by_ins = self.config.ship.source == "ins/imu"
-        return judged.rejection, replace(judged.sample, rate_d=None) if by_ins else judged.sample
+        return result.rejection, replace(result.sample, rate_d=None) if by_ins else result.sample
 
     # -- model of the time-ordered estimator ----------------------------------------------------------------
 
@@ -528,11 +528,11 @@ class OpticalAxisCore:
         if jumped or (rejection is not None and rejection.reason in _STREAM_FAULT_REASONS):
             self._stream_fault_ns[source] = max(time_ns, self._stream_fault_ns.get(source, time_ns))
 
-    def _note_own_jump(self, time_ns: int, judged: CheckedReading) -> None:
+    def _note_own_jump(self, time_ns: int, result: CheckedReading) -> None:
         """Record a jump or a stuck reading of the encoders."""
-        if judged.jump is not None:
-            self._own_jumps.append(OwnJump(judged.jump))
-        stands = judged.rejection is not None and judged.rejection.reason is Reason.STUCK
+        if result.jump is not None:
+            self._own_jumps.append(OwnJump(result.jump))
+        stands = result.rejection is not None and result.rejection.reason is Reason.STUCK
         if stands and not self._stands:
             self._own_jumps.append(stood_still(time_ns))
         self._stands = stands

@@ -119,7 +119,7 @@ class CorrectedAxis:
             ship.noise,
             encoders.angles,
             encoders.variance,
-            *(_NOTHING_HAPPENS if step is None else (step.kept, step.new_n)),
+            *(_NOTHING_HAPPENS if step is None else (step.retained, step.new_n)),
             self._errors,
             self._lasting,
             self._time_s,

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ship_estimation.outcome import Decision, Status
+from ship_estimation.outcome import MeasurementDecision, Status
 from ship_estimation.refusals import Contradictions, Reason, Rejection, failure
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.time_scales import SECOND_NS
@@ -302,5 +302,5 @@ def invalid_direction(sample: TargetSample, text: str) -> TargetEstimate:
     )
 
 
-def _refused(sample: TargetSample, rejection: Rejection) -> Decision[TargetSample]:
-    return Decision(sample, rejection.reason, text=rejection.text)
+def _refused(sample: TargetSample, rejection: Rejection) -> MeasurementDecision[TargetSample]:
+    return MeasurementDecision(sample, rejection.reason, text=rejection.text)

@@ -178,11 +178,11 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         yield Feed(ship, "ship", read_ship, core.add_ship, read_rows=read_ships, continuous=ATTITUDE)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
         read_image, take_image = functools.partial(messages_in.exposure, config=config), untimed(core.add_exposure)
-        yield Feed(image, "lights", read_image, take_image, judged=True, measured_by=Exposure.source)
+        yield Feed(image, "lights", read_image, take_image, has_decision=True, measured_by=Exposure.source)
         target = InputTopic(
             TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, at_times=True
         )
-        yield Feed(target, "target", functools.partial(messages_in.target, config=config), core.add_target, judged=True)
+        yield Feed(target, "target", functools.partial(messages_in.target, config=config), core.add_target, has_decision=True)
         if self._sky is not None:
             yield from self._star_feeds(config, core)
         for id_, beacon in config.beacons.items():
@@ -212,7 +212,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
                 camera_config=config.star_camera(id_),
                 catalogue=self._sky.catalogue,
             )
-            yield Feed(topic, f"star.{id_}", read, core.add_stars, judged=True)
+            yield Feed(topic, f"star.{id_}", read, core.add_stars, has_decision=True)
         yield from surroundings_feeds(config.sky, untimed(core.add_surroundings), place_required=False)
 
     def _read_ships(

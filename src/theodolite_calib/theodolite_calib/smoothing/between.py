@@ -69,7 +69,7 @@ class Between:
         onward = self._decay(later.time_ns - together_ns)
         cross = wide * (onward * self._kept_to(anchor, later))[:, None, :]
         if step is not None:
-            cross[:, SHIP] *= step.kept[:, :, None]
+            cross[:, SHIP] *= step.retained[:, :, None]
             then = self._step_to(anchor, later)
             if then is not None:
                 shared_n = np.array([_common_covariance(new_n, then.new_n[0]) for new_n in step.new_n])
@@ -110,7 +110,7 @@ class Between:
         """Return the factor on each state that remains at the next sighting, shape (n,)."""
         kept, step = np.ones(self._model.size), self._step_to(anchor, later)
         if step is not None:
-            kept[SHIP] = step.kept[0]
+            kept[SHIP] = step.retained[0]
         return kept
 
 
@@ -125,9 +125,9 @@ def _since_ns(anchor: AxisAnchor, moments_ns: StampArray) -> StampArray:
 def _stepped(known: Known, step: ShipErrorStep | None) -> Known:
     """Apply the steps of the ship's error at N times; the argument is changed."""
     if step is not None:
-        known.mean[:, SHIP] *= step.kept
-        known.covariance[:, SHIP] *= step.kept[:, :, None]
-        known.covariance[:, :, SHIP] *= step.kept[:, None, :]
+        known.mean[:, SHIP] *= step.retained
+        known.covariance[:, SHIP] *= step.retained[:, :, None]
+        known.covariance[:, :, SHIP] *= step.retained[:, None, :]
         known.covariance[:, SHIP, SHIP] += step.new_n
     return known
 

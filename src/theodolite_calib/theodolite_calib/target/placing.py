@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ship_estimation.outcome import Decision, Measurement, Outcome, Status
+from ship_estimation.outcome import MeasurementDecision, Measurement, Outcome, Status
 from ship_estimation.refusals import Contradictions, Reason, Rejection, failure, same_stamp
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -59,7 +59,7 @@ class PlaceEstimate:
     rejection: Rejection | None
 
 
-PlacingOutcome = Outcome[Decision[Measurement], PlaceEstimate]
+PlacingOutcome = Outcome[MeasurementDecision[Measurement], PlaceEstimate]
 """Outcome whose estimates are positions; there are no decisions about single directions."""
 
 
