@@ -134,7 +134,7 @@ def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
         adapter = node.adapter(load_config(node.adapter.config_type, text, name), RosbagsFactory())
         topics = {topic.topic for topic in adapter.inputs}
         for record in bag.records(topics):
-            for tick_ns in grid.due(record.log_time_ns):
+            for tick_ns in grid.ticks_until(record.log_time_ns):
                 published += adapter.tick(tick_ns)
             published += adapter.handle(record.topic, record.decode(), record.log_time_ns)
     result = adapter.service("save_alignment", record.log_time_ns)

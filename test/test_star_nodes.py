@@ -210,7 +210,7 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
     calls = AdapterCalls(adapter, {output.topic: _Nobody() for output in adapter.outputs}, files, box)
     grid = TickGrid()
     for number, arrival in enumerate(star_voyage.voyage(noise=True)):
-        for tick_ns in grid.due(arrival.receive_ns):
+        for tick_ns in grid.ticks_until(arrival.receive_ns):
             calls.tick(tick_ns)
         if number == 40:
             calls.set_parameters({"star_sensors.fore.camera.centroid_sigma_px": 0.1}, arrival.receive_ns)

@@ -83,7 +83,7 @@ def _waits_ms(scenario: Scenario, records: list[BagRecord]) -> list[float]:
     for record in records:
         if record.topic not in types:
             continue
-        for tick_ns in grid.due(record.log_time_ns):
+        for tick_ns in grid.ticks_until(record.log_time_ns):
             adapter.tick(tick_ns)
         begin_s = time.perf_counter()
         message = readers[record.topic].message(record.data)

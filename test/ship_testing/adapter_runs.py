@@ -212,6 +212,6 @@ def hand_over(
 
 
 def _tick(run: AdapterRun, grid: TickGrid, waiting_ns: int, node_ns: Callable[[int], int]) -> None:
-    for tick_ns in grid.due(waiting_ns):
+    for tick_ns in grid.ticks_until(waiting_ns):
         run.published += [(tick_ns, *item) for item in run.adapter.tick(node_ns(tick_ns), tick_ns)]
     run.now_ns = waiting_ns

@@ -128,7 +128,7 @@ def make_box(
         if record is records[0] and len(plan) < planned:
             grid.restart(waiting_ns)
             calls.clock_jumped_back(now_ns)
-        for tick_ns in grid.due(waiting_ns):
+        for tick_ns in grid.ticks_until(waiting_ns):
             calls.tick(node_time(tick_ns), tick_ns)
         while plan and waiting_ns >= start_ns + plan[0][0]:
             plan.pop(0)[1](now_ns)

@@ -161,7 +161,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         self._base = self.state = state
         self._keys: list[Key] = []
         self._entries: list[_Entry[State, Item, AnyDecision]] = []
-        self.waiting = 0
+        self.pending_count = 0
         self.oldest_ns: int | None = None
         self._repeats = _Allowance(MOST_REPEATS_PER_S)
 
@@ -173,9 +173,9 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
     @property
     def is_behind(self) -> bool:
         """True if the next measurement was applied before and is pending only because of the rate limits."""
-        return self.waiting > 0 and self._entries[self._applied].decision is not None
+        return self.pending_count > 0 and self._entries[self._applied].decision is not None
 
-    def not_applied(self) -> list[Item]:
+    def pending_measurements(self) -> list[Item]:
         """Return the pending measurements, in order."""
         return [entry.measurement for entry in self._entries[self._applied :]]
 
@@ -198,15 +198,15 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
             self._keys.insert(index, key)
             self._entries.insert(index, _Entry(key, measurement))
             self.oldest_ns = self._keys[0][0]
-            self.waiting += 1
-        self.waiting = max(self.waiting, len(self._entries) - index)
+            self.pending_count += 1
+        self.pending_count = max(self.pending_count, len(self._entries) - index)
 
     def rewind_where(self, affected: Callable[[AnyDecision], bool]) -> None:
         """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
         for index in range(self._applied):
             decision = self._entries[index].decision
             if decision is not None and affected(decision):
-                self.waiting = len(self._entries) - index
+                self.pending_count = len(self._entries) - index
                 return
 
     def apply(
@@ -230,7 +230,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         """
         decisions: list[tuple[AnyDecision, AnyDecision | None]] = []
         repeats = 0
-        while self.waiting:
+        while self.pending_count:
             index = self._applied
             entry, self.state = self._entries[index], self._state_before(index)
             again = entry.decision is not None
@@ -251,10 +251,10 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
             self.state, entry.decision = result
             entry.state_after = self.state
             decisions.append((entry.decision, previous))
-            self.waiting -= 1
+            self.pending_count -= 1
         return decisions
 
-    def forget_before(self, time_ns: int) -> list[State]:
+    def commit_before(self, time_ns: int) -> list[State]:
         """Commit the applied measurements before a time: they can no longer be revised.
 
         Returns:
@@ -276,7 +276,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
     @property
     def _applied(self) -> int:
         """Number of measurements of the window that are applied: always its first ones."""
-        return len(self._entries) - self.waiting
+        return len(self._entries) - self.pending_count
 
     def _may_repeat(self, key: Key, repeats: int, closed_ns: int, now_ns: int) -> bool:
         # Before the closed time no data can arrive: one more repetition is final there.
@@ -311,7 +311,7 @@ class Model(Generic[State, Measured, DecisionT, Jump]):
     until_ns: Callable[[DecisionT], int]
     forget_before: Callable[[int], None]
     decided: Callable[[DecisionT], None] | None = None
-    closed: Callable[[Sequence[State]], None] | None = None
+    on_commit: Callable[[Sequence[State]], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -402,7 +402,7 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
     @property
     def is_idle(self) -> bool:
         """True if no measurement is pending: a new sample, the newest of its track, is only stored then."""
-        return not self._log.waiting
+        return not self._log.pending_count
 
     def advance_to(self, time_ns: int) -> None:
         """Advance the window after samples up to a stamp were appended to their track, while :attr:`is_idle`."""
@@ -454,7 +454,7 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
             outcome: receives the decisions.
             now_ns: the time now, for the rate limits; None for the newest stamp.
         """
-        if not self._log.waiting:
+        if not self._log.pending_count:
             return
         closed_ns = self.window.oldest_ns - self._reach_ns
         now_ns = self.window.newest_ns if now_ns is None else now_ns
@@ -503,9 +503,9 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
         """Commit the measurements that are older than the window."""
         closed_ns = self.window.oldest_ns - self._reach_ns
         if self._log.oldest_ns is not None and self._log.oldest_ns < closed_ns:
-            closed = self._log.forget_before(closed_ns)
-            if self._model.closed is not None:
-                self._model.closed(closed)
+            closed = self._log.commit_before(closed_ns)
+            if self._model.on_commit is not None:
+                self._model.on_commit(closed)
         self._model.forget_before(closed_ns)
 
     def _step(
@@ -568,9 +568,9 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
     @property
     def state_now(self) -> State:
         """The state for outputs: jumps inflate it at once, even if measurements before them are pending."""
-        if not (self._jumped and self._log.waiting):
+        if not (self._jumped and self._log.pending_count):
             return self.state
-        openings = [item for item in self._log.not_applied() if isinstance(item, _Opening)]
+        openings = [item for item in self._log.pending_measurements() if isinstance(item, _Opening)]
         return functools.reduce(lambda state, opening: self._model.inflate(state, opening.jump), openings, self.state)
 
     def say_invalid(

@@ -46,7 +46,7 @@ class JudgedIns(NamedTuple):
     noise: ExtraNoise | None = None
 
 
-class Followed:
+class CheckedBlock:
     """The leading samples of a block that were checked together.
 
     Attributes:
@@ -184,7 +184,7 @@ class InsGuard:
         """Largest reported step that does not affect the check of a sample while :attr:`can_check_block` holds, rad."""
         return self._steps.least_rad
 
-    def looks_ahead(self, time_ns: int) -> bool:
+    def can_check_block(self, time_ns: int) -> bool:
         """True if a block may be checked from this stamp on: rates are confirmed, and no check is unresolved."""
         taken = self._taken
         if taken is None or self._previous is not taken or self._rate_check.status is not RateStatus.MEASURED:
@@ -192,7 +192,7 @@ class InsGuard:
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
         return in_order and self._unresolved_jump is None and self._steps.judges and not self._excess.collects
 
-    def look_ahead(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> Followed:
+    def check_block(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> CheckedBlock:
         """Check the leading samples of a block as long as all are accepted without special cases.
 
         The result for each is that of :meth:`check`; motion references do not affect it. After :meth:`commit_block` the
@@ -202,8 +202,8 @@ class InsGuard:
             samples: later than all before, in the order of their stamps.
             block: the same samples as arrays.
         """
-        followed = Followed()
-        if not self.looks_ahead(samples[0].time_ns):
+        followed = CheckedBlock()
+        if not self.can_check_block(samples[0].time_ns):
             return followed
         self._leads.told_rad = 0.0
         fresh = self._stuck_check.new_values(samples[0].time_ns, block.rotations_nd)
@@ -216,7 +216,7 @@ class InsGuard:
                 break
         return followed
 
-    def arrive(self, values: FloatArray, checked: Followed, motion_references: Mapping[str, Witness]) -> None:
+    def commit_block(self, values: FloatArray, checked: CheckedBlock, motion_references: Mapping[str, Witness]) -> None:
         """Commit the samples that :meth:`check_block` checked.
 
         Args:
@@ -232,7 +232,7 @@ class InsGuard:
         self._smooth_since_taken = True
 
     def _follow_run(
-        self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, followed: Followed
+        self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, followed: CheckedBlock
     ) -> None:
         """Check samples until a new drift of the rates is estimated, which changes their integration."""
         start, joined, drift_rad_per_s = 0, len(integrated.missed_rad), self._leads.drift.bound_rad_per_s

@@ -111,29 +111,29 @@ class VerdictBook:
 
     def __init__(self) -> None:
         self._tables: dict[str, InnovationTable] = {}
-        self._fresh: dict[str, list[Innovation]] = {}
+        self._pending: dict[str, list[Innovation]] = {}
         self._newest_ns = 0
 
     def clear(self) -> None:
         """Drop all innovations, as after a reset of the estimator."""
         self._tables.clear()
-        self._fresh.clear()
+        self._pending.clear()
         self._newest_ns = 0
 
     def add(self, source: str, decision: MeasurementDecision[Any]) -> None:
         """Add the innovation of a decision; it replaces that of an earlier decision about the same measurement."""
         innovation = innovation_of(decision)
         if innovation is not None:
-            self._fresh.setdefault(source, []).append(innovation)
+            self._pending.setdefault(source, []).append(innovation)
             self._newest_ns = max(self._newest_ns, innovation.time_ns)
 
     def diagnoses(self) -> dict[str, InnovationDiagnosis]:
         """Return the diagnosis of each source, in the order of their names."""
-        for source, innovations in self._fresh.items():
+        for source, innovations in self._pending.items():
             if source not in self._tables:
                 self._tables[source] = InnovationTable()
             self._tables[source].take(innovations)
-        self._fresh.clear()
+        self._pending.clear()
         until_ns, verdicts = self._newest_ns - round(WINDOW_S * SECOND_NS), {}
         for source, table in sorted(self._tables.items()):
             table.forget(until_ns, _MOST_KEPT)

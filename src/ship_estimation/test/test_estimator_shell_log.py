@@ -69,7 +69,7 @@ def test_any_order_of_arrival_and_any_pauses_give_the_same_state_and_decisions(
     state, decisions = in_own_order(known)
     assert log.state == state
     assert sorted(latest) == sorted(decisions)
-    assert log.waiting == 0
+    assert log.pending_count == 0
 
 
 @repeatable
@@ -82,7 +82,7 @@ def test_repeated_key_replaces_the_measurement(known: dict[Key, float], data: st
     key = data.draw(st.sampled_from(sorted(known)))
     insert(log, key, 0.123)
     assert log.get(key) == (key[0], 0.123)
-    assert log.waiting == sum(other >= key for other in known)
+    assert log.pending_count == sum(other >= key for other in known)
     replaced = log.apply(step, failed)
     assert all(previous is not None for _, previous in replaced)
     assert log.state == in_own_order({**known, key: 0.123})[0]
@@ -100,7 +100,7 @@ def test_measurements_wait_for_their_data(known: dict[Key, float], ready_ns: lis
         log.apply(lambda state, m, limit_ns=limit_ns: step(state, m) if m[0] < limit_ns else None, failed)
         before = {key: value for key, value in known.items() if key[0] < reached}
         assert log.state == in_own_order(before)[0]
-        assert log.waiting == len(known) - len(before)
+        assert log.pending_count == len(known) - len(before)
 
 
 @repeatable
@@ -127,7 +127,7 @@ def test_committed_measurements_stay_in_the_state(
     for key, value in known.items():
         insert(log, key, value)
     log.apply(step, failed)
-    log.forget_before(oldest_ns)
+    log.commit_before(oldest_ns)
     assert log.state == in_own_order(known)[0]
     forgotten = {key: value for key, value in known.items() if key[0] < oldest_ns}
     assert all(log.get(key) is None for key in forgotten)
@@ -145,8 +145,8 @@ def test_pending_measurements_are_not_committed(known: dict[Key, float], oldest_
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
-    log.forget_before(oldest_ns)
-    assert log.waiting == len(known)
+    log.commit_before(oldest_ns)
+    assert log.pending_count == len(known)
     log.apply(step, failed)
     assert log.state == in_own_order(known)[0]
 
@@ -195,7 +195,7 @@ def test_exception_in_a_step_keeps_the_state_and_delays_nothing(
     for key in data.draw(st.permutations(sorted(known))):
         insert(log, key, known[key])
         log.apply(failing, failed)
-        assert log.waiting == 0
+        assert log.pending_count == 0
     good = {key: value for key, value in known.items() if key[0] % 2 or not value < 0.0}
     assert log.state == in_own_order(good)[0]
     assert set(raised) == {(key[0], value) for key, value in known.items() if key not in good}
@@ -243,13 +243,13 @@ class LogAgainstSorting(RuleBasedStateMachine):
     @rule()
     def applied(self) -> None:
         self.log.apply(self.biased_step, failed)
-        assert self.log.waiting == 0
+        assert self.log.pending_count == 0
         assert self.log.state == self.expected()
 
     @precondition(lambda self: self.log.waiting == 0)
     @rule(oldest_ns=st.integers(0, 40))
     def window_closes(self, oldest_ns: int) -> None:
-        self.log.forget_before(oldest_ns)
+        self.log.commit_before(oldest_ns)
         old = {key: value + self.bias.get(key[0], 0.0) for key, value in self.known.items() if key[0] < oldest_ns}
         self.base = in_own_order(old, self.base)[0]
         self.known = {key: value for key, value in self.known.items() if key not in old}
@@ -279,8 +279,8 @@ def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -
             repeats = sum(previous is not None for _, previous in decisions)
             repeats_by_second[newest_ns // 1_000_000_000] += repeats
             most_at_once = max(most_at_once, repeats)
-        log.forget_before(newest_ns - lag_ns)
-        most_waiting = max(most_waiting, log.waiting)
+        log.commit_before(newest_ns - lag_ns)
+        most_waiting = max(most_waiting, log.pending_count)
     # Without limits it would be 500 times some 500 a second. Each is applied once more when the window closes.
     assert max(repeats_by_second) <= 2 * MOST_REPEATS_PER_S + 1000
     assert most_at_once <= MOST_REPEATS_AT_ONCE + 2
@@ -295,5 +295,5 @@ def test_few_late_measurements_are_applied_at_once() -> None:
     for key, value in sorted(known.items(), reverse=True):
         insert(log, key, value)
         log.apply(step, failed, (0, 20))
-        assert log.waiting == 0
+        assert log.pending_count == 0
     assert log.state == in_own_order(known)[0]

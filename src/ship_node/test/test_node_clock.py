@@ -69,31 +69,31 @@ def test_system_time_is_unchanged(context):
 
 
 def test_first_call_only_starts_the_grid():
-    assert list(TickGrid(100).due(1050)) == []
+    assert list(TickGrid(100).ticks_until(1050)) == []
 
 
 def test_every_tick_occurs_once():
     grid = TickGrid(100)
-    list(grid.due(1050))
-    assert list(grid.due(1099)) == []
-    assert list(grid.due(1100)) == [1100]
-    assert list(grid.due(1100)) == []
-    assert list(grid.due(1420)) == [1200, 1300, 1400]
+    list(grid.ticks_until(1050))
+    assert list(grid.ticks_until(1099)) == []
+    assert list(grid.ticks_until(1100)) == [1100]
+    assert list(grid.ticks_until(1100)) == []
+    assert list(grid.ticks_until(1420)) == [1200, 1300, 1400]
 
 
 def test_a_small_jump_back_repeats_no_tick():
     grid = TickGrid(100)
-    list(grid.due(1050))
-    assert list(grid.due(1210)) == [1100, 1200]
-    assert list(grid.due(1190)) == []
-    assert list(grid.due(1300)) == [1300]
+    list(grid.ticks_until(1050))
+    assert list(grid.ticks_until(1210)) == [1100, 1200]
+    assert list(grid.ticks_until(1190)) == []
+    assert list(grid.ticks_until(1300)) == [1300]
 
 
 def test_restart_skips_missed_ticks():
     grid = TickGrid(100)
-    list(grid.due(1050))
+    list(grid.ticks_until(1050))
     grid.restart(500)
-    assert list(grid.due(700)) == [600, 700]
+    assert list(grid.ticks_until(700)) == [600, 700]
 
 
 def test_timeout_clock_counts_only_listening_time() -> None:

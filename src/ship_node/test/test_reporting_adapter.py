@@ -117,14 +117,14 @@ def test_a_message_without_rejection_is_used_and_its_estimate_published(adapter:
     estimate = SimpleNamespace(status=Status.VALID)
     adapter.core.next = Outcome(estimates=[estimate])
     assert adapter.handle(FAST, message(), NOW_NS) == [("tiny/value", estimate)]
-    assert (adapter.latest, adapter.budget_due) == (estimate, estimate)
+    assert (adapter.latest, adapter.pending_budget) == (estimate, estimate)
     assert health(adapter, FAST) == (1, 1, 0, {})
 
 
 def test_an_invalid_estimate_has_no_budget(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.INVALID)])
     adapter.handle(FAST, message(), NOW_NS)
-    assert adapter.budget_due is None
+    assert adapter.pending_budget is None
 
 
 @pytest.mark.parametrize(("reason", "stamp_ns"), [(Reason.FRAME, NOW_NS + 5), (Reason.BAD_STAMP, NOW_NS + 7)])
@@ -204,7 +204,7 @@ def test_a_reset_and_a_clock_jump_reset_the_outputs(adapter: TinyAdapter) -> Non
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
     adapter.handle(FAST, message(), NOW_NS)
     assert adapter.clock_jumped_back(NOW_NS - S) == []
-    assert (adapter.latest, adapter.budget_due, adapter.clock_jumps) == (None, None, 1)
+    assert (adapter.latest, adapter.pending_budget, adapter.clock_jumps) == (None, None, 1)
     assert adapter.service("reset", NOW_NS) == (True, "the filter was reset")
     assert adapter.core.calls[-2:] == [("reset", True), ("reset", False)]
 
@@ -247,7 +247,7 @@ def test_the_core_starts_from_the_saved_document_at_the_first_time(tmp_path: Pat
 
 def off_text(adapter: TinyAdapter) -> list[tuple[int, str]]:
     """Return the diagnostics about sources that are off."""
-    adapter.slow_due_ns = None
+    adapter.next_slow_ns = None
     (array,) = [m for topic, m in adapter.tick(NOW_NS) if topic == "/diagnostics"]
     return [(status.level, status.message) for status in array.status if "sources off" in status.name]
 

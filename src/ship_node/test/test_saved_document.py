@@ -174,7 +174,7 @@ def test_an_unusable_file_is_set_aside_and_reported_until_the_next_save(tmp_path
     path.write_bytes(raw)
     files = NotedFiles()
     saved = start(path, files, lambda: Content(7))
-    assert not saved.is_due
+    assert not saved.is_pending
     assert str(path) in saved.unreadable
     assert saved.unreadable.endswith(f"; set aside as {path}.unreadable")
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"alignment.yaml.unreadable": raw}
@@ -267,7 +267,7 @@ def test_a_file_unreadable_at_the_start_stays_and_is_reported_until_readable(tmp
     path, disk = tmp_path / "alignment.yaml", Poor(number)
     path.write_text(WRITTEN)
     saved = start(path, disk, lambda: Content(7, 2.0))
-    assert not saved.is_due
+    assert not saved.is_pending
     assert saved.unreadable.startswith(f"{path}: the alignment cannot be read: {os.strerror(number)}; not saved")
     saved.save_by_itself()
     assert (saved.trouble, saved.notices) == (saved.unreadable, [saved.unreadable])

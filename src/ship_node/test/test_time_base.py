@@ -121,7 +121,7 @@ def test_an_input_that_moved_and_timed_out_leaves_no_pending_step(step_s: float)
     clocks = TimeBase()
     steps = found(lambda topic, valid_s: step_s * (topic == "star/fore" and valid_s > 20.0), delay_s, clocks=clocks)
     assert steps == []
-    assert not clocks.is_in_question
+    assert not clocks.is_step_pending
 
 
 @pytest.mark.parametrize("later_s", [0.0, -300.0])
@@ -147,7 +147,7 @@ def test_a_device_with_a_long_offset_steps_with_the_others(alone_s: float) -> No
 def test_a_clock_that_drifts_ahead_has_not_moved() -> None:
     clocks = TimeBase()
     assert found(lambda topic, valid_s: 0.02 * valid_s * (topic == "star/fore"), clocks=clocks) == []
-    assert not clocks.is_in_question
+    assert not clocks.is_step_pending
 
 
 def test_an_input_with_both_times_confirms_no_step() -> None:
@@ -211,7 +211,7 @@ def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: flo
     steps = found(lambda topic, valid_s: step_s * (valid_s >= 20.0), clocks=clocks, duration_s=50.0, **periods_s)
     assert [told_s for _, told_s in steps] == [pytest.approx(step_s)]
     assert steps[0][0] < 22.0
-    assert not clocks.is_in_question
+    assert not clocks.is_step_pending
 
 
 def test_the_step_is_that_of_the_fastest_input() -> None:

@@ -86,7 +86,7 @@ class AvailabilityRecord:
         self._limits = limits
         no_limit = {f"{quantity}_arcsec": _NO_LIMIT_ARCSEC for quantity in QUANTITIES}
         self._watch = Watch(replace(limits, **no_limit))  # type: ignore[arg-type]
-        self._due_ns: int | None = None
+        self._next_sample_ns: int | None = None
         self._samples: dict[str, list[_Sample]] = {quantity: [] for quantity in QUANTITIES}
 
     def take(self, topic: str, message: Any, arrival_ns: int) -> None:
@@ -97,10 +97,10 @@ class AvailabilityRecord:
             message: the message, with the fields of its type as attributes.
             arrival_ns: time of its arrival, ns.
         """
-        while self._due_ns is not None and self._due_ns <= arrival_ns:
-            self._sample(self._due_ns)
-            self._due_ns += STEP_NS
-        self._due_ns = self._due_ns or arrival_ns
+        while self._next_sample_ns is not None and self._next_sample_ns <= arrival_ns:
+            self._sample(self._next_sample_ns)
+            self._next_sample_ns += STEP_NS
+        self._next_sample_ns = self._next_sample_ns or arrival_ns
         self._watch.take(topic, message, arrival_ns)
 
     def availability(self, quantity: str) -> Availability | None:

@@ -34,7 +34,7 @@ _TRUTH_GAP_NS = NS_PER_S
 _LEAST_BETWEEN_ERRORS_NS = NS_PER_S // 2
 """Minimum interval between errors against truth, ns."""
 
-_WAITING = 20
+_MAX_PENDING = 20
 """Number of outputs that wait for the truth at their stamps."""
 
 _INSTALLED = ("star.", "reference.", "focal_length", "telescope_")
@@ -54,7 +54,7 @@ class ErrorsBeside:
     def __init__(self, orientation: Orientation, history: History) -> None:
         self._orientation, self._history = orientation, history
         self._truth = AttitudeTrack(_TRUTH_GAP_NS)
-        self._waiting: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=_WAITING)
+        self._pending: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=_MAX_PENDING)
         self._last_ns = 0
         self._topic_knows = False
 
@@ -77,7 +77,7 @@ class ErrorsBeside:
             variances = np.array([message.covariance[0], message.covariance[4], message.covariance[8]])
             angles = self._orientation.angles_of(message)
             if np.all(np.isfinite(angles)):
-                self._waiting.append((stamp_ns, angles, variances))
+                self._pending.append((stamp_ns, angles, variances))
 
     def note_truth(self, message: Any) -> None:
         """Record a sample of the truth, and add the errors of the outputs before it."""
@@ -85,8 +85,8 @@ class ErrorsBeside:
         if sample is not None:
             self._truth.insert(sample)
         newest = self._truth.newest
-        while self._waiting and newest is not None and self._waiting[0][0] <= newest.time_ns:
-            stamp_ns, angles, variances = self._waiting.popleft()
+        while self._pending and newest is not None and self._pending[0][0] <= newest.time_ns:
+            stamp_ns, angles, variances = self._pending.popleft()
             truth = self._truth.at(stamp_ns)
             if truth is not None:
                 errors = self._orientation.errors_arcsec(angles, truth.rotation_nd)

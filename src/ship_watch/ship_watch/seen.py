@@ -14,7 +14,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import FloatArray
 from ship_watch.history import History, LightPoint, StarsSeen, append
 
-_REMEMBERED = 8
+_PENDING_MESSAGES = 8
 """Number of messages that wait for their counterpart."""
 
 _INNOVATION_TIMEOUT_NS = 3_000_000_000
@@ -34,7 +34,7 @@ class StarsSeenBook:
 
     def note_exposure(self, source: str, message: Any) -> None:
         """Add a StarObservationArray."""
-        self._exposures.setdefault(source, deque(maxlen=_REMEMBERED)).append(message)
+        self._exposures.setdefault(source, deque(maxlen=_PENDING_MESSAGES)).append(message)
         self._join(source)
 
     def note_solution(self, source: str, message: Any) -> None:
@@ -43,7 +43,7 @@ class StarsSeenBook:
 
     def add_innovation(self, source: str, message: Any) -> None:
         """Add the Innovation of a measurement of a star sensor."""
-        self._innovations.setdefault(source, deque(maxlen=_REMEMBERED)).append(message)
+        self._innovations.setdefault(source, deque(maxlen=_PENDING_MESSAGES)).append(message)
         self._join(source)
 
     def _join(self, source: str) -> None:
@@ -92,7 +92,7 @@ class LightsSeenBook:
     def __init__(self, history: History) -> None:
         self._history = history
         self._images: deque[tuple[int, int, Any]] = deque()
-        self._innovations: deque[tuple[int, Any]] = deque(maxlen=_REMEMBERED)
+        self._innovations: deque[tuple[int, Any]] = deque(maxlen=_PENDING_MESSAGES)
 
     def note_image(self, message: Any, now_ns: int) -> None:
         """Add a BeaconImage."""

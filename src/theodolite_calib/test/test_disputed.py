@@ -14,7 +14,7 @@ from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import EncoderSample, Exposure, PointingEstimate
 from theodolite_calib.optical_axis.integrity import integrity_of
-from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 
 SEEDS = 8
 START_S = 30.0
@@ -57,7 +57,7 @@ def pointed() -> tuple[Pointed, ...]:
             state, _ = step(state, crept, Exposure(crept.time_ns, ()))
             sigma = float(np.sqrt(crept.encoder.noise))
             sample = EncoderSample(crept.time_ns, np.array([azimuth, crept.encoder.elevation]), sigma)
-            estimate = out.estimate(DuePointing(sample, crept.ship, "", 0.0, state))
+            estimate = out.estimate(PendingPointing(sample, crept.ship, "", 0.0, state))
             if state.fault_state.exclusions:
                 break
             if estimate.status is Status.VALID:

@@ -87,7 +87,7 @@ VOYAGES = {
 
 @pytest.mark.parametrize("name", VOYAGES)
 def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    ahead, looked = [], InsGuard.look_ahead
+    ahead, looked = [], InsGuard.check_block
 
     def counted(guard: InsGuard, *arguments: Any) -> Any:
         followed = looked(guard, *arguments)

@@ -19,7 +19,7 @@ from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.filter.trust import UnresolvedFault
 from theodolite_calib.measured.samples import EncoderRun, EncoderSample, Exposure, Mode, PointingEstimate, PointingRun
 from theodolite_calib.measured.tracks import ShipAt, ShipRun
-from theodolite_calib.optical_axis.output import CorrectedAxis, DuePointing, PointingOutput
+from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing, PointingOutput
 
 TIMES_S = np.arange(0.0, 10.0)
 COUNT = 12
@@ -152,7 +152,7 @@ def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fai
     later, output = replace(state, refusals=1), PointingOutput(settings, filter_)
     encoders, ship = readings("ins/imu", state)
     due = [
-        DuePointing(
+        PendingPointing(
             EncoderSample(int(encoders.time_ns[number]), encoders.angles[number], 1e-5),
             ShipAt(ship.rotation_nd[number], ship.rate_d[number], None, ship.noise[number], ship.status[number]),
             encoders.unconfirmed_reasons[number],

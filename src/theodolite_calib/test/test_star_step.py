@@ -37,7 +37,7 @@ from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.trust import ExclusionRecord
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.measured.star_sighting import StarSighting
-from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 
 SETTINGS = mount_config()
 SEEDS = 50
@@ -66,7 +66,7 @@ class Mount:
 
     def pointing(self, night: MountNight, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
         reading = night.reading(encoder, time_ns)
-        return self._output.estimate(DuePointing(reading, night.ship(), "", 0.0, state))
+        return self._output.estimate(PendingPointing(reading, night.ship(), "", 0.0, state))
 
 
 def off_axis(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:

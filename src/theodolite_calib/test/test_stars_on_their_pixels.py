@@ -30,7 +30,7 @@ from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.samples import Mode, PointingEstimate
-from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 
 ERRORS_PX = {"field_spatial_sigma_px": 0.2, "pixel_spatial_sigma_px": 0.1}
 """2.7″ and 1.3″, with a noise of 1.3″."""
@@ -56,7 +56,7 @@ def after_five_seconds(
     for time_ns, turn_d in zip((TIME_NS + times_ns).tolist(), bent_d, strict=True):
         night = MountNight(settings, replace(errors, deformation_d=turn_d), watch, rng, detector)
         state, _ = step(state, night.sighting(encoder, STARS, time_ns))
-    due = DuePointing(night.reading(encoder, time_ns), night.ship(), "", 0.0, state)
+    due = PendingPointing(night.reading(encoder, time_ns), night.ship(), "", 0.0, state)
     return night.main_axis(encoder), PointingOutput(settings, filter_).estimate(due), filter_
 
 

@@ -31,7 +31,7 @@ from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import EncoderSample, Exposure
 from theodolite_calib.measured.star_sighting import StarSighting
 from theodolite_calib.optical_axis.calibration import calibration_of
-from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 
 TELESCOPE = "main"
 SEEDS, STARS = 20, 6
@@ -110,7 +110,7 @@ def voyage(seed: int, camera_id: str, ratio: float, lights: bool = False, named:
         time_ns, encoder, true_nm = sighting.time_ns, sighting.encoder, drawn.rotation_nm[number]
         # By the state before: the noise of this reading is not in it.
         reading = EncoderSample(time_ns, np.array([encoder.azimuth, encoder.elevation]), np.sqrt(encoder.noise))
-        estimate = output.estimate(DuePointing(reading, sighting.ship, "", 0.0, state))
+        estimate = output.estimate(PendingPointing(reading, sighting.ship, "", 0.0, state))
         azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
         to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
         to_angles[0] *= np.cos(elevation)

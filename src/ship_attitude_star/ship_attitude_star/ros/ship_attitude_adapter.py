@@ -49,10 +49,10 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.blocks import BlockFeed, PublishedRows, ReadBlock, StampArray
+from ship_node.edge.blocks import BatchFeed, PublishedRows, ReadBatch, StampArray
 from ship_node.edge.columns_in import ReadRows
 from ship_node.edge.contested import ATTITUDE, INNOVATION
-from ship_node.edge.ins_messages import sigma_mismatch_text, ins_block, ins_sample
+from ship_node.edge.ins_messages import sigma_mismatch_text, ins_batch, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
@@ -209,9 +209,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that take them; each star sensor has one topic only."""
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
-        block = BlockFeed(functools.partial(self._read_ins_block, config=config.ins), core)
+        block = BatchFeed(functools.partial(self._read_ins_block, config=config.ins), core)
         read_ins = functools.partial(self._read_ins, config=config.ins)
-        yield Feed(ins, "ins", read_ins, core.add_ins, block=block, continuous=ATTITUDE)
+        yield Feed(ins, "ins", read_ins, core.add_ins, batch=block, continuous=ATTITUDE)
         for id_, star in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)
             read, read_rows = self._star_readers(id_, star)
@@ -239,9 +239,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         self._stated_covariance = message.orientation_covariance if reading.covariance_known else None
         return reading
 
-    def _read_ins_block(self, messages: CdrRows, receive_ns: StampArray, config: InsConfig) -> ReadBlock:
+    def _read_ins_block(self, messages: CdrRows, receive_ns: StampArray, config: InsConfig) -> ReadBatch:
         """Return the INS samples of a block, as :meth:`_read_ins` for one message."""
-        reading = ins_block(messages, receive_ns, config)
+        reading = ins_batch(messages, receive_ns, config)
         self._stated_covariance = messages.message(0).orientation_covariance if reading.covariance_known else None
         return reading
 
@@ -273,7 +273,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """Return error budget and predicted errors of the latest attitude, once each, alignment and installation."""
-        factory, estimate, published = self.factory, self.budget_due, []
+        factory, estimate, published = self.factory, self.pending_budget, []
         deck, horizon = self.config.frames.deck, self.config.frames.horizon
         if estimate is not None:
             sources = self.core.filter.model.sources

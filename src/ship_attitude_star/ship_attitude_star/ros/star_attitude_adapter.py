@@ -22,10 +22,10 @@ from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.block_adapter import BlockAdapter
-from ship_node.edge.blocks import BlockFeed, PublishedRows
+from ship_node.edge.block_adapter import BatchAdapter
+from ship_node.edge.blocks import BatchFeed, PublishedRows
 from ship_node.edge.contested import ATTITUDE
-from ship_node.edge.ins_messages import ins_block, ins_sample
+from ship_node.edge.ins_messages import ins_batch, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
@@ -70,7 +70,7 @@ class SeenStars:
     rejected_stars: tuple[RejectedStar, ...]
 
 
-class StarAttitudeAdapter(BlockAdapter):
+class StarAttitudeAdapter(BatchAdapter):
     """Adapter of the estimator of attitudes from stars alone.
 
     Args:
@@ -123,8 +123,8 @@ class StarAttitudeAdapter(BlockAdapter):
         if config.use_ins:
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)
             read_ins = functools.partial(ins_sample, config=config.ins)
-            block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
-            yield Feed(ins, "ins", read_ins, untimed(core.add_ins), block=block, continuous=ATTITUDE)
+            block = BatchFeed(functools.partial(ins_batch, config=config.ins), core)
+            yield Feed(ins, "ins", read_ins, untimed(core.add_ins), batch=block, continuous=ATTITUDE)
 
     def _take_stars(self, seen: SeenStars, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core
@@ -166,7 +166,7 @@ class StarAttitudeAdapter(BlockAdapter):
         return published
 
     def _joint(self, solved: Solved) -> list[Published]:
-        self.budget_due = solved if solved.valid else None
+        self.pending_budget = solved if solved.valid else None
         for star in solved.rejected_stars:
             self.health.noted(_topic(star.source), star.rejection.reason)
         published, refusal = self._solution(solved, self.config.frames.deck), solved.solution.rejection
@@ -183,9 +183,9 @@ class StarAttitudeAdapter(BlockAdapter):
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """Return the error budget of the latest joint solution, once."""
-        if self.budget_due is None:
+        if self.pending_budget is None:
             return []
-        return [(f"star/{JOINT}/error_budget", solution_budget(self.factory, self.budget_due, self.config.frames.deck))]
+        return [(f"star/{JOINT}/error_budget", solution_budget(self.factory, self.pending_budget, self.config.frames.deck))]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return diagnostics of the solutions and of the sky model."""

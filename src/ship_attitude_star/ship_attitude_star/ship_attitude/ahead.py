@@ -15,7 +15,7 @@ from ship_attitude_star.measurements.samples import AttitudeOutcome, AttitudeRun
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, estimates_by
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.ins_guard import Followed
+from ship_estimation.ins_guard import CheckedBlock
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Rejection, failure
 from ship_geometry.attitude_track import (
@@ -45,7 +45,7 @@ class _Stretch(NamedTuple):
 
 
 @dataclass
-class InsAhead:
+class InsBatch:
     """A batch of checked INS samples.
 
     Attributes:
@@ -62,11 +62,11 @@ class InsAhead:
     samples: list[AttitudeSample]
     block: SampleBlock
     arrivals_ns: StampArray
-    followed: Followed
+    checked: CheckedBlock
     before: RecentRates
     extra: ExtraNoise | None = None
     committed_count: int = 0
-    told: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
+    pending_outcomes: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
     _stretches: list[_Stretch] = field(default_factory=list)
 
     def commit(self, state: FilterState, stop: int, contradiction_texts: list[str] | None) -> None:

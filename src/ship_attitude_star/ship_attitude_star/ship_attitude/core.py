@@ -23,7 +23,7 @@ from ship_attitude_star.measurements.samples import (
     AttitudeRun,
     StampArray,
 )
-from ship_attitude_star.ship_attitude.ahead import InsAhead
+from ship_attitude_star.ship_attitude.ahead import InsBatch
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
@@ -109,7 +109,7 @@ class ShipAttitudeCore:
             until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
             decided=self._note_used,
-            closed=closed,
+            on_commit=closed,
         )
         self._shell: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
         self._shell = EstimatorShell(
@@ -189,7 +189,7 @@ class ShipAttitudeCore:
         judged = self._plausibility.ins.check(sample, self._track, self._plausibility.motion_references)
         return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
 
-    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsAhead | None:
+    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
         """Check the INS samples of a block as one batch, up to the first sample that needs separate handling.
 
         No other INS sample may be added until the batch is committed (:meth:`commit_batch`, :meth:`finish_batch`).
@@ -203,7 +203,7 @@ class ShipAttitudeCore:
         """
         first_ns = int(block.times_ns[0])
         # The vertical at a sample may change with position fixes that arrive before the block ends.
-        if self.vertical is not None or not self._plausibility.ins.looks_ahead(first_ns):
+        if self.vertical is not None or not self._plausibility.ins.can_check_block(first_ns):
             return None
         newest, before = self._track.newest, self._track.recent_rates()
         if newest is None or before is None or self._ins_arrival_ns is None:
@@ -219,44 +219,44 @@ class ShipAttitudeCore:
         if not len(block.times_ns):
             return None
         samples = block.samples()
-        followed = self._plausibility.ins.look_ahead(samples, block)
+        followed = self._plausibility.ins.check_block(samples, block)
         if not followed.count:
             return None
         extra = self._track.extra_noise(first_ns)
-        return InsAhead(samples[: followed.usual], block, arrivals_ns, followed, before, extra)
+        return InsBatch(samples[: followed.usual], block, arrivals_ns, followed, before, extra)
 
-    def take_ahead(self, ahead: InsAhead, stop: int) -> None:
+    def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
-        while ahead.committed_count < stop:
+        while batch.committed_count < stop:
             if self._shell.is_idle:
                 end = stop
-                self._track.extend(ahead.samples[ahead.committed_count : end])
-                self._shell.advance_to(ahead.samples[end - 1].time_ns)
+                self._track.extend(batch.samples[batch.committed_count : end])
+                self._shell.advance_to(batch.samples[end - 1].time_ns)
             else:
                 # A pending measurement may need this sample.
-                end, outcome = ahead.committed_count + 1, AttitudeOutcome()
-                self._shell.add_sample(INS, self._track, ahead.samples[ahead.committed_count], outcome)
+                end, outcome = batch.committed_count + 1, AttitudeOutcome()
+                self._shell.add_sample(INS, self._track, batch.samples[batch.committed_count], outcome)
                 if outcome.decisions or outcome.failures:
-                    ahead.told.append((ahead.committed_count, outcome))
+                    batch.pending_outcomes.append((batch.committed_count, outcome))
             contradiction_texts = None
             if self._shell.contradictions:
-                contradiction_texts = [self._contradiction_text(sample.time_ns) for sample in ahead.samples[ahead.committed_count : end]]
-            ahead.commit(self._shell.state_now, end, contradiction_texts)
-            self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
-            self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
-            self._plausibility.ins.by_rates = ahead.followed.by_rates(end - 1)
+                contradiction_texts = [self._contradiction_text(sample.time_ns) for sample in batch.samples[batch.committed_count : end]]
+            batch.commit(self._shell.state_now, end, contradiction_texts)
+            self._ins_arrival_ns = int(batch.arrivals_ns[end - 1])
+            self._shell.was_put_out(batch.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
+            self._plausibility.ins.by_rates = batch.checked.by_rates(end - 1)
 
-    def end_ahead(self, ahead: InsAhead) -> AttitudeOutcome | None:
+    def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
-        values, last = ahead.block.rotations_nd[: ahead.followed.count], ahead.followed.last
-        self._plausibility.ins.arrive(values, ahead.followed, self._plausibility.motion_references)
+        values, last = batch.block.rotations_nd[: batch.checked.count], batch.checked.last
+        self._plausibility.ins.commit_block(values, batch.checked, self._plausibility.motion_references)
         if last is None:
             return None
-        return self._use_ins(last, int(ahead.arrivals_ns[len(ahead.samples)]), AttitudeOutcome(), True)
+        return self._use_ins(last, int(batch.arrivals_ns[len(batch.samples)]), AttitudeOutcome(), True)
 
-    def estimates_ahead(self, ahead: InsAhead) -> list[tuple[slice, AttitudeRun | Rejection]]:
+    def batch_estimates(self, batch: InsBatch) -> list[tuple[slice, AttitudeRun | Rejection]]:
         """Return the attitudes at the stamps of a batch; see :meth:`InsBatch.attitudes`."""
-        return ahead.attitudes(self._corrected_by, self._ins_propagation_s, self.config)
+        return batch.attitudes(self._corrected_by, self._ins_propagation_s, self.config)
 
     def _use_ins(
         self, judged: JudgedIns, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool

@@ -99,7 +99,7 @@ class SmoothingCore(ShipAttitudeCore):
         super().reconfigure(config)
         self._chain.between = self._between()
 
-    def look_ahead(self, block: SampleBlock, arrivals_ns: object) -> None:
+    def evaluate_batch(self, block: SampleBlock, arrivals_ns: object) -> None:
         """Return None: samples are processed one by one, because each attitude is stored."""
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:

@@ -26,7 +26,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     solve_deck,
     solve_exposure,
 )
-from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, InsTurns
+from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, InsBatch
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import no_attitude
@@ -49,7 +49,7 @@ _EXACT: FloatArray = np.zeros((3, 3))
 
 
 @dataclass(frozen=True)
-class _Waiting:
+class _PendingExposure:
     """An exposure that is not solved yet.
 
     Attributes:
@@ -171,7 +171,7 @@ class StarCore:
         self._ins = InsMotion(self._config.ins, self._plausibility, self._of_ins)
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
         self._taken: dict[tuple[str, int], StarExposure] = {}
-        self._waiting: list[_Waiting] = []
+        self._pending: list[_PendingExposure] = []
         self._window = JointWindow(self._sources, self._config.joint)
         self._arrivals = LagWindow(self._config.lag_s)
         self.joined_by_ins = False
@@ -191,32 +191,32 @@ class StarCore:
         self._advance(outcome)
         return outcome
 
-    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsTurns | None:
+    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
         """Check the INS samples of a block as one batch; see :meth:`InsMotion.evaluate_batch`."""
         return self._ins.look_ahead(block, arrivals_ns, self._config.lag_s)
 
-    def take_ahead(self, turns: InsTurns, stop: int) -> None:
+    def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
-        while turns.committed_count < stop:
+        while batch.committed_count < stop:
             # A pending exposure may need this sample. Pending groups wait for exposures only.
-            end, outcome = turns.committed_count + 1 if self._waiting else stop, StarOutcome()
-            self._ins.commit_batch(turns, end)
-            self._arrivals.advance_to(turns.samples[end - 1].time_ns)
+            end, outcome = batch.committed_count + 1 if self._pending else stop, StarOutcome()
+            self._ins.commit_batch(batch, end)
+            self._arrivals.advance_to(batch.samples[end - 1].time_ns)
             self._advance(outcome)
             if outcome.solved or outcome.not_joined:
-                turns.told.append((end - 1, outcome))
+                batch.pending_outcomes.append((end - 1, outcome))
 
-    def end_ahead(self, turns: InsTurns) -> StarOutcome | None:
+    def finish_batch(self, batch: InsBatch) -> StarOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
-        refusal = self._ins.end(turns)
-        if turns.followed.last is None:
+        refusal = self._ins.finish_batch(batch)
+        if batch.checked.last is None:
             return None
         outcome = StarOutcome(refusal)
-        self._arrivals.advance_to(turns.followed.last.sample.time_ns)
+        self._arrivals.advance_to(batch.checked.last.sample.time_ns)
         self._advance(outcome)
         return outcome
 
-    def estimates_ahead(self, _turns: InsTurns) -> list[tuple[slice, StarOutcome]]:
+    def batch_estimates(self, _turns: InsBatch) -> list[tuple[slice, StarOutcome]]:
         """Return no estimates: INS samples produce only the outcomes of :meth:`commit_batch`."""
         return []
 
@@ -242,7 +242,7 @@ class StarCore:
         self._taken[exposure.source, exposure.time_ns] = exposure
         self._arrivals.advance_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
-        self._wait(_Waiting(exposure, rejected_stars, arrival_ns, exposure.reach_ns))
+        self._wait(_PendingExposure(exposure, rejected_stars, arrival_ns, exposure.reach_ns))
         outcome = StarOutcome(refusal)
         self._advance(outcome)
         return outcome
@@ -285,14 +285,14 @@ class StarCore:
         self._contradictions.note(exposure.source, exposure.time_ns, told)
         return True, replace(told, text="the same stamp with different content: do two sensors publish on one topic?")
 
-    def _wait(self, new: _Waiting) -> None:
+    def _wait(self, new: _PendingExposure) -> None:
         """Add an exposure to the pending ones, replacing one of the same sensor and stamp."""
         key = new.exposure.source, new.exposure.time_ns
-        for index, old in enumerate(self._waiting):
+        for index, old in enumerate(self._pending):
             if (old.exposure.source, old.exposure.time_ns) == key:
-                self._waiting[index] = new
+                self._pending[index] = new
                 return
-        self._waiting.append(new)
+        self._pending.append(new)
 
     # -- solutions in time order ----------------------------------------------------------------------------
 
@@ -306,7 +306,7 @@ class StarCore:
 
     def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
         still_waiting = []
-        for waiting in self._waiting:
+        for waiting in self._pending:
             overdue = waiting_ns is not None and waiting_ns - waiting.arrival_ns >= self._wait_ns
             if self._ins.awaited(waiting.exposure.time_ns, waiting.reach_ns) and not overdue:
                 still_waiting.append(waiting)
@@ -321,7 +321,7 @@ class StarCore:
             outcome.solved.append(solved)
             if not self._window.add(placed, waiting.arrival_ns):
                 outcome.not_joined.append((placed.source, placed.time_ns))
-        self._waiting = still_waiting
+        self._pending = still_waiting
         for group in self._window.closed(self._ins.tells_turn, waiting_ns):
             try:
                 joint = self._joint(group)
@@ -329,7 +329,7 @@ class StarCore:
                 joint = Solved(JOINT, group[0].time_ns, no_attitude(np.zeros(0, dtype=bool), failure(error)), (), ())
             outcome.solved.append(joint)
 
-    def _solve_one(self, waiting: _Waiting) -> tuple[PlacedExposure, Solved]:
+    def _solve_one(self, waiting: _PendingExposure) -> tuple[PlacedExposure, Solved]:
         """Solve the attitude of a sensor from one exposure, and add it as motion reference for the checks."""
         contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:

@@ -22,7 +22,7 @@ from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.estimator_shell import surely_in_time
 from ship_estimation.ins import InsJump, StarInsConfig
-from ship_estimation.ins_guard import Followed, JudgedIns
+from ship_estimation.ins_guard import CheckedBlock, JudgedIns
 from ship_estimation.refusals import Contradictions, Rejection, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
 from ship_geometry.exposure_mean import turning_over
@@ -63,7 +63,7 @@ class DeckTurns:
 
 
 @dataclass
-class InsTurns:
+class InsBatch:
     """A batch of checked INS samples.
 
     Attributes:
@@ -76,9 +76,9 @@ class InsTurns:
 
     samples: list[AttitudeSample]
     values: FloatArray
-    followed: Followed
+    checked: CheckedBlock
     committed_count: int = 0
-    told: list[tuple[int, StarOutcome]] = field(default_factory=list)
+    pending_outcomes: list[tuple[int, StarOutcome]] = field(default_factory=list)
 
 
 class InsMotion:
@@ -113,7 +113,7 @@ class InsMotion:
         """Add a sample; return the rejection if it is not used."""
         return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
 
-    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsTurns | None:
+    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsBatch | None:
         """Check the samples of a block as one batch, up to the first sample that needs separate handling.
 
         No other sample may be added until the batch is committed (:meth:`commit_batch`, :meth:`finish_batch`).
@@ -127,7 +127,7 @@ class InsMotion:
             The batch; None if the first sample needs separate handling.
         """
         newest, guard = self.track.newest, self._plausibility.ins
-        if newest is None or not guard.looks_ahead(int(block.times_ns[0])):
+        if newest is None or not guard.can_check_block(int(block.times_ns[0])):
             return None
         # No sample after a gap, and none that may be too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
@@ -136,20 +136,20 @@ class InsMotion:
         if not len(block.times_ns):
             return None
         samples = block.samples()
-        followed = guard.look_ahead(samples, block)
+        followed = guard.check_block(samples, block)
         if not followed.count:
             return None
-        return InsTurns(samples[: followed.usual], block.rotations_nd[: followed.count], followed)
+        return InsBatch(samples[: followed.usual], block.rotations_nd[: followed.count], followed)
 
-    def commit_batch(self, turns: InsTurns, stop: int) -> None:
+    def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
-        self.track.extend(turns.samples[turns.committed_count : stop])
-        turns.committed_count, self._plausibility.ins.by_rates = stop, turns.followed.by_rates(stop - 1)
+        self.track.extend(batch.samples[batch.committed_count : stop])
+        batch.committed_count, self._plausibility.ins.by_rates = stop, batch.checked.by_rates(stop - 1)
 
-    def end(self, turns: InsTurns) -> Rejection | None:
+    def finish_batch(self, batch: InsBatch) -> Rejection | None:
         """Finish a batch; use a last sample that needs separate handling and return its rejection, if any."""
-        self._plausibility.ins.arrive(turns.values, turns.followed, self._plausibility.motion_references)
-        return None if turns.followed.last is None else self._use(turns.followed.last)
+        self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
+        return None if batch.checked.last is None else self._use(batch.checked.last)
 
     def _use(self, judged: JudgedIns) -> Rejection | None:
         """Use a checked sample; return the rejection if it is not used."""

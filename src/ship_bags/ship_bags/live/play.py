@@ -108,7 +108,7 @@ class Player:
         while not self._clock.stopped and (endless or laps < self._options.loop_count):
             laps += 1
             with read_bag(self._bag_path) as bag:
-                for record in self._due(watched(self._from_start(bag), bag)):
+                for record in self._timed_records(watched(self._from_start(bag), bag)):
                     self._publish(record)
                     message_count += 1
                     latest_s = max(latest_s, self._clock.behind_s(record.log_time_ns))
@@ -136,7 +136,7 @@ class Player:
             elif record.topic in bag.latched_topics:
                 earlier[record.topic] = replace(record, log_time_ns=self.start_ns)
 
-    def _due(self, records: Iterable[BagRecord]) -> Iterator[BagRecord]:
+    def _timed_records(self, records: Iterable[BagRecord]) -> Iterator[BagRecord]:
         """Yield each record when it is due; publish /clock in between."""
         lead_s = min(_LEAD_S * self._clock.rate, _LONGEST_LEAD_S)
         lead_ns = max(CLOCK_PERIOD_NS, round(lead_s * NS_PER_S))

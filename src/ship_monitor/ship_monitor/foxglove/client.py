@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 PROTOCOL = "foxglove.sdk.v1"
 
-WAITING_MESSAGES = 1024
+MAX_PENDING_MESSAGES = 1024
 """Maximum number of pending messages of one viewer: a second of a whole suite. Older ones are dropped."""
 
 _MOST_NEWS = 100_000
 """Maximum number of pending notifications of one viewer; beyond it the connection is closed."""
 
-_AT_ONCE = 32
+_BATCH_SIZE = 32
 """Number of messages that are written before the connection is awaited."""
 
 _MESSAGE = struct.Struct("<BIQ")
@@ -65,8 +65,8 @@ class Client(WebSocketHandler):
         self._viewers = viewers
         self.subscriptions: dict[int, int] = {}
         self._news: deque[dict[str, Any]] = deque()
-        self._messages: deque[tuple[int, int, bytes]] = deque(maxlen=WAITING_MESSAGES)
-        self._has_waiting = asyncio.Event()
+        self._messages: deque[tuple[int, int, bytes]] = deque(maxlen=MAX_PENDING_MESSAGES)
+        self._has_pending = asyncio.Event()
         self._is_woken = self._is_over = False
         self._writing: asyncio.Task[None] | None = None
 
@@ -98,7 +98,7 @@ class Client(WebSocketHandler):
     def on_close(self) -> None:
         """Remove the viewer."""
         self._is_over = True
-        self._has_waiting.set()
+        self._has_pending.set()
         self._viewers.remove(self)
 
     def abort(self) -> None:
@@ -110,7 +110,7 @@ class Client(WebSocketHandler):
     def notify(self, news: dict[str, Any]) -> None:
         """Queue a notification; notifications are never dropped and keep their order."""
         self._news.append(news)
-        self._has_waiting.set()
+        self._has_pending.set()
         if len(self._news) > _MOST_NEWS:
             self.close()
 
@@ -129,7 +129,7 @@ class Client(WebSocketHandler):
     def wake(self) -> None:
         """Start writing the pending messages."""
         self._is_woken = False
-        self._has_waiting.set()
+        self._has_pending.set()
 
     def _handle_request(self, message: str | bytes) -> str:
         """Execute a request; return the error text, empty on success."""
@@ -174,8 +174,8 @@ class Client(WebSocketHandler):
         """Write notifications first, then messages, until the connection is closed."""
         try:
             while not self._is_over:
-                await self._has_waiting.wait()
-                self._has_waiting.clear()
+                await self._has_pending.wait()
+                self._has_pending.clear()
                 while self._news or self._messages:
                     while self._news:
                         await self.write_message(self._news.popleft())
@@ -185,7 +185,7 @@ class Client(WebSocketHandler):
 
     async def _write_some(self) -> None:
         written = None
-        for _ in range(min(_AT_ONCE, len(self._messages))):
+        for _ in range(min(_BATCH_SIZE, len(self._messages))):
             channel, log_time_ns, data = self._messages.popleft()
             subscription = self.subscriptions.get(channel)
             if subscription is not None:

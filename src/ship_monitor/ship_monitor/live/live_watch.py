@@ -52,7 +52,7 @@ class LiveWatch:
         self._picture: Picture | None = None
         self._has_rejected_state = False
         self._picture_ns = 0
-        self._waiting: SimpleQueue[Taken] = SimpleQueue()
+        self._pending: SimpleQueue[Taken] = SimpleQueue()
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._read, name="topics", daemon=True)
         self._thread.start()
@@ -61,7 +61,7 @@ class LiveWatch:
         """Process the messages read so far. Called some times a second, with or without a display."""
         while True:
             try:
-                taken = self._waiting.get_nowait()
+                taken = self._pending.get_nowait()
             except Empty:
                 return
             if taken.time_went_back:
@@ -112,7 +112,7 @@ class LiveWatch:
     def _take(self) -> None:
         taken = self._reader.take()
         if taken.time_went_back or taken.messages or taken.alerts_ended:
-            self._waiting.put(taken)
+            self._pending.put(taken)
 
     @property
     def history(self) -> History:

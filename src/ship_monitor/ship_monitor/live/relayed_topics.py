@@ -58,8 +58,8 @@ class RelayedTopics:
             self._subscriptions.clear()
             self._next_discovery_ns = 0
         now_ns = steady_ns()
-        is_due = now_ns >= self._next_discovery_ns
-        if is_due:
+        is_discovery_time = now_ns >= self._next_discovery_ns
+        if is_discovery_time:
             self._offer_all()
             self._next_discovery_ns = now_ns + DISCOVERY_NS
         wanted, newcomers = self._receiver.wanted(), self._receiver.newcomers()
@@ -67,7 +67,7 @@ class RelayedTopics:
             # DDS delivers the last message of a latched topic only to a new subscription.
             if topic not in wanted or (subscription.is_latched and topic in newcomers):
                 self._leave(topic)
-        for topic in wanted if is_due else wanted & newcomers:
+        for topic in wanted if is_discovery_time else wanted & newcomers:
             self._subscribe(topic)
         for topic, subscription in self._subscriptions.items():
             for data, arrival_utc_ns in subscription.fetched():

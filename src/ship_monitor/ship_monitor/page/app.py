@@ -63,7 +63,7 @@ class Page:
         self._below = Column(name="panels", sizing_mode="stretch_width")
         self._count = 0
         self._is_paused = False
-        self._angle = ""  # chosen, not yet displayed
+        self._pending_angle = ""  # chosen, not yet displayed
         self._texts = ColumnDataSource(data={"text": [self._text()]}, name="texts")
         # The page's script is called at each change; the first call shows that the link works.
         self._texts.js_on_change("data", CustomJS(code="monitor.show(JSON.parse(cb_obj.data.text[0]))"))
@@ -132,7 +132,7 @@ class Page:
         """Apply the choices of the user, sent by the page's script."""
         choice = {name: values[0] for name, values in chosen.items()}
         self._is_paused = bool(choice["paused"])
-        self._angle = choice["angle"] if choice["angle"] in ANGLES else self._angle
+        self._pending_angle = choice["angle"] if choice["angle"] in ANGLES else self._pending_angle
         if self._panels is None and choice["wanted"]:
             self._make_panels()
         if self._panels is None:
@@ -140,9 +140,9 @@ class Page:
         if choice["live"]:
             self._panels.times.go_live()
             self._drawn = self._picture
-        if self._angle:
-            self._panels.choose(self._angle)
-            self._angle = ""
+        if self._pending_angle:
+            self._panels.choose(self._pending_angle)
+            self._pending_angle = ""
         self._panels.marked = str(choice["marked"])
         if choice["seen"] is not None:
             self._panels.seen = frozenset(str(choice["seen"]).split())

@@ -17,7 +17,7 @@ from ship_monitor.page.figures import (
     ARCSEC_PER_RAD,
     PanelBox,
     SideLabels,
-    models_at_once,
+    batched_model_changes,
     narrow_height,
     empty_time_plot,
     words,
@@ -136,7 +136,7 @@ class BudgetPanel:
         bands = largest_sources(means, self._bands, [one for one in means if is_budget_part_of(one, self._marked)])
         if bands != self._bands:
             self._bands = bands
-            with models_at_once(self._figure):
+            with batched_model_changes(self._figure):
                 self._stack()
         top = top_of_axis(totals)
         self._height.end = top**2

@@ -42,7 +42,7 @@ def thinned(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
     return extreme_rows(value[: ends[-1], None], [0, *ends[:-1]]) if len(ends) else np.empty(0, np.intp)
 
 
-def waits_from(time_ns: TimesNs) -> int:
+def first_pending_row(time_ns: TimesNs) -> int:
     """Return the first row that :func:`rows_to_draw` leaves for the next call: that of the newest second."""
     return int(np.searchsorted(time_ns // BUCKET_NS, time_ns[-1] // BUCKET_NS)) if len(time_ns) else 0
 

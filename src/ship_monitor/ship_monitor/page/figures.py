@@ -158,7 +158,7 @@ def narrow_height(height_px: int) -> InlineStyleSheet:
     )
 
 
-def models_at_once(layout: Model) -> AbstractContextManager[None]:
+def batched_model_changes(layout: Model) -> AbstractContextManager[None]:
     """Return a context for adding or removing many models: the document checks all its models once at the end."""
     made: AbstractContextManager[None] = nullcontext() if layout.document is None else layout.document.models.freeze()
     return made

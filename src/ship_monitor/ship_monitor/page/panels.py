@@ -12,7 +12,7 @@ from bokeh.models import Column, InlineStyleSheet
 from ship_monitor.page.alignment_panel import AlignmentPanel
 from ship_monitor.page.budget_panel import BudgetPanel
 from ship_monitor.page.error_panel import ErrorPanel, has_truth
-from ship_monitor.page.figures import NARROW, GrowingRows, PanelBox, models_at_once, tooltip_style
+from ship_monitor.page.figures import NARROW, GrowingRows, PanelBox, batched_model_changes, tooltip_style
 from ship_monitor.page.innovation_panel import InnovationPanel
 from ship_monitor.page.lights_panel import LightsPanel
 from ship_monitor.page.sky_panel import SkyPanel
@@ -96,7 +96,7 @@ class Panels:
         """
         name = next((each for each in self._follow(history, picture) if each not in self._complete), None)
         if name is not None:
-            with models_at_once(self.layout):
+            with batched_model_changes(self.layout):
                 self._draw(name, history, picture)
                 if name not in self._placed:
                     self._place(name)

@@ -6,7 +6,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import ROWS_KEPT, gap_rows, thinned, usual_period_ns, waits_from
+from ship_monitor.page.curves import ROWS_KEPT, gap_rows, thinned, usual_period_ns, first_pending_row
 from ship_watch.history import Point, newer
 
 MS = 1e-6
@@ -49,7 +49,7 @@ class Trail:
         self._oldest_ns = points[0].utc_ns if points else 0
         new = newer(points, self._taken_ns)
         time_ns = np.array([point.utc_ns for point in new], np.int64)
-        over = waits_from(time_ns)
+        over = first_pending_row(time_ns)
         if not over:
             return
         columns: dict[str, FloatArray] = {"t": MS * time_ns.astype(float), **rows(new)}

@@ -85,13 +85,13 @@ class SavedStart(Generic[Prior]):
         self._saved_ns = 0
         self._looked_ns: int | None = None
         self._read, self._content = self._usable(Path(path)) if path else (None, None)
-        self.is_due = self._content is not None
-        if path and not self.is_due and not self.unreadable:
+        self.is_pending = self._content is not None
+        if path and not self.is_pending and not self.unreadable:
             self.notices.append(f"no {kind.what} at {path} yet: the filter starts as configured")
 
     def start(self, now_ns: int) -> None:
         """Pass the content that was read to the core; its age is relative to the current time, ns."""
-        content, self._content, self.is_due = self._content, None, False
+        content, self._content, self.is_pending = self._content, None, False
         if content is not None:
             self._give(content, now_ns)
 

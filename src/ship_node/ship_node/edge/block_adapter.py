@@ -15,7 +15,7 @@ from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_node.edge.topics import Published
 
 
-class BlockAdapter(ReportingAdapter):
+class BatchAdapter(ReportingAdapter):
     """Adapter that can also process the messages of some topics in batches; see :class:`ReportingAdapter`."""
 
     quiet_ticks: ClassVar[bool] = True
@@ -23,7 +23,7 @@ class BlockAdapter(ReportingAdapter):
 
     def takes_blocks(self, topic: str) -> bool:
         """Return True if messages of a topic can be processed in batches now."""
-        return self.feeds[topic].block is not None and not self.is_off(topic) and not self.time_base.is_in_question
+        return self.feeds[topic].batch is not None and not self.is_off(topic) and not self.time_base.is_step_pending
 
     def reads_rows(self, topic: str) -> bool:
         """Return True if messages of a topic can be read many at once, for processing one by one."""
@@ -40,7 +40,7 @@ class BlockAdapter(ReportingAdapter):
         feed = self.feeds[topic]
         if self.is_off(topic):
             return self.set_aside(feed, reading, receive_ns, receive_ns)
-        if self.saved is not None and self.saved.is_due:
+        if self.saved is not None and self.saved.is_pending:
             self.saved.start(receive_ns)
         rejection = self.check_clock(feed, reading.value.time_ns, receive_ns, receive_ns)
         if rejection is not None:
@@ -52,60 +52,60 @@ class BlockAdapter(ReportingAdapter):
     @property
     def quiet_until_ns(self) -> int:
         """Timeout-clock time before which a tick only calls the core, while batches are processed as they come."""
-        if self.slow_due_ns is None or (self.saved is not None and self.saved.is_due):
+        if self.next_slow_ns is None or (self.saved is not None and self.saved.is_pending):
             return 0
         if self.saved is None:
-            return self.slow_due_ns
-        return min(self.slow_due_ns, self.saved.next_look_ns(self.config.alignment_autosave_s))
+            return self.next_slow_ns
+        return min(self.next_slow_ns, self.saved.next_look_ns(self.config.alignment_autosave_s))
 
-    def look_ahead(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> BlockTurn | None:
+    def evaluate_batch(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> BlockTurn | None:
         """Read and evaluate the leading messages of a batch; None if the first must be processed by itself.
 
         Until the whole batch is committed, no other message of the topic is processed. Estimates and protection levels,
         on which no other message depends, are computed at the end (:meth:`finish_batch`).
         """
-        block = self.feeds[topic].block
-        if block is None or (self.saved is not None and self.saved.is_due):
+        feed = self.feeds[topic].batch
+        if feed is None or (self.saved is not None and self.saved.is_pending):
             return None
-        reading = block.read(messages, receive_ns)
+        reading = feed.read(messages, receive_ns)
         samples = reading.samples
         stamps_ns = samples.times_ns.tolist()
         count = self.time_base.count_unmoved(topic, stamps_ns, receive_ns[: len(stamps_ns)].tolist())
         if count:
             unmoved = samples.some(slice(count))
             count = self._contested.count_before_change(topic, unmoved.times_ns, unmoved.rotations_nd)
-        ahead = block.core.evaluate_batch(samples.some(slice(count)), receive_ns[:count]) if count else None
+        ahead = feed.core.evaluate_batch(samples.some(slice(count)), receive_ns[:count]) if count else None
         if ahead is None:
             return None
         count = ahead.followed.count
-        self.time_base.add_block(topic, stamps_ns[count - 1], int(receive_ns[count - 1]), count)
+        self.time_base.add_batch(topic, stamps_ns[count - 1], int(receive_ns[count - 1]), count)
         return BlockTurn(topic, reading, receive_ns[:count], ahead)
 
     def commit_batch(self, pending: BlockTurn, stop: int) -> list[BatchOutput]:
         """Commit the messages of a batch before index ``stop``; return what must be published at once."""
-        block = self.feeds[pending.topic].block
-        assert block is not None
-        block.core.commit_batch(pending.ahead, min(stop, pending.ahead.checked.usual))
-        told, pending.ahead.told[:] = list(pending.ahead.told), []
+        feed = self.feeds[pending.topic].batch
+        assert feed is not None
+        feed.core.commit_batch(pending.evaluated, min(stop, pending.evaluated.checked.usual))
+        told, pending.evaluated.pending_outcomes[:] = list(pending.evaluated.pending_outcomes), []
         parts = []
         for place, outcome in told:
             now_ns = int(pending.receive_ns[place])
             parts.append(BatchOutput(place, self.report_outcome(outcome, now_ns, now_ns)))
         return parts
 
-    def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:
+    def finish_batch(self, pending: BlockTurn) -> list[BatchOutput]:
         """Finish a batch whose messages are all committed; return its remaining outputs."""
-        feed, usual, known = self.feeds[pending.topic], pending.ahead.checked.usual, pending.reading.covariance_known
-        assert feed.block is not None
+        feed, usual, known = self.feeds[pending.topic], pending.evaluated.checked.usual, pending.reading.covariance_known
+        assert feed.batch is not None
         samples = pending.reading.samples.some(slice(len(pending.receive_ns)))
-        self._contested.see_block(pending.topic, samples.times_ns, samples.rotations_nd)
+        self._contested.add_batch(pending.topic, samples.times_ns, samples.rotations_nd)
         if usual:
             times_ns = pending.reading.samples.times_ns[:usual]
             self.health.took_block(pending.topic, pending.receive_ns[:usual], times_ns, known)
         parts: list[BatchOutput] = []
-        for some, found in feed.block.core.estimates_ahead(pending.ahead):
+        for some, found in feed.batch.core.batch_estimates(pending.evaluated):
             parts += self.batch_outputs(some, found, pending.reading.samples.times_ns)
-        last = feed.block.core.end_ahead(pending.ahead)
+        last = feed.batch.core.finish_batch(pending.evaluated)
         if last is not None:
             reading, now_ns = ReadMessage(pending.reading.samples.one(usual), known), int(pending.receive_ns[usual])
             parts.append(BatchOutput(usual, self.told(feed, reading, last, now_ns, now_ns)))
@@ -129,7 +129,7 @@ class BlockAdapter(ReportingAdapter):
             yield from outputs_with_levels(some.start, found, self.published_levels, redundancy_keys, directions, levels_before)
         else:
             yield BatchOutput(some.start, [], found)
-        self.latest = self.budget_due = found.one(len(found.time_ns) - 1)
+        self.latest = self.pending_budget = found.one(len(found.time_ns) - 1)
 
     @abstractmethod
     def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:

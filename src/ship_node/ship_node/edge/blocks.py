@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.cdr_template import CdrRows
-from ship_estimation.ins_guard import Followed
+from ship_estimation.ins_guard import CheckedBlock
 from ship_estimation.told_levels import ToldLevels
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.topics import Published
@@ -20,7 +20,7 @@ StampArray = NDArray[np.int64]
 """Stamps, ns."""
 
 
-class ReadBlock(NamedTuple):
+class ReadBatch(NamedTuple):
     """Leading messages of a batch that were read without remarks.
 
     Attributes:
@@ -33,7 +33,7 @@ class ReadBlock(NamedTuple):
     covariance_known: bool = True
 
 
-class Ahead(Protocol):
+class EvaluatedBatch(Protocol):
     """Batch of samples that a core has evaluated and not yet committed.
 
     Attributes:
@@ -41,34 +41,34 @@ class Ahead(Protocol):
         pending_outcomes: index of a sample and its outcome other than estimates, until it is published.
     """
 
-    checked: Followed
-    told: list[tuple[int, Any]]
+    checked: CheckedBlock
+    pending_outcomes: list[tuple[int, Any]]
 
 
-SamplesAhead = TypeVar("SamplesAhead", bound=Ahead)
+Batch = TypeVar("Batch", bound=EvaluatedBatch)
 
 
-class AheadCore(Protocol[SamplesAhead]):
+class BatchCore(Protocol[Batch]):
     """Interface of a core that evaluates batches of samples before it commits them."""
 
-    def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> SamplesAhead | None:
+    def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> Batch | None:
         """Evaluate the leading samples that need no special treatment; None if the first one does."""
         ...
 
-    def commit_batch(self, ahead: SamplesAhead, stop: int) -> None:
+    def commit_batch(self, batch: Batch, stop: int) -> None:
         """Commit the evaluated samples before index ``stop``."""
         ...
 
-    def end_ahead(self, ahead: SamplesAhead) -> Any:
+    def finish_batch(self, batch: Batch) -> Any:
         """Finish a committed batch; return the outcome of its last sample if that needed special treatment."""
         ...
 
-    def estimates_ahead(self, ahead: SamplesAhead) -> list[tuple[slice, Any]]:
+    def batch_estimates(self, batch: Batch) -> list[tuple[slice, Any]]:
         """Return indices of samples with their estimates on one state, or why they could not be computed."""
         ...
 
 
-class BlockFeed(NamedTuple):
+class BatchFeed(NamedTuple):
     """Processing of a batch of messages by a core.
 
     Attributes:
@@ -76,8 +76,8 @@ class BlockFeed(NamedTuple):
         core: processes the samples read.
     """
 
-    read: Callable[[CdrRows, StampArray], ReadBlock]
-    core: AheadCore[Any]
+    read: Callable[[CdrRows, StampArray], ReadBatch]
+    core: BatchCore[Any]
 
 
 class BlockTurn(NamedTuple):
@@ -91,9 +91,9 @@ class BlockTurn(NamedTuple):
     """
 
     topic: str
-    reading: ReadBlock
+    reading: ReadBatch
     receive_ns: StampArray
-    ahead: Ahead
+    evaluated: EvaluatedBatch
 
 
 class BatchOutput(NamedTuple):

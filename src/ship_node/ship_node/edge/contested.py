@@ -137,6 +137,6 @@ class ContestedInputs:
         """Return the number of leading attitudes of a batch that change no text."""
         return self._streams[topic].count_before_change(times_ns, rotations_nd.reshape(-1, 9))
 
-    def see_block(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> None:
+    def add_batch(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> None:
         """Add the attitudes of a batch, which change no text."""
         self._streams[topic].add_all(times_ns, rotations_nd.reshape(-1, 9))

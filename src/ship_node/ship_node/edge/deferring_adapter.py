@@ -7,7 +7,7 @@ output at once, to the last bit.
 from typing import Any, Protocol
 
 from ship_estimation.refusals import Rejection
-from ship_node.edge.block_adapter import BlockAdapter
+from ship_node.edge.block_adapter import BatchAdapter
 from ship_node.edge.blocks import BatchOutput
 from ship_node.edge.topics import Published
 
@@ -20,14 +20,14 @@ class DeferringCore(Protocol):
             once.
     """
 
-    due: list[Any] | None
+    pending: list[Any] | None
 
-    def estimates_due(self) -> list[tuple[slice, Any | Rejection]]:
+    def compute_pending(self) -> list[tuple[slice, Any | Rejection]]:
         """Compute all pending outputs; return their indices and the outputs, or why they cannot be computed."""
         ...
 
 
-class DeferringAdapter(BlockAdapter):
+class DeferringAdapter(BatchAdapter):
     """Adapter that can also publish its outputs together; see :class:`BatchAdapter`."""
 
     def defer(self) -> None:
@@ -37,29 +37,29 @@ class DeferringAdapter(BlockAdapter):
         self._made = 0
 
     @property
-    def promised(self) -> int:
+    def pending_count(self) -> int:
         """Number of outputs pending since :meth:`defer_outputs` or :meth:`take_outputs`."""
         return self._made + len(self.core.due)
 
     def take_outputs(self) -> list[BatchOutput]:
         """Compute and return all pending outputs by their indices, with the messages published before some of them."""
-        self._make_due()
+        self._compute_pending()
         parts, self._parts_made, self._made = self._parts_made, [], 0
         return parts
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """See :class:`ship_node.edge.adapter.Adapter`; periodic messages are those of the last output."""
         if (now_ns if waiting_ns is None else waiting_ns) >= self.quiet_until_ns:
-            self._make_due()
+            self._compute_pending()
         return super().tick(now_ns, waiting_ns)
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :class:`ReportingAdapter`; an output that is published at once follows all pending ones."""
         if outcome.estimates:
-            self._make_due()
+            self._compute_pending()
         return super().report_outcome(outcome, now_ns, waiting_ns)
 
-    def _make_due(self) -> None:
+    def _compute_pending(self) -> None:
         if not self.core.due:
             return
         times_ns = [due.time_ns for due in self.core.due]

@@ -76,7 +76,7 @@ class InputRecord:
             self._intervals_ns.append(waiting_ns - self.last_arrival_ns)
         self.last_arrival_ns = waiting_ns
 
-    def add_block(self, arrivals_ns: np.ndarray, stamps_ns: np.ndarray, max_age_ns: int) -> None:
+    def add_batch(self, arrivals_ns: np.ndarray, stamps_ns: np.ndarray, max_age_ns: int) -> None:
         """Count a batch of messages that were all used, as by :meth:`add_arrival` and :meth:`add_accepted`.
 
         Args:
@@ -241,7 +241,7 @@ class InputRecords:
         self._now(int(receive_ns[0]))
         self._now(int(receive_ns[-1]))
         record = self.records[topic]
-        record.add_block(receive_ns, stamps_ns, self._max_age_ns)
+        record.add_batch(receive_ns, stamps_ns, self._max_age_ns)
         if not covariance_known:
             record.reasons[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
             record.noted[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)

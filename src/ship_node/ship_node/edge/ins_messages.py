@@ -9,7 +9,7 @@ from ship_estimation.ins import InsInputConfig
 from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.blocks import ReadBlock, StampArray
+from ship_node.edge.blocks import ReadBatch, StampArray
 from ship_node.edge.columns_in import imu_quaternions, ship_rates, stamps
 from ship_node.edge.messages_in import (
     NOT_GIVEN,
@@ -64,7 +64,7 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMes
     return ReadMessage(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
 
 
-def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig) -> ReadBlock:
+def ins_batch(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig) -> ReadBatch:
     """Return the leading messages of a batch that :func:`ins_sample` accepts, as a SampleBlock.
 
     They all have angular rates and the same covariance. Each sample equals that of :func:`ins_sample` to the last bit.
@@ -91,7 +91,7 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     count = len(good) if good.all() else int(np.argmin(good))
     rotations_nd = _rotations_nd(quaternions[:count], config)
     samples = SampleBlock(times_ns[:count], rotations_nd, _rates_d(rates_ros[:count], config))
-    return ReadBlock(samples, covariance is not None)
+    return ReadBatch(samples, covariance is not None)
 
 
 def _rotations_nd(quaternions: FloatArray, config: InsInputConfig) -> FloatArray:

@@ -17,7 +17,7 @@ from ship_estimation.refusals import Reason, failure
 from ship_estimation.told_levels import ToldLevels
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.block_adapter import BlockAdapter
+from ship_node.edge.block_adapter import BatchAdapter
 from ship_node.edge.blocks import BatchOutput, BlockTurn
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import DiagnosticStatus, Level
@@ -42,7 +42,7 @@ _RECOVERY = "recovery"
 _REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; the state learned since then may be wrong"
 
 
-class RecoveringAdapter(BlockAdapter):
+class RecoveringAdapter(BatchAdapter):
     """Adapter with a second estimator in trouble; see :class:`BatchAdapter`.
 
     Attributes:
@@ -116,7 +116,7 @@ class RecoveringAdapter(BlockAdapter):
     def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:
         """See :class:`BatchAdapter`."""
         self._last_usable_ns[self.feeds[pending.topic].source] = int(pending.receive_ns[-1])
-        return super().end_ahead(pending)
+        return super().finish_batch(pending)
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :class:`ReportingAdapter`; a compared measurement shows that its source is present."""

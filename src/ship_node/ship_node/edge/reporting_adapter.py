@@ -24,7 +24,7 @@ from ship_estimation.told_levels import ToldLevels
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.blocks import BlockFeed, StampArray
+from ship_node.edge.blocks import BatchFeed, StampArray
 from ship_node.edge.contested import ContestedInputs, StreamQuantity
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, MessageRejected
@@ -47,7 +47,7 @@ _OF_ATTITUDE = (3, 3)
 """Shape of the covariance of an attitude's innovation."""
 _STARS = "star."
 _LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
-_LONGEST_QUESTION_NS = 60_000_000_000
+_MAX_PENDING_STEP_NS = 60_000_000_000
 """Maximum age of the state before a possible time step to which the core may be reset, ns."""
 _STEP_SHOWN_NS = 60_000_000_000
 """Time for which a step of the time base is a warning, ns."""
@@ -84,7 +84,7 @@ class Feed:
     take: Callable[[Any, int], Any]
     has_decision: bool = False
     measured_by: str = ""
-    block: BlockFeed | None = None
+    batch: BatchFeed | None = None
     read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
     continuous: StreamQuantity | None = None
 
@@ -166,13 +166,13 @@ class ReportingAdapter(ABC):
         self._unstepped: tuple[Any, int] | None = None
         self._stepped_at_ns = 0
         self.latest: Any = None
-        self.budget_due: Any = None
+        self.pending_budget: Any = None
         self.conflicts: dict[str, str] = {}
         self.innovation_report = InnovationReport()
-        self.slow_due_ns: int | None = None
+        self.next_slow_ns: int | None = None
         self.published_levels = ToldLevels()
         self.behind: Overload | None = None
-        self._invalid_due_ns = 0
+        self._next_invalid_ns = 0
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
@@ -210,7 +210,7 @@ class ReportingAdapter(ABC):
         feed = self.feeds[topic]
         is_off = self.is_off(topic)
         # A source that is off does not start the core, as if it had no topic.
-        if self.saved is not None and self.saved.is_due and not is_off:
+        if self.saved is not None and self.saved.is_pending and not is_off:
             self.saved.start(receive_ns)
         reading: ReadMessage[Any] | None = None
         try:
@@ -284,7 +284,7 @@ class ReportingAdapter(ABC):
         step_ns = clocks.add_arrival(topic, time_ns, receive_ns, waiting_ns)
         if step_ns is not None:
             self._step_time_base(step_ns, waiting_ns)
-        elif not clocks.is_in_question:
+        elif not clocks.is_step_pending:
             self._unstepped = None
         else:
             if self._unstepped is None:
@@ -309,13 +309,13 @@ class ReportingAdapter(ABC):
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """See :class:`ship_node.edge.adapter.Adapter`; the slow topics are published once a period."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
-        if self.saved is not None and self.saved.is_due:
+        if self.saved is not None and self.saved.is_pending:
             self.saved.start(now_ns)
         published = self.report_outcome(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
         published += self._invalid_while_behind(now_ns, waiting_ns)
         self._save_by_itself(waiting_ns)
-        if self.slow_due_ns is None or waiting_ns >= self.slow_due_ns:
-            self.slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
+        if self.next_slow_ns is None or waiting_ns >= self.next_slow_ns:
+            self.next_slow_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
             for topic in self._contested.end_timed_out(waiting_ns):
                 self._pass_on_contested(topic)
             try:
@@ -336,7 +336,7 @@ class ReportingAdapter(ABC):
             published.append(self.rejection_message(self.feeds[topic].source, now_ns, Rejection(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
         self.published_levels = ToldLevels()  # those published before do not apply to the next output
-        self._invalid_due_ns = waiting_ns
+        self._next_invalid_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
@@ -411,7 +411,7 @@ class ReportingAdapter(ABC):
             published.append(self.failed(self.main_topic, time_ns, rejection))
         for estimate in outcome.estimates if self.behind is None else ():
             self.latest = estimate
-            self.budget_due = None if estimate.status is Status.INVALID else estimate
+            self.pending_budget = None if estimate.status is Status.INVALID else estimate
             if self.integrity_topic and estimate.status is not Status.INVALID:
                 published += self.protection_level_messages(estimate)
             published += self._estimate_messages(estimate)
@@ -465,14 +465,14 @@ class ReportingAdapter(ABC):
 
     def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[Published]:
         """Return, once a second, the INVALID output of a node that is behind and the reason."""
-        if self.behind is None or waiting_ns < self._invalid_due_ns:
+        if self.behind is None or waiting_ns < self._next_invalid_ns:
             return []
-        self._invalid_due_ns = waiting_ns + _SECOND_NS
+        self._next_invalid_ns = waiting_ns + _SECOND_NS
         text = self.behind.text(self.node_name)
         published = [self.rejection_message(self.node_name, now_ns, Rejection(Reason.BEHIND, text))]
         invalid = self.no_output(now_ns, text)
         if invalid is not None:
-            self.latest, self.budget_due = invalid, None
+            self.latest, self.pending_budget = invalid, None
             published += self._estimate_messages(invalid)
         return published
 
@@ -498,7 +498,7 @@ class ReportingAdapter(ABC):
 
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         published = self.own_slow_topics(now_ns)
-        self.budget_due = None  # each budget is published once
+        self.pending_budget = None  # each budget is published once
         messages, statuses = self.health.told(self.factory, now_ns, waiting_ns)
         published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
         statuses += [*self.own_statuses(waiting_ns), *self._off_statuses()]
@@ -560,7 +560,7 @@ class ReportingAdapter(ABC):
     def _step_time_base(self, step_ns: int, waiting_ns: int) -> None:
         """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
         state = getattr(self.core, "state", None)
-        if self._unstepped is not None and waiting_ns - self._unstepped[1] <= _LONGEST_QUESTION_NS:
+        if self._unstepped is not None and waiting_ns - self._unstepped[1] <= _MAX_PENDING_STEP_NS:
             # Messages after the step may have been used as late ones from before it.
             state = self._unstepped[0]
         self._unstepped = None
@@ -580,7 +580,7 @@ class ReportingAdapter(ABC):
         return [DiagnosticStatus("time base", level, text, {"steps": str(self.time_base.steps)})]
 
     def _forget_outputs(self) -> None:
-        self.latest, self.budget_due, self.slow_due_ns = None, None, None
+        self.latest, self.pending_budget, self.next_slow_ns = None, None, None
         self.published_levels = ToldLevels()
         self.conflicts.clear()
         self.innovation_report.clear()

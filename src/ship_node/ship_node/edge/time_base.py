@@ -131,7 +131,7 @@ class TimeBase:
         self._leap_at_ns: int | None = None
 
     @property
-    def is_in_question(self) -> bool:
+    def is_step_pending(self) -> bool:
         """True if an input has moved and it is undecided whether all have."""
         return self._candidate is not None
 
@@ -212,7 +212,7 @@ class TimeBase:
             level_ns = offset_ns
         return len(stamps_ns)
 
-    def add_block(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
+    def add_batch(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
         """Add messages without a step (:meth:`count_without_step`): stamp and arrival of the last, and their number."""
         clock = self._clocks[topic]
         clock.period_ns = (arrival_ns - clock.arrival_ns) / count
@@ -240,7 +240,7 @@ class TimeBase:
         if since_ns >= SECOND_NS:
             return False
         was_inserted = self._leap_at_ns is not None and waiting_ns <= self._leap_at_ns + _LEAP_KNOWN_NS
-        return self.is_in_question or (since_ns < 0) == was_inserted
+        return self.is_step_pending or (since_ns < 0) == was_inserted
 
     # -- decisions ------------------------------------------------------------------------------------------
 

@@ -284,7 +284,7 @@ class LiveNode:
             return
         if self._last_ns and waiting_ns - self._last_ns > LONGEST_CATCH_UP_NS:
             self._grid.restart(waiting_ns)
-        for tick_ns in self._grid.due(waiting_ns):
+        for tick_ns in self._grid.ticks_until(waiting_ns):
             # The node time of a tick never decreases, also if the clock is frozen or was set back.
             node_ns = max(now_ns - (waiting_ns - tick_ns), min(now_ns, self._last_node_ns))
             self._guard.call("tick", self._calls.tick, node_ns, tick_ns)

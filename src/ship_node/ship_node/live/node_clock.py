@@ -161,7 +161,7 @@ class TickGrid:
         self._period_ns = period_ns
         self._newest: int | None = None
 
-    def due(self, now_ns: int) -> Iterator[int]:
+    def ticks_until(self, now_ns: int) -> Iterator[int]:
         """Yield the ticks up to and including ``now_ns`` since the last call, ns; the first call starts the grid."""
         reached = now_ns // self._period_ns
         for number in range((reached if self._newest is None else self._newest) + 1, reached + 1):

@@ -67,10 +67,10 @@ class Epochs:
         """Return the :class:`Region` of each angle of each epoch, shape (n, 3)."""
         error, level, limit = self.error_arcsec, self.level_arcsec, self.limit_arcsec
         # A level that is NaN is unavailable, and an error that is NaN is misleading.
-        promised = self.offered[:, None] & (level <= limit)
+        available = self.offered[:, None] & (level <= limit)
         regions = np.where(error <= level, Region.NOMINAL, Region.MISLEADING)
         regions = np.where((regions == Region.MISLEADING) & ~(error <= limit), Region.HAZARDOUS, regions)
-        return np.where(promised, regions, Region.UNAVAILABLE)
+        return np.where(available, regions, Region.UNAVAILABLE)
 
     def counts(self) -> dict[str, dict[Region, int]]:
         """Return the number of epochs in each region, by channel."""
@@ -87,11 +87,11 @@ class Epochs:
         for axis, (channel, counts) in enumerate(self.counts().items()):
             for region, count in counts.items():
                 values[f"{channel}.{region.words.replace(' ', '_')}"] = float(count)
-            promised = regions[:, axis] != Region.UNAVAILABLE
-            values[f"{channel}.availability"] = float(np.mean(promised))
-            ratio = self.error_arcsec[promised, axis] / self.level_arcsec[promised, axis]
+            available = regions[:, axis] != Region.UNAVAILABLE
+            values[f"{channel}.availability"] = float(np.mean(available))
+            ratio = self.error_arcsec[available, axis] / self.level_arcsec[available, axis]
             values[f"{channel}.worst_error_over_level"] = float(np.max(ratio)) if len(ratio) else math.nan
-            levels = self.level_arcsec[promised, axis]
+            levels = self.level_arcsec[available, axis]
             values[f"{channel}.median_level_arcsec"] = float(np.median(levels)) if len(levels) else math.nan
         return values
 

@@ -16,7 +16,7 @@ from ship_bags.regular_files import check_regular
 from ship_bags.topic_names import relative_topics
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
-from ship_node.edge.block_adapter import BlockAdapter
+from ship_node.edge.block_adapter import BatchAdapter
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.parameters.parameter_file import has_section, load_config, misfit
 
@@ -160,7 +160,7 @@ class AdapterChain:
             topic
             for adapter, taken in zip(self.adapters, self.taken, strict=True)
             for topic in taken & _names(self.inputs)
-            if isinstance(adapter, BlockAdapter) and (adapter.takes_blocks(topic) or adapter.reads_rows(topic))
+            if isinstance(adapter, BatchAdapter) and (adapter.takes_blocks(topic) or adapter.reads_rows(topic))
         }
 
     def tick(self, now_ns: int) -> list[Published]:

@@ -169,7 +169,7 @@ class _BoxReplay:
         self._older_messages = older_message_converters(bag)
         self._inputs: set[str] = set()
         self._outputs: set[str] = set()
-        self._awaited: deque[Published] = deque()
+        self._pending_outputs: deque[Published] = deque()
         self._closed = False
 
     def run(self, watch: Watcher) -> None:
@@ -243,7 +243,7 @@ class _BoxReplay:
             if self._writer is not None:
                 self._writer.write(topic, message, time_ns)
             if topic in self._outputs:
-                self._awaited.append((topic, message))
+                self._pending_outputs.append((topic, message))
 
     def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
         """Return the result of a call; None if it raised an error, which did not end the node either."""
@@ -282,7 +282,7 @@ class _BoxReplay:
 
     def _compare(self, record: BagRecord) -> None:
         recorded, time_ns = record.decode(), record.log_time_ns
-        topic, replayed = self._awaited.popleft() if self._awaited else ("", None)
+        topic, replayed = self._pending_outputs.popleft() if self._pending_outputs else ("", None)
         if topic != record.topic:
             given = f"a message on {topic}" if topic else "nothing"
             self._result.add_difference(Difference(record.topic, stamp_of(recorded, time_ns), "", "a message", given))
@@ -297,10 +297,10 @@ class _BoxReplay:
 
     def _expect_nothing_left(self, time_ns: int) -> None:
         """Check that the black box contains all outputs of the last call."""
-        if self._awaited:
-            topic, message = self._awaited.popleft()
+        if self._pending_outputs:
+            topic, message = self._pending_outputs.popleft()
             self._result.add_difference(Difference(topic, stamp_of(message, time_ns), "", "nothing", "a message"))
-            self._awaited.clear()
+            self._pending_outputs.clear()
 
 
 def _parameter_error(adapter: Adapter, event: ParametersChanged) -> str | None:

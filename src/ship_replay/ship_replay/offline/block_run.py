@@ -205,7 +205,7 @@ class BlockRun(ReplayRun):
             for run in one.runs:
                 runs[int(run.places[0])].append((run.topic, run.estimates))
         copied = {place for place, moment in enumerate(moments) if moment.topic.startswith(TRUTH_PREFIX)}
-        waits = self._errors_wait
+        waits = self._has_pending_errors
         for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
             if not waits and place not in single and place not in runs and place not in copied:
                 continue
@@ -220,7 +220,7 @@ class BlockRun(ReplayRun):
                 if place in copied:
                     self._copy_truth(moment.topic, record, truth.get(place))
                 self._write_errors(moment.now_ns)
-            waits = self._errors_wait
+            waits = self._has_pending_errors
 
 
 def _times_ns(moments: list[Moment], places: StampArray) -> StampArray:

@@ -75,15 +75,15 @@ class Gaps:
     """Statistics of the gaps between nearly sorted times, in constant memory."""
 
     def __init__(self) -> None:
-        self._waiting: list[int] = []
+        self._pending: list[int] = []
         self._last_ns: int | None = None
         self._counts: Counter[int] = Counter()
 
     def add(self, time_ns: int) -> None:
         """Add a time. A time that arrives more than `_REORDER_DEPTH` times too late is ignored."""
-        heappush(self._waiting, time_ns)
-        if len(self._waiting) > _REACH:
-            self._take(heappop(self._waiting))
+        heappush(self._pending, time_ns)
+        if len(self._pending) > _REACH:
+            self._take(heappop(self._pending))
 
     def add_block(self, times_ns: np.ndarray) -> None:
         """Add times; the result is that of :meth:`add` for each."""
@@ -91,8 +91,8 @@ class Gaps:
             for time_ns in times_ns.tolist():
                 self.add(time_ns)
             return
-        ordered = sorted([*self._waiting, *times_ns.tolist()])
-        taken, self._waiting = ordered[:-_REACH], ordered[-_REACH:]  # a list in order is a heap
+        ordered = sorted([*self._pending, *times_ns.tolist()])
+        taken, self._pending = ordered[:-_REACH], ordered[-_REACH:]  # a list in order is a heap
         if not taken:
             return
         last_ns = taken[0] if self._last_ns is None else self._last_ns
@@ -105,8 +105,8 @@ class Gaps:
 
     def seconds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the lengths of the gaps in ascending order, s, and the count of each. Equal times make no gap."""
-        while self._waiting:
-            self._take(heappop(self._waiting))
+        while self._pending:
+            self._take(heappop(self._pending))
         lengths = sorted(self._counts)
         return np.array(lengths) * _GAP_RESOLUTION_NS / NS_PER_S, np.array([self._counts[length] for length in lengths])
 

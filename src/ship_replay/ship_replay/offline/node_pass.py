@@ -13,7 +13,7 @@ import numpy as np
 
 from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
-from ship_node.edge.block_adapter import BlockAdapter
+from ship_node.edge.block_adapter import BatchAdapter
 from ship_node.edge.blocks import BatchOutput, BlockTurn, PublishedRows, StampArray
 from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
@@ -56,7 +56,7 @@ def read_ahead(
     adapter: Adapter, topic: str, messages: CdrRows, times_ns: StampArray
 ) -> Sequence[ReadMessage[Any] | None]:
     """Return a node's readings of messages before they are processed; None for each that must be read later."""
-    if isinstance(adapter, BlockAdapter) and adapter.reads_rows(topic):
+    if isinstance(adapter, BatchAdapter) and adapter.reads_rows(topic):
         return adapter.read_rows(topic, messages, times_ns)
     return [None] * len(times_ns)
 
@@ -121,13 +121,13 @@ class NodePass:
             if topic in taken
         }
         # The same node if it processes blocks; else None.
-        self._ahead = adapter if isinstance(adapter, BlockAdapter) else None
+        self._block_adapter = adapter if isinstance(adapter, BatchAdapter) else None
         self._batch: BlockTurn | None = None
         self._batch_indices: StampArray = np.empty(0, dtype=np.int64)
         self._arrived = self._patience = self._order = 0
         # The same node if it publishes outputs later, and the event index and order of each pending output.
         self._deferring = adapter if isinstance(adapter, DeferringAdapter) else None
-        self._promised: list[tuple[int, int]] = []
+        self._pending_outputs: list[tuple[int, int]] = []
         if self._deferring is not None:
             self._deferring.defer()
         self.passed = Passed()
@@ -144,13 +144,13 @@ class NodePass:
                     self._arrive(place, moment)
                 elif moment.message is not None:
                     self._handle(place, moment.topic, moment.message)
-        if self._deferring is not None and self._promised:
-            self._publish_promised(self._deferring)
-        if self._ahead is not None and self.passed.runs:
-            self._make_messages(self._ahead, self.passed.runs)
+        if self._deferring is not None and self._pending_outputs:
+            self._publish_deferred(self._deferring)
+        if self._block_adapter is not None and self.passed.runs:
+            self._make_messages(self._block_adapter, self.passed.runs)
         return self.passed
 
-    def _make_messages(self, adapter: BlockAdapter, runs: list[EstimatesOfMoments]) -> None:
+    def _make_messages(self, adapter: BatchAdapter, runs: list[EstimatesOfMoments]) -> None:
         places = np.concatenate([run.places for run in runs])
         orders = np.concatenate([run.orders for run in runs])
         for rows in adapter.block_messages([run.estimates for run in runs]):
@@ -158,23 +158,23 @@ class NodePass:
 
     def _tick(self, place: int, now_ns: int) -> None:
         # Within a block a tick has no effect on the node, or the block would end before it.
-        if self._batch is not None and self._ahead is not None and self._ahead.quiet_ticks:
+        if self._batch is not None and self._block_adapter is not None and self._block_adapter.quiet_ticks:
             return
-        self._take_arrived()
+        self._commit_arrived()
         self._publish(place, self._adapter.tick(now_ns))
 
-    def _take_arrived(self) -> None:
+    def _commit_arrived(self) -> None:
         """Commit the messages of the block that arrived so far, before another input is processed."""
         if self._batch is not None:
-            assert self._ahead is not None
-            self._publish_parts(self._ahead.commit_batch(self._batch, self._arrived))
+            assert self._block_adapter is not None
+            self._publish_parts(self._block_adapter.commit_batch(self._batch, self._arrived))
 
     def _handle(self, place: int, topic: str, message: Any) -> None:
-        self._take_arrived()
+        self._commit_arrived()
         now_ns = self._moments[place].now_ns
         if isinstance(message, ReadMessage):
-            assert self._ahead is not None
-            self._publish(place, self._ahead.handle_read(topic, message, now_ns))
+            assert self._block_adapter is not None
+            self._publish(place, self._block_adapter.handle_read(topic, message, now_ns))
         else:
             self._publish(place, self._adapter.handle(topic, message, now_ns))
 
@@ -182,20 +182,20 @@ class NodePass:
         """Process a message of a topic block."""
         number = self._next[moment.topic]
         self._next[moment.topic] += 1
-        if self._batch is None and self._ahead is not None and self._ahead.takes_blocks(moment.topic):
-            self._batch = self._start_batch(self._ahead, moment.topic, number)
-        if self._ahead is None or self._batch is None or self._batch.topic != moment.topic:
+        if self._batch is None and self._block_adapter is not None and self._block_adapter.takes_blocks(moment.topic):
+            self._batch = self._start_batch(self._block_adapter, moment.topic, number)
+        if self._block_adapter is None or self._batch is None or self._batch.topic != moment.topic:
             reading = self._read[moment.topic][number]
             message = self._rows[moment.topic].messages.message(number) if reading is None else reading
             self._handle(place, moment.topic, message)
             return
         self._arrived += 1
-        if self._arrived == self._batch.ahead.checked.count:
+        if self._arrived == self._batch.evaluated.checked.count:
             batch, self._batch = self._batch, None
-            self._publish_parts(self._ahead.commit_batch(batch, self._arrived))
-            self._publish_parts(self._ahead.end_ahead(batch))
+            self._publish_parts(self._block_adapter.commit_batch(batch, self._arrived))
+            self._publish_parts(self._block_adapter.finish_batch(batch))
 
-    def _start_batch(self, adapter: BlockAdapter, topic: str, number: int) -> BlockTurn | None:
+    def _start_batch(self, adapter: BatchAdapter, topic: str, number: int) -> BlockTurn | None:
         """Start a block with a message, if possible."""
         if self._patience:
             self._patience -= 1
@@ -205,7 +205,7 @@ class NodePass:
         tick_ns = -(-adapter.quiet_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
         some = slice(number, int(np.searchsorted(rows.times_ns, tick_ns)))
         if some.stop > some.start:
-            batch = adapter.look_ahead(topic, rows.messages.some(some), rows.times_ns[some])
+            batch = adapter.evaluate_batch(topic, rows.messages.some(some), rows.times_ns[some])
         if batch is None:
             self._patience = _PATIENCE
         self._batch_indices, self._arrived = rows.places[some], 0
@@ -216,13 +216,13 @@ class NodePass:
             self.passed.single.append((place, self._order, published))
             self._order += 1
         if self._deferring is not None:
-            while len(self._promised) < self._deferring.promised:
-                self._promised.append((place, self._order))
+            while len(self._pending_outputs) < self._deferring.pending_count:
+                self._pending_outputs.append((place, self._order))
                 self._order += 2  # for what is published before it, and itself
 
-    def _publish_promised(self, adapter: DeferringAdapter) -> None:
+    def _publish_deferred(self, adapter: DeferringAdapter) -> None:
         """Collect the outputs that were deferred during this pass."""
-        places, orders = np.array(self._promised, dtype=np.int64).T
+        places, orders = np.array(self._pending_outputs, dtype=np.int64).T
         for part in adapter.take_outputs():
             if part.published:
                 self.passed.single.append((int(places[part.place]), int(orders[part.place]), part.published))
@@ -232,11 +232,11 @@ class NodePass:
                 self.passed.runs.append(run)
 
     def _publish_parts(self, parts: list[BatchOutput]) -> None:
-        assert self._ahead is not None
+        assert self._block_adapter is not None
         for part in parts:
             self._publish(int(self._batch_indices[part.place]), part.published)
             if part.estimates is not None:
                 places = self._batch_indices[part.place : part.place + len(part.estimates.time_ns)]
                 orders = np.full(len(places), self._order)
-                self.passed.runs.append(EstimatesOfMoments(self._ahead.main_topic, places, orders, part.estimates))
+                self.passed.runs.append(EstimatesOfMoments(self._block_adapter.main_topic, places, orders, part.estimates))
                 self._order += 1

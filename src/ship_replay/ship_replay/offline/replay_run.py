@@ -180,7 +180,7 @@ class ReplayRun:
         return False
 
     @property
-    def _errors_wait(self) -> bool:
+    def _has_pending_errors(self) -> bool:
         """True if an error message waits for the truth."""
         return any(errors.waits for errors in self._errors)
 

@@ -115,14 +115,14 @@ def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_t
     stamps = {
         ns_from_stamp(record.decode().header.stamp) for record in records if record.topic.lstrip("/") == topic
     }
-    due = sender.given_out if output_topic else sender.sent
-    missing = [number for number, (stamp_ns, _) in enumerate(due) if stamp_ns not in stamps]
+    expected = sender.given_out if output_topic else sender.sent
+    missing = [number for number, (stamp_ns, _) in enumerate(expected) if stamp_ns not in stamps]
     recovered = recover(path, recovered_path(path)).path
     return KillTrial(
-        sent=len(due),
-        kept=len(due) - len(missing),
-        lost_s=due[-1][1] - due[missing[0]][1] + 1.0 / RATE_HZ if missing else 0.0,
-        has_gap=bool(missing) and len(due) - missing[0] > len(missing),
+        sent=len(expected),
+        kept=len(expected) - len(missing),
+        lost_s=expected[-1][1] - expected[missing[0]][1] + 1.0 / RATE_HZ if missing else 0.0,
+        has_gap=bool(missing) and len(expected) - missing[0] > len(missing),
         recovered=_count_by_rosbags(recovered),
         readable=(len(records), _count_by_mcap(recovered)),
     )

@@ -18,7 +18,7 @@ from ship_attitude_star.measurements.readings import (
     SkyInput,
 )
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
-from ship_attitude_star.ship_attitude.ahead import InsAhead
+from ship_attitude_star.ship_attitude.ahead import InsBatch
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_watch import installed_sky
@@ -153,32 +153,32 @@ class _InsBatches:
         wanted = [row for row, time_ns in enumerate(ins.time_ns.tolist()) if time_ns in wanted_ns]
         self._wanted = np.array([*wanted, ins.time_ns.size])
         self._in_order = bool(np.all(np.diff(ins.log_time_ns) >= 0))
-        self._ahead: InsAhead | None = None
+        self._batch: InsBatch | None = None
         self._arrived = 0
 
     def arrive(self, index: int) -> Iterator[AttitudeOutcome]:
         """Add a sample that arrived."""
-        if self._ahead is None:
+        if self._batch is None:
             next_wanted = int(self._wanted[np.searchsorted(self._wanted, index)])
             block = self._block.some(slice(index, min(next_wanted, index + _MAX_BATCH)))
             if self._in_order and len(block.times_ns):
-                self._ahead, self._arrived = self._core.look_ahead(block, block.times_ns), 0
-            if self._ahead is None:
+                self._batch, self._arrived = self._core.evaluate_batch(block, block.times_ns), 0
+            if self._batch is None:
                 yield self._core.add_ins(self._block.one(index), estimate=index == next_wanted)
                 return
         self._arrived += 1
-        if self._arrived == self._ahead.followed.count:
+        if self._arrived == self._batch.checked.count:
             yield from self.commit()
-            last, self._ahead = self._core.end_ahead(self._ahead), None
+            last, self._batch = self._core.finish_batch(self._batch), None
             if last is not None:
                 yield last
 
     def commit(self) -> Iterator[AttitudeOutcome]:
         """Commit the samples that have arrived."""
-        if self._ahead is not None:
-            self._core.take_ahead(self._ahead, min(self._arrived, self._ahead.followed.usual))
-            yield from (outcome for _, outcome in self._ahead.told)
-            self._ahead.told.clear()
+        if self._batch is not None:
+            self._core.commit_batch(self._batch, min(self._arrived, self._batch.checked.usual))
+            yield from (outcome for _, outcome in self._batch.pending_outcomes)
+            self._batch.pending_outcomes.clear()
 
 
 def deflection_reading(run: SimulatedRun, index: int) -> DeflectionReading:

@@ -86,18 +86,18 @@ class EncoderSteps:
 
     def __init__(self) -> None:
         self._before: deque[tuple[int, FloatArray]] = deque(maxlen=_FITTED)
-        self._first: tuple[_Off, FloatArray] | None = None
+        self._pending_step: tuple[_Off, FloatArray] | None = None
         self._variance, self._count = 0.0, 0
 
     @property
     def off_rad(self) -> float:
         """Prediction error of the last reading if it is a pending step, rad; else 0."""
-        return 0.0 if self._first is None else math.hypot(*self._first[0].by)
+        return 0.0 if self._pending_step is None else math.hypot(*self._pending_step[0].by)
 
     def restart(self) -> None:
         """Restart the prediction with the next reading; the noise estimate is kept."""
         self._before.clear()
-        self._first = None
+        self._pending_step = None
 
     def observe(
         self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float, longest_ns: int = SECOND_NS
@@ -117,12 +117,12 @@ class EncoderSteps:
                 self.restart()
             angles = before + short_way(angles - before)
         off = self._off(time_ns, angles, sigma_rad, coarseness_rad)
-        first, self._first = self._first, None
+        first, self._pending_step = self._pending_step, None
         if first is not None:
             assert off is not None  # by the same readings as the first
             return self._told(*first, off, angles)
         if off is not None and self._count >= _LEARNING and off.far:
-            self._first = off, angles
+            self._pending_step = off, angles
             return None
         if off is not None:
             self._learn(off)

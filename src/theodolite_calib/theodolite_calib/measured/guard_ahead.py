@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_guard import Followed, InsGuard, JudgedIns
+from ship_estimation.ins_guard import CheckedBlock, InsGuard, JudgedIns
 from ship_estimation.rate_guard import RateStatus
 from ship_geometry.attitude_track import AttitudeTrack, SampleBlock
 from ship_geometry.rotations import FloatArray
@@ -37,21 +37,21 @@ class GuardAhead:
     def __init__(self, config: CheckedInsConfig) -> None:
         self._ins_check = InsGuard(config)
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
-        self._forget_expected()
+        self._clear_batch()
 
-    def _forget_expected(self) -> None:
-        self._expected: list[ShipSample] = []
+    def _clear_batch(self) -> None:
+        self._batch: list[ShipSample] = []
         # Those of them that came, each with the step reported by the source; the check before the first.
         self._checked: list[tuple[ShipSample, float]] = []
         self._before: InsGuard | None = None
         # Those that were checked in a block, and the index of the first of them.
-        self._checked_block: Followed | None = None
+        self._checked_block: CheckedBlock | None = None
         self._first = self._patience = 0
 
     def reconfigure(self, config: CheckedInsConfig) -> None:
         """Apply another noise."""
         self._discard_checked_block()
-        self._forget_expected()
+        self._clear_batch()
         self._ins_check.reconfigure(config)
 
     @property
@@ -61,12 +61,12 @@ class GuardAhead:
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
         """Announce the next attitudes, as far as they are known."""
-        if self._checked or not self._expected:
+        if self._checked or not self._batch:
             self._discard_checked_block()
-            self._forget_expected()
+            self._clear_batch()
             self._before = copy.deepcopy(self._ins_check)
-        self._expected += samples
-        self._block, self._told_rad = _arrays(self._expected)
+        self._batch += samples
+        self._block, self._told_rad = _arrays(self._batch)
 
     def check(self, sample: ShipSample, accepted_track: AttitudeTrack, reported_step_rad: float) -> JudgedIns:
         """Check an attitude as :meth:`ship_estimation.ins_check.InsCheck.check` does, without motion references.
@@ -77,9 +77,9 @@ class GuardAhead:
             told_rad: step with it that the source itself reports, rad.
         """
         place = len(self._checked)
-        if place == len(self._expected) or sample is not self._expected[place]:
+        if place == len(self._batch) or sample is not self._batch[place]:
             self._discard_checked_block()
-            self._forget_expected()
+            self._clear_batch()
             return self._ins_check.check(sample, accepted_track, {}, reported_step_rad)
         if self._checked_block is None:
             self._check_block(place, reported_step_rad)
@@ -90,7 +90,7 @@ class GuardAhead:
         if place + 1 < self._first + followed.count:
             return JudgedIns(sample)
         values = self._block.rotations_nd[self._first : place + 1]
-        self._ins_check.arrive(values, followed, {})
+        self._ins_check.commit_block(values, followed, {})
         self._checked_block = None
         return JudgedIns(sample) if followed.last is None else followed.last
 
@@ -101,13 +101,13 @@ class GuardAhead:
             return
         times_ns, least_rad = self._block.times_ns, self._ins_check.least_step_rad
         # Written so that NaN is checked one by one.
-        if not (self._ins_check.looks_ahead(int(times_ns[place])) and reported_step_rad <= least_rad):
+        if not (self._ins_check.can_check_block(int(times_ns[place])) and reported_step_rad <= least_rad):
             return
         # Not beyond a gap, nor where a reported step exceeds the noise.
         steps_ns = np.diff(times_ns[place:])
         usual = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._told_rad[place + 1 :] <= least_rad)
         end = len(times_ns) if usual.all() else place + 1 + int(np.argmin(usual))
-        checked = self._ins_check.look_ahead(self._expected[place:end], self._block.some(slice(place, end)))
+        checked = self._ins_check.check_block(self._batch[place:end], self._block.some(slice(place, end)))
         if checked.count:
             self._checked_block, self._first = checked, place
         else:

@@ -66,7 +66,7 @@ from theodolite_calib.optical_axis.memory import (
     start_from_memory,
     stood_still,
 )
-from theodolite_calib.optical_axis.output import DuePointing, PointingOutput, invalid_pointing
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, invalid_pointing
 from theodolite_calib.optical_axis.targets import TargetAnswers
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class OpticalAxisCore:
         watch: SkyWatch | None = None,
         closed: Callable[[Sequence[CalibrationState]], None] | None = None,
     ) -> None:
-        self.due: list[DuePointing] | None = None
+        self.pending: list[PendingPointing] | None = None
         self._sky = watch
         self._of_targets = Contradictions()
         self._start: tuple[CalibrationPrior, int] | None = None
@@ -121,7 +121,7 @@ class OpticalAxisCore:
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
             decided=self._tell_watches,
-            closed=closed,
+            on_commit=closed,
         )
         self._shell: EstimatorShell[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
         reach_ns = MeasuredTracks(config).reach_ns
@@ -322,9 +322,9 @@ class OpticalAxisCore:
         """Return an INVALID output with the given reason."""
         return invalid_pointing(self.filter, self.state, now_ns, text)
 
-    def estimates_due(self) -> list[tuple[slice, PointingRun | Rejection]]:
+    def compute_pending(self) -> list[tuple[slice, PointingRun | Rejection]]:
         """Return the pending pointings, as slices and series; see :meth:`PointingOutput.compute_pending`."""
-        due, self.due = self.due or [], []
+        due, self.pending = self.pending or [], []
         return self._pointing.of_due(due)
 
     def calibration(self) -> Calibration:
@@ -429,7 +429,7 @@ class OpticalAxisCore:
         self._shell.continue_outputs(live._shell)
         self._of_targets = live._of_targets
         self._targets.continue_answers(live._targets)
-        self.due = None if live.due is None else []
+        self.pending = None if live.pending is None else []
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
@@ -582,22 +582,22 @@ class OpticalAxisCore:
             unconfirmed_reason = unconfirmed_reason or self._ship_check.unconfirmed_reason(sample.time_ns) or self._contradiction(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
-                due = DuePointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._shell.state_now)
-                self._put_out(outcome, due, waiting_ns)
+                pending = PendingPointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._shell.state_now)
+                self._put_out(outcome, pending, waiting_ns)
 
-    def _put_out(self, outcome: PointingOutcome, due: DuePointing, waiting_ns: int) -> None:
+    def _put_out(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
         """Publish a pointing at once, or queue it if pointings are computed on request."""
-        if self.due is None:
-            follows = self._shell.follows(due.time_ns)
-            self._shell.put_out(outcome, due.time_ns, waiting_ns, lambda _state: self._pointing.estimate(due))
-            if not (follows and not self._shell.follows(due.time_ns)):
+        if self.pending is None:
+            follows = self._shell.follows(pending.time_ns)
+            self._shell.put_out(outcome, pending.time_ns, waiting_ns, lambda _state: self._pointing.estimate(pending))
+            if not (follows and not self._shell.follows(pending.time_ns)):
                 return
-        elif self._shell.follows(due.time_ns):
-            self.due.append(due)
-            self._shell.was_put_out(due.time_ns, waiting_ns)
+        elif self._shell.follows(pending.time_ns):
+            self.pending.append(pending)
+            self._shell.was_put_out(pending.time_ns, waiting_ns)
         else:
             return
-        self._targets.was_put_out(due, self._shell.window.oldest_ns)
+        self._targets.was_put_out(pending, self._shell.window.oldest_ns)
 
     def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         """Publish the pointing from the newest stars if ship or encoders have timed out and the stars are recent."""

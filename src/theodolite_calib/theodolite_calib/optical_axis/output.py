@@ -130,7 +130,7 @@ class CorrectedAxis:
         return AxesAt(*found)
 
 
-class DuePointing(NamedTuple):
+class PendingPointing(NamedTuple):
     """Inputs of the pointing at an encoder reading.
 
     Attributes:
@@ -169,10 +169,10 @@ class PointingOutput:
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
         self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
-    def of_due(self, due: Sequence[DuePointing]) -> list[tuple[slice, PointingRun | Rejection]]:
+    def of_due(self, pending: Sequence[PendingPointing]) -> list[tuple[slice, PointingRun | Rejection]]:
         """Compute pending pointings; return slices of them, each with its series or its failure."""
         found: list[tuple[slice, PointingRun | Rejection]] = []
-        for _, group in groupby(due, key=lambda one: (id(one.state), one.ship.correlated_covariance_n is None)):
+        for _, group in groupby(pending, key=lambda one: (id(one.state), one.ship.correlated_covariance_n is None)):
             group_pointings, start = list(group), found[-1][0].stop if found else 0
             run = self._run_or_failure(group_pointings)
             if isinstance(run, PointingRun):
@@ -183,18 +183,18 @@ class PointingOutput:
                 found += [(slice(number, number + 1), one) for number, one in alone]
         return found
 
-    def _run_or_failure(self, due: Sequence[DuePointing]) -> PointingRun | Rejection:
+    def _run_or_failure(self, pending: Sequence[PendingPointing]) -> PointingRun | Rejection:
         try:
-            return self._run_of(due)
+            return self._run_of(pending)
         except Exception as error:
             return failure(error)
 
-    def estimate(self, due: DuePointing) -> PointingEstimate:
+    def estimate(self, pending: PendingPointing) -> PointingEstimate:
         """Return the pointing at one reading."""
-        return self._run_of([due]).one(0)
+        return self._run_of([pending]).one(0)
 
-    def _run_of(self, due: Sequence[DuePointing]) -> PointingRun:
-        samples, ships, unconfirmed_reasons, unconfirmed_sigmas_rad, states = zip(*due, strict=True)
+    def _run_of(self, pending: Sequence[PendingPointing]) -> PointingRun:
+        samples, ships, unconfirmed_reasons, unconfirmed_sigmas_rad, states = zip(*pending, strict=True)
         return self.estimates(EncoderRun.of(samples, unconfirmed_reasons, unconfirmed_sigmas_rad), ShipRun.of(ships), states[0])
 
     def estimates(self, encoders: EncoderRun, ship: ShipRun, state: CalibrationState) -> PointingRun:

@@ -25,7 +25,7 @@ from theodolite_calib.measured.samples import (
     TargetSample,
 )
 from theodolite_calib.measured.tracks import MeasuredTracks
-from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 from theodolite_calib.target.direction import (
     MainDetector,
     SeenDirection,
@@ -33,7 +33,7 @@ from theodolite_calib.target.direction import (
     rotation_main_from_detector,
     seen_direction,
 )
-from theodolite_calib.target.waiting import WaitingTargets
+from theodolite_calib.target.waiting import PendingTargets
 
 
 class TargetAnswers:
@@ -55,8 +55,8 @@ class TargetAnswers:
         tracks: MeasuredTracks,
         contradictions: Contradictions,
     ) -> None:
-        self._waiting = WaitingTargets(contradictions)
-        self._put_out: deque[DuePointing] = deque()
+        self._pending = PendingTargets(contradictions)
+        self._put_out: deque[PendingPointing] = deque()
         self._tracks = tracks
         self.reconfigure(config, filter_, pointing)
 
@@ -68,18 +68,18 @@ class TargetAnswers:
 
     def continue_answers(self, before: "TargetAnswers") -> None:
         """Take over the images and pointings of another estimator that ends."""
-        self._waiting, self._put_out = before._waiting, before._put_out
+        self._pending, self._put_out = before._pending, before._put_out
 
     def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
         """Add an image that is not late."""
-        outcome.rejection = self._waiting.add(sample, waiting_ns)
-        for overflowing in self._waiting.overflowing():
+        outcome.rejection = self._pending.add(sample, waiting_ns)
+        for overflowing in self._pending.overflowing():
             text = "too many images of targets wait for the pointing: the oldest is rejected"
             outcome.decisions.append(_refused(overflowing, Rejection(Reason.OVERFLOW, text)))
 
-    def was_put_out(self, due: DuePointing, oldest_ns: int) -> None:
+    def was_put_out(self, pointing: PendingPointing, oldest_ns: int) -> None:
         """Record a published pointing; images may come for times from ``oldest_ns`` on."""
-        self._put_out.append(due)
+        self._put_out.append(pointing)
         # The last one before that time stays, for the first image that may come.
         while len(self._put_out) > 1 and self._put_out[1].time_ns <= oldest_ns:
             self._put_out.popleft()
@@ -96,13 +96,13 @@ class TargetAnswers:
             oldest_ns: data before it can no longer come.
             state: returns the current state of the filter, for outputs.
         """
-        if not len(self._waiting):
+        if not len(self._pending):
             return
         patience_ns = max(SECOND_NS, round(self._config.lag_s * SECOND_NS))
-        for sample, received_ns in self._waiting.waiting():
+        for sample, received_ns in self._pending.waiting():
             given_up = waiting_ns is not None and waiting_ns - received_ns > patience_ns
             if given_up or sample.time_ns < oldest_ns or self._is_covered(sample):
-                self._waiting.answered(sample)
+                self._pending.answered(sample)
                 self._answer(sample, outcome, state())
 
     def _is_covered(self, sample: TargetSample) -> bool:
@@ -148,20 +148,20 @@ class TargetAnswers:
             assert encoder is not None
         angles = np.array([encoder.azimuth, encoder.elevation])
         reading = EncoderSample(sample.time_ns, angles, float(np.sqrt(encoder.noise)))
-        unconfirmed_reasons = [due.unconfirmed_reason for due in beside if due.unconfirmed_reason]
+        unconfirmed_reasons = [pending.unconfirmed_reason for pending in beside if pending.unconfirmed_reason]
         unconfirmed_sigma_rad = max(due.unconfirmed_sigma_rad for due in beside)
-        due = DuePointing(reading, ship, unconfirmed_reasons[-1] if unconfirmed_reasons else "", unconfirmed_sigma_rad, state)
+        due = PendingPointing(reading, ship, unconfirmed_reasons[-1] if unconfirmed_reasons else "", unconfirmed_sigma_rad, state)
         pointing = self._pointing.estimate(due)
         status, text = max(
             [(each.status, each.text) for each in (pointing, *map(self._pointing.estimate, beside))],
             key=lambda worth: worth[0],
         )
-        conflict_text = self._waiting.conflict_text(sample.time_ns)
+        conflict_text = self._pending.conflict_text(sample.time_ns)
         if conflict_text and status is not Status.DEGRADED:
             status, text = Status.DEGRADED, conflict_text
         return self._directions.estimate(sample, point_m, due, pointing, status, text)
 
-    def _beside(self, time_ns: int) -> tuple[DuePointing, DuePointing] | None:
+    def _beside(self, time_ns: int) -> tuple[PendingPointing, PendingPointing] | None:
         """Return the last published pointing up to a time and the first from then on; None if one is missing."""
         before = [due for due in self._put_out if due.time_ns <= time_ns]
         after = [due for due in self._put_out if due.time_ns >= time_ns]
@@ -210,7 +210,7 @@ class TargetOutput:
         self,
         sample: TargetSample,
         point_m: FloatArray,
-        due: DuePointing,
+        pending: PendingPointing,
         pointing: PointingEstimate,
         status: Status,
         text: str,
@@ -229,7 +229,7 @@ class TargetOutput:
             self._detector, point_m, sample.sigma_m, sample.detector_rotation, pointing.rotation_nm
         )
         unknown = np.full(3, np.nan), np.full((3, 3), np.nan)
-        position_n, position_covariance_n = self._position(sample, due, pointing, seen) if sample.has_range else unknown
+        position_n, position_covariance_n = self._position(sample, pending, pointing, seen) if sample.has_range else unknown
         return TargetEstimate(
             time_ns=sample.time_ns,
             target_id=sample.target_id,
@@ -242,16 +242,16 @@ class TargetOutput:
         )
 
     def _position(
-        self, sample: TargetSample, due: DuePointing, pointing: PointingEstimate, seen: SeenDirection
+        self, sample: TargetSample, pending: PendingPointing, pointing: PointingEstimate, seen: SeenDirection
     ) -> tuple[FloatArray, FloatArray]:
         """Return the position of a target from the ship's antenna, m, and its covariance, m².
 
         Ship, lever and air are states of the pointing, so the position uses their joint covariance.
         """
-        model, ship = self._filter.model, due.ship
+        model, ship = self._filter.model, pending.ship
         state = self._filter.predicted(pointing.state, sample.time_ns, ship.correlated_covariance_n)
         errors = self._filter.sightings.chain_errors(state.mean)
-        chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, *due.sample.vector.tolist())
+        chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, *pending.sample.vector.tolist())
         lever_m, coefficient = self._config.lever.vector_m, self._config.air.coefficient
         if "lever" in model.slices:
             lever_m = lever_m + state.mean[model.slices["lever"]]

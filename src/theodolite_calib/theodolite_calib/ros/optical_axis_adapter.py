@@ -248,7 +248,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """Return budget and errors of the latest pointing, advice for the drones, and the calibration."""
-        factory, estimate, published = self.factory, self.budget_due, []
+        factory, estimate, published = self.factory, self.pending_budget, []
         if estimate is not None:
             sources = self.core.filter.model.sources
             published += [
@@ -302,7 +302,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
 
     def before_adoption(self) -> list[Published]:
         """See :class:`RecoveringAdapter`: all pending pointings are those of the estimator that ends."""
-        self._make_due()
+        self._compute_pending()
         return []
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:

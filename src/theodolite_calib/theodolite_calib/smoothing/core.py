@@ -22,7 +22,7 @@ from theodolite_calib.filter.model import SOURCE_AXES
 from theodolite_calib.measured.samples import EncoderRun, EncoderSample, PointingEstimate, PointingOutcome
 from theodolite_calib.measured.tracks import ShipAt, ShipRun
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.optical_axis.output import CorrectedAxis, DuePointing
+from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
 from theodolite_calib.smoothing.between import Between
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
 
@@ -99,13 +99,13 @@ class SmoothingAxisCore(OpticalAxisCore):
         self._take(self._shell.states_in_window())
         output = _SmoothedOutput(self.filter, self._between().rows)
         while self._told:
-            due = [self._told.popleft() for _ in range(min(len(self._told), _AT_ONCE))]
+            batch = [self._told.popleft() for _ in range(min(len(self._told), _AT_ONCE))]
             known = {
                 moment_ns: Known(mean, covariance)
-                for moments_ns, (means, covariances) in self._chain.take_until(due[-1].estimate.time_ns)
+                for moments_ns, (means, covariances) in self._chain.take_until(batch[-1].estimate.time_ns)
                 for moment_ns, mean, covariance in zip(moments_ns, means, covariances, strict=True)
             }
-            for estimate, rests_on in due:
+            for estimate, rests_on in batch:
                 found = known.get(estimate.time_ns)
                 if found is None or rests_on is None:
                     yield estimate
@@ -114,11 +114,11 @@ class SmoothingAxisCore(OpticalAxisCore):
 
     # -- stored inputs --------------------------------------------------------------------------------------
 
-    def _put_out(self, outcome: PointingOutcome, due: DuePointing, waiting_ns: int) -> None:
+    def _put_out(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
         before = len(outcome.estimates)
-        super()._put_out(outcome, due, waiting_ns)
+        super()._put_out(outcome, pending, waiting_ns)
         for estimate in outcome.estimates[before:]:
-            self._keep(estimate, due)
+            self._keep(estimate, pending)
 
     def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         before = len(outcome.estimates)
@@ -126,13 +126,13 @@ class SmoothingAxisCore(OpticalAxisCore):
         for estimate in outcome.estimates[before:]:
             self._told.append(_ToldAtOnce(_alone(estimate), None))
 
-    def _keep(self, estimate: PointingEstimate, due: DuePointing) -> None:
+    def _keep(self, estimate: PointingEstimate, pending: PendingPointing) -> None:
         rests_on = None
-        if not (due.unconfirmed_reason or _has_unresolved_fault(due.state)):
-            rests_on = _RestsOn(due.sample, due.ship, estimate.covariance_n - estimate.undisputed_n)
-            if due.ship.correlated_covariance_n is not None:
-                self._stated_n[due.time_ns] = due.ship.correlated_covariance_n
-            self._chain.ask(due.time_ns)
+        if not (pending.unconfirmed_reason or _has_unresolved_fault(pending.state)):
+            rests_on = _RestsOn(pending.sample, pending.ship, estimate.covariance_n - estimate.undisputed_n)
+            if pending.ship.correlated_covariance_n is not None:
+                self._stated_n[pending.time_ns] = pending.ship.correlated_covariance_n
+            self._chain.ask(pending.time_ns)
         self._told.append(_ToldAtOnce(_alone(estimate), rests_on))
 
     def _between(self) -> Between:

@@ -17,7 +17,7 @@ _MOST_ANSWERED = 5000
 _Key = tuple[int, str]
 
 
-class WaitingTargets:
+class PendingTargets:
     """Pending images of one run, and those answered recently.
 
     Args:
