@@ -12,7 +12,7 @@ from ship_bags.stamps import make_header
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
 from ship_replay.offline.message_times import Gaps
-from ship_replay.offline.status_course import StatusCourse
+from ship_replay.offline.status_course import StatusHistory
 from ship_testing.bag_parts import beginning
 from ship_testing.hand_made_bags import START_NS, imu, ship_attitude
 
@@ -34,8 +34,8 @@ class Output:
     status: int
 
 
-def course_of(*entries: tuple[float, int]) -> StatusCourse:
-    course, factory = StatusCourse(), RosbagsFactory()
+def history_of(*entries: tuple[float, int]) -> StatusHistory:
+    course, factory = StatusHistory(), RosbagsFactory()
     for time_s, status in entries:
         course.add(Output(make_header(factory, START_NS + round(time_s * SECOND_NS), ""), status))
     return course
@@ -43,7 +43,7 @@ def course_of(*entries: tuple[float, int]) -> StatusCourse:
 
 def test_spans_of_a_status_are_merged_and_share_the_time() -> None:
     begin = (0.0, DEGRADED), (1.0, DEGRADED), (2.0, VALID), (3.0, VALID)
-    course = course_of(*begin, (4.0, COASTING), (9.0, VALID), (10.0, VALID))
+    course = history_of(*begin, (4.0, COASTING), (9.0, VALID), (10.0, VALID))
     assert [(s.status, (s.start_ns - START_NS) / SECOND_NS, s.count) for s in course.spans] == [
         ("DEGRADED", 0.0, 2),
         ("VALID", 2.0, 2),
@@ -64,15 +64,15 @@ def test_spans_of_a_status_are_merged_and_share_the_time() -> None:
 
 def test_invalid_ticks_are_placed_by_their_time() -> None:
     """INVALID is stamped by the clock, after attitudes with later stamps as well as before earlier ones."""
-    course = course_of((0.0, VALID), (5.0, VALID), (3.0, INVALID), (6.0, VALID))
+    course = history_of((0.0, VALID), (5.0, VALID), (3.0, INVALID), (6.0, VALID))
     assert [span.status for span in course.spans] == ["VALID", "INVALID", "VALID"]
     assert [span.count for span in course.spans] == [2, 1, 1]
 
 
 def test_of_many_spans_the_longest_are_shown() -> None:
-    course = course_of(*((float(second), second % 2) for second in range(60)))
+    course = history_of(*((float(second), second % 2) for second in range(60)))
     assert course.lines("ship/attitude")[-1] == "  and 48 shorter spans"
-    assert StatusCourse().lines("ship/attitude") == ["status of ship/attitude: no output"]
+    assert StatusHistory().lines("ship/attitude") == ["status of ship/attitude: no output"]
 
 
 def test_gaps_are_those_between_times_in_order() -> None:
@@ -170,7 +170,7 @@ def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
 
 
 def test_diagnostics_are_counted_without_numbers_and_only_if_poor() -> None:
-    course = course_of((0.0, DEGRADED))
+    course = history_of((0.0, DEGRADED))
     for saying in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
         course.note(saying)
     course.add(Output(make_header(RosbagsFactory(), START_NS + SECOND_NS, ""), VALID))

@@ -18,22 +18,22 @@ _CONFIGURED_COLOUR = "#d55e00"
 _ROOM = 1.15
 
 
-def draw_course(calibration: InstallationCalibration, folder: Path) -> Path:
+def draw_history(calibration: InstallationCalibration, folder: Path) -> Path:
     """Write ``installation.png`` into a folder that exists."""
     return write_figures(_figures(calibration), folder)["installation"]
 
 
 def _figures(calibration: InstallationCalibration) -> Iterator[tuple[str, Figure]]:
-    yield "installation", _course_figure(calibration)
+    yield "installation", _history_figure(calibration)
 
 
-def _course_figure(calibration: InstallationCalibration) -> Figure:
+def _history_figure(calibration: InstallationCalibration) -> Figure:
     """Return the correction of every angle over the session, one row per sensor, with the last values as titles."""
     rows = len(calibration.sensors)
     figure, grid = plt.subplots(rows, 3, figsize=(14, 3.2 * rows + 1), sharex=True, squeeze=False, layout="constrained")
     figure.suptitle(f"{calibration.session.name}: correction of the installation angles, with its ±1σ")
     for number, angle in enumerate(calibration.angles):
-        _draw_course(grid[divmod(number, 3)], calibration, angle)
+        _draw_history(grid[divmod(number, 3)], calibration, angle)
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
     for sensor, axes in zip(calibration.sensors, grid[:, 0], strict=True):
@@ -43,10 +43,10 @@ def _course_figure(calibration: InstallationCalibration) -> Figure:
     return figure
 
 
-def _draw_course(axes: Axes, calibration: InstallationCalibration, angle: InstalledAngle) -> None:
+def _draw_history(axes: Axes, calibration: InstallationCalibration, angle: InstalledAngle) -> None:
     time_s = calibration.session.times_s
-    course = calibration.session.course[f"star.{angle.sensor}.{angle.angle}"]
-    values, sigmas = course.T
+    history = calibration.session.history[f"star.{angle.sensor}.{angle.angle}"]
+    values, sigmas = history.T
     value, sigma = wrap_pi(values - angle.configured) / ARCSEC, sigmas / ARCSEC
     axes.axhline(0.0, color=_CONFIGURED_COLOUR, lw=1.2, ls="--", label="configured")
     axes.fill_between(time_s, value - sigma, value + sigma, color=_BAND_COLOUR, label="±1σ")

@@ -78,7 +78,7 @@ class Session:
     core: ShipAttitudeCore
     counts: dict[str, InputCount]
     times_s: FloatArray
-    course: dict[str, FloatArray]
+    history: dict[str, FloatArray]
     duration_s: float
     problems: list[str]
 
@@ -111,13 +111,13 @@ def run_session(
         _check_installations(bag, config)
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
         _check_star_topics(bag, config, {*names.values(), *(topic.topic for topic in chain.outputs)})
-        course, summary = Course(), ReplaySummary()
-        run = ReplayRun(chain, course, summary, ())
+        history, summary = AlignmentHistory(), ReplaySummary()
+        run = ReplayRun(chain, history, summary, ())
         for record in watch(bag.records(names), bag):
             run.take(names[record.topic], record)
         last_ns = bag.last_time_ns or 0
         last = adapter.core.alignment()
-        course.add(last_ns, last.names, last.values, last.covariance)
+        history.add(last_ns, last.names, last.values, last.covariance)
         counts = input_counts(adapter, last_ns)
         _check_used(bag, adapter.core, counts)
         unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
@@ -126,8 +126,8 @@ def run_session(
             config=config,
             core=adapter.core,
             counts=counts,
-            times_s=course.times_s,
-            course=course.installation_history(),
+            times_s=history.times_s,
+            history=history.installation_history(),
             duration_s=(last_ns - (bag.start_ns or 0)) / NS_PER_S,
             problems=[*left_out, *bag.problems, *unread],
         )
@@ -209,7 +209,7 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
 
 
 @dataclass
-class Course:
+class AlignmentHistory:
     """History of the alignment in a session; receives the outputs of its replay."""
 
     times_ns: list[int] = field(default_factory=list)

@@ -77,7 +77,7 @@ def _told(evaluation: Evaluation, summary: ReplaySummary) -> Result:
         "error": None,
         "errors": {errors.label: _statistics(errors) for errors in evaluation.errors},
         "values": _plain(evaluation.flat()),
-        "statuses": {topic: dict(sorted(course.counts.items())) for topic, course in sorted(summary.statuses.items())},
+        "statuses": {topic: dict(sorted(history.counts.items())) for topic, history in sorted(summary.status_histories.items())},
         "refused": {topic: dict(sorted(reasons.items())) for topic, reasons in sorted(summary.rejected.items())},
     }
 

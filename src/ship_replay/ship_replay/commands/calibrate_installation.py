@@ -80,9 +80,9 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _report(calibration: InstallationCalibration, folder: Path) -> None:
-    from ship_replay.calibration.figure import draw_course
+    from ship_replay.calibration.figure import draw_history
 
     folder.mkdir(parents=True, exist_ok=True)
     values = folder / "installation.json"
     write_whole(values, json_text(calibration))
-    sys.stdout.write(f"report: {draw_course(calibration, folder)}, {values}\n")
+    sys.stdout.write(f"report: {draw_history(calibration, folder)}, {values}\n")

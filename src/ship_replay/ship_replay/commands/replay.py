@@ -137,7 +137,7 @@ def _print(summary: ReplaySummary) -> None:
         print(f"warning: {irregularity}; --arrival stamps uses the stamps as arrival times")
     rate = summary.duration_s / summary.elapsed_s
     print(f"{summary.duration_s:.1f} s of data in {summary.elapsed_s:.1f} s ({rate:.0f} x real time)")
-    for line in [*summary.course_lines(), *summary.reasons]:
+    for line in [*summary.status_lines(), *summary.reasons]:
         print(line)
 
 

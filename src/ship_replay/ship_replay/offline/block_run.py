@@ -25,7 +25,7 @@ from ship_replay.offline.message_times import MessageTimes
 from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicBlock, read_ahead
 from ship_replay.offline.ordered_output import ManySink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.offline.status_course import StatusCourse
+from ship_replay.offline.status_course import StatusHistory
 
 _MOST = 1000
 """Maximum number of messages per batch."""
@@ -210,8 +210,8 @@ class BlockRun(ReplayRun):
             if not waits and place not in single and place not in runs and place not in copied:
                 continue
             for topic, estimates in runs.get(place, ()):
-                course = self._summary.statuses.setdefault(topic, StatusCourse())
-                course.add_run(estimates.status, estimates.time_ns)
+                history = self._summary.status_histories.setdefault(topic, StatusHistory())
+                history.add_run(estimates.status, estimates.time_ns)
             for order, published in sorted(single.get(place, ()), key=lambda each: each[0]):
                 self._output.place = place, order
                 self._publish(published, moment.now_ns)

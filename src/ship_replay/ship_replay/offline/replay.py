@@ -98,9 +98,9 @@ def _tell_of_node(
 ) -> None:
     """Add a node's reasons for poor statuses and its rejected and noted messages to the summary."""
     for output in adapter.outputs:
-        if output.topic in summary.statuses:
-            course = summary.statuses[output.topic]
-            summary.reasons += reasons_for(course, adapter, config, summary.times, health)
+        if output.topic in summary.status_histories:
+            history = summary.status_histories[output.topic]
+            summary.reasons += reasons_for(history, adapter, config, summary.times, health)
     for topic, counts in adapter.health.refused_and_noted().items():
         name = topic if is_alone else f"{adapter.node_name}: {topic}"
         for kept, reasons in zip((summary.rejected, summary.noted), counts, strict=True):

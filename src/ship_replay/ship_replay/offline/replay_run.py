@@ -16,7 +16,7 @@ from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.exclusion_history import INTEGRITY, ExclusionHistory
 from ship_replay.offline.message_times import LogTimes, MessageTimes
-from ship_replay.offline.status_course import STATUS_TOPICS, StatusCourse
+from ship_replay.offline.status_course import STATUS_TOPICS, StatusHistory
 from ship_replay.offline.truth_errors import TruthErrors
 from ship_watch.orientations import ORIENTATIONS
 
@@ -54,7 +54,7 @@ class ReplaySummary:
     rejected: dict[str, dict[str, int]] = field(default_factory=dict)
     noted: dict[str, dict[str, int]] = field(default_factory=dict)
     undecodable: Counter[str] = field(default_factory=Counter)
-    statuses: dict[str, StatusCourse] = field(default_factory=dict)
+    status_histories: dict[str, StatusHistory] = field(default_factory=dict)
     exclusions: dict[str, ExclusionHistory] = field(default_factory=dict)
     times: dict[str, MessageTimes] = field(default_factory=dict)
     log_times: LogTimes = field(default_factory=LogTimes)
@@ -65,14 +65,14 @@ class ReplaySummary:
     elapsed_s: float = 0.0
 
 
-    def course_lines(self) -> list[str]:
+    def status_lines(self) -> list[str]:
         """Return each output's status history, with the exclusions and reinstatements of sources below it."""
         lines = []
-        for topic, course in sorted(self.statuses.items()):
-            lines += course.lines(topic)
+        for topic, status_history in sorted(self.status_histories.items()):
+            lines += status_history.lines(topic)
             history = self.exclusions.get(INTEGRITY.get(topic, ""))
-            if history is not None and course.spans:
-                lines += history.lines(course.spans[0].start_ns)
+            if history is not None and status_history.spans:
+                lines += history.lines(status_history.spans[0].start_ns)
         return lines
 
 
@@ -193,7 +193,7 @@ class ReplayRun:
         self._writer.write(topic, message, time_ns)
         self._summary.outputs[topic] += 1
         if topic in STATUS_TOPICS:
-            self._summary.statuses.setdefault(topic, StatusCourse()).add(message)
+            self._summary.status_histories.setdefault(topic, StatusHistory()).add(message)
         elif topic in INTEGRITY.values():
             self._summary.exclusions.setdefault(topic, ExclusionHistory()).add(message)
         elif topic == DIAGNOSTICS_TOPIC:
@@ -202,6 +202,6 @@ class ReplayRun:
     def _note_sayings(self, diagnostics: Any) -> None:
         """Record the diagnostics about statuses: "ship_attitude: attitude" is about ship/attitude."""
         for said in diagnostics.status:
-            course = self._summary.statuses.get(self._status_topics.get(said.name, ""))
-            if course is not None:
-                course.note(said.message)
+            history = self._summary.status_histories.get(self._status_topics.get(said.name, ""))
+            if history is not None:
+                history.note(said.message)

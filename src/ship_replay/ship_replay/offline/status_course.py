@@ -58,7 +58,7 @@ class _Run(NamedTuple):
     outputs: int
 
 
-class StatusCourse:
+class StatusHistory:
     """Status history of one output topic.
 
     Attributes:
@@ -141,7 +141,7 @@ class StatusCourse:
 
 
 def reasons_for(
-    course: StatusCourse, adapter: Adapter, config: Any, times: Mapping[str, MessageTimes], health: Sequence[Any]
+    history: StatusHistory, adapter: Adapter, config: Any, times: Mapping[str, MessageTimes], health: Sequence[Any]
 ) -> list[str]:
     """Return why a node's outputs were INVALID or DEGRADED, one line each below a heading.
 
@@ -155,10 +155,10 @@ def reasons_for(
         times: stamps and arrival times of its inputs, by topic.
         health: its InputHealth messages after the last message.
     """
-    counts = course.counts
+    counts = history.counts
     if sum(counts[word] for word in _POOR) <= _WORTH_A_REASON * counts.total():
         return []
-    said = course.sayings
+    said = history.sayings
     warnings = [warning for warning in adapter.start_warnings if not any(warning in saying for saying in said)]
     reasons = [*said, *warnings, *_reference_only_reasons(config)]
     reasons += [excess.text for excess in exceeded(config, dict(times), "the bag")]
