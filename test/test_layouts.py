@@ -16,7 +16,7 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_replay.commands.replay import main as replay
-from ship_testing.foxglove_layouts import SCRIPTS, Night, Scripts, check_foxglove, look_up, paths
+from ship_testing.foxglove_layouts import SCRIPTS, MessagesByTopic, Scripts, check_foxglove, look_up, paths
 from ship_testing.hand_made_bags import START_NS
 from ship_testing.plotjuggler_layouts import check_plotjuggler
 from ship_testing.recorded_suites import one_alert
@@ -28,7 +28,7 @@ REPLAYED_S = 12
 MESSAGES_A_TOPIC = 40
 
 
-def messages_of(bag_name: str, folder: Path) -> Night:
+def messages_of(bag_name: str, folder: Path) -> MessagesByTopic:
     """Return the suite's messages for the first seconds of a bag of the repository, by absolute topic."""
     given, result = folder / f"{bag_name}_in.mcap", folder / f"{bag_name}_out.mcap"
     with read_bag(ROOT / "bags" / f"{bag_name}.mcap") as whole, BagWriter(given) as writer:
@@ -39,7 +39,7 @@ def messages_of(bag_name: str, folder: Path) -> Night:
                 break
             writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
     assert replay([str(given), "--out", str(result)]) == 0
-    found: Night = {}
+    found: MessagesByTopic = {}
     with read_bag(result) as bag:
         for record in bag.records([topic for topic in bag.topics if not topic.startswith("truth/")]):
             found.setdefault(f"/{record.topic.removeprefix('/')}", []).append(record.decode())
@@ -52,10 +52,10 @@ def spread(messages: list[Any]) -> list[Any]:
 
 
 @pytest.fixture(scope="module")
-def night(tmp_path_factory: pytest.TempPathFactory) -> Night:
+def night(tmp_path_factory: pytest.TempPathFactory) -> MessagesByTopic:
     """Return the outputs of a suite with all nodes; the one alert is hand-made."""
     folder = tmp_path_factory.mktemp("night")
-    found: Night = {}
+    found: MessagesByTopic = {}
     for bag_name in ("demo", "theodolite"):
         for topic, messages in messages_of(bag_name, folder).items():
             found[topic] = found.get(topic, []) + messages
@@ -72,12 +72,12 @@ def plotjuggler() -> ET.Element:
     return ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
 
 
-def test_all_names_in_the_foxglove_layout_exist(foxglove: dict[str, Any], night: Night) -> None:
+def test_all_names_in_the_foxglove_layout_exist(foxglove: dict[str, Any], night: MessagesByTopic) -> None:
     check_foxglove(foxglove, night)
     assert len(paths(foxglove)) > 80
 
 
-def test_each_word_of_each_path_is_checked(foxglove: dict[str, Any], night: Night) -> None:
+def test_each_word_of_each_path_is_checked(foxglove: dict[str, Any], night: MessagesByTopic) -> None:
     scripts = Scripts(foxglove, night)
     for path in sorted(set(paths(foxglove))):
         for word in re.finditer(r"\w+", path):
@@ -106,14 +106,14 @@ def test_each_word_of_each_path_is_checked(foxglove: dict[str, Any], night: Nigh
         ("residual_arcsec: number[]", "residual_arcsec: number"),
     ],
 )
-def test_a_foxglove_layout_with_a_misspelt_name_is_refused(night: Night, right: str, wrong: str) -> None:
+def test_a_foxglove_layout_with_a_misspelt_name_is_refused(night: MessagesByTopic, right: str, wrong: str) -> None:
     text = (LAYOUTS / "foxglove.json").read_text(encoding="utf-8")
     assert right in text
     with pytest.raises((AssertionError, KeyError)):
         check_foxglove(json.loads(text.replace(right, wrong, 1)), night)
 
 
-def test_all_names_in_the_plotjuggler_layout_exist(plotjuggler: ET.Element, night: Night) -> None:
+def test_all_names_in_the_plotjuggler_layout_exist(plotjuggler: ET.Element, night: MessagesByTopic) -> None:
     check_plotjuggler(plotjuggler, night)
     assert [tab.get("tab_name") for tab in plotjuggler.iter("Tab")] == [
         "Attitude", "Pointing", "Errors", "Innovations", "Inputs", "Budget"
@@ -121,7 +121,7 @@ def test_all_names_in_the_plotjuggler_layout_exist(plotjuggler: ET.Element, nigh
 
 
 @pytest.mark.slow
-def test_each_name_in_the_plotjuggler_layout_is_checked(plotjuggler: ET.Element, night: Night) -> None:
+def test_each_name_in_the_plotjuggler_layout_is_checked(plotjuggler: ET.Element, night: MessagesByTopic) -> None:
     for which in ("curve", "snippet"):
         for index, _ in enumerate(plotjuggler.iter(which)):
             broken = copy.deepcopy(plotjuggler)
@@ -145,7 +145,7 @@ def test_each_name_in_the_plotjuggler_layout_is_checked(plotjuggler: ET.Element,
         ("1 COASTING", "1 COSTING"),
     ],
 )
-def test_a_plotjuggler_layout_with_a_misspelt_name_is_refused(night: Night, right: str, wrong: str) -> None:
+def test_a_plotjuggler_layout_with_a_misspelt_name_is_refused(night: MessagesByTopic, right: str, wrong: str) -> None:
     text = (LAYOUTS / "plotjuggler.xml").read_text(encoding="utf-8")
     assert right in text
     with pytest.raises(AssertionError):
@@ -156,7 +156,7 @@ PREFIXES = {"demo": "/demo", "replayed": ""}
 """Names of the files that the page makes → what stands before the topics in them."""
 
 
-def test_the_printed_commands_rename_every_topic(night: Night, tmp_path: Path) -> None:
+def test_the_printed_commands_rename_every_topic(night: MessagesByTopic, tmp_path: Path) -> None:
     lines = re.findall(r"^sed -E .*$", HOW_TO.read_text(encoding="utf-8"), re.MULTILINE)
     subprocess.run("\n".join(lines).replace(" out/", f" {tmp_path}/"), shell=True, cwd=ROOT, check=True)
     for name, prefix in PREFIXES.items():

@@ -19,7 +19,7 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.trials.live_run import LiveRun
 from ship_simulation.simulate_command import write_bag
-from ship_testing.theodolite_scenes import bag_scenario, with_night
+from ship_testing.theodolite_scenes import bag_scenario, with_stars_and_targets
 from ship_testing.theodolite_stations import buoy_n, buoy_seen, direction_message, placing_values
 from theodolite_calib.measured.samples import Mode
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
@@ -72,7 +72,7 @@ def square(error: np.ndarray, covariance: Any) -> float:
 @pytest.fixture(scope="module", name="night")
 def _night(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages]:
     folder = tmp_path_factory.mktemp("night")
-    write_bag(with_night(bag_scenario(duration_s=10.0)), 3, folder / "night.mcap", b"")
+    write_bag(with_stars_and_targets(bag_scenario(duration_s=10.0)), 3, folder / "night.mcap", b"")
     return live_and_offline(folder / "night.mcap", OpticalAxisAdapter, folder, 2.0, {})
 
 

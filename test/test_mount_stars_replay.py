@@ -23,7 +23,7 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_simulation.simulate_command import write_bag
 from ship_simulation.suite.suite import suite_yaml
-from ship_testing.theodolite_scenes import bag_scenario, replaced, with_night
+from ship_testing.theodolite_scenes import bag_scenario, replaced, with_stars_and_targets
 from theodolite_calib.measured.samples import Mode
 
 ENDS_NS = 2_000_000_000
@@ -37,7 +37,7 @@ LIGHTS = ("theodolite/beacons", "beacon/a/baseline", "beacon/b/baseline", "beaco
 @pytest.fixture(scope="module", name="voyage")
 def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, np.ndarray]]:
     """Return a folder with bags and their suite file; the true main axis (horizon from main frame) by stamp."""
-    folder, scenario = tmp_path_factory.mktemp("mount"), with_night(bag_scenario(duration_s=8.0))
+    folder, scenario = tmp_path_factory.mktemp("mount"), with_stars_and_targets(bag_scenario(duration_s=8.0))
     points = replaced(scenario.telescopes["night"], exposure_s=0.0, false_stars=0.0)
     cameras = {NAMED: replaced(points, identified=True, phase_s=0.1), UNNAMED: replaced(points, phase_s=0.0)}
     scenario = dataclasses.replace(scenario, telescopes=cameras, targets={})

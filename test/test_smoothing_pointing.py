@@ -23,7 +23,7 @@ from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
-from ship_testing.mount_stars import MountNight, at_anchor, drawn_errors, mount_config, mount_sky, random_field
+from ship_testing.mount_stars import MountSession, at_anchor, drawn_errors, mount_config, mount_sky, random_field
 from ship_testing.star_sky import TIME_NS
 from ship_testing.theodolite_scenes import SCENARIOS, replaced, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
@@ -304,7 +304,7 @@ def test_later_stars_improve_earlier_pointings() -> None:
     found, errors = [], {"at_once": [], "smoothed": []}
     for seed in range(SEEDS // 2):
         rng = np.random.default_rng(seed)
-        night = MountNight(settings, drawn_errors(settings, rng), mount_sky(settings), rng)
+        night = MountSession(settings, drawn_errors(settings, rng), mount_sky(settings), rng)
         core, told, true_nm = SmoothingAxisCore(settings, installed_sky(settings.sky)), [], []
         for given in at_anchor():
             core.add_surroundings(given)

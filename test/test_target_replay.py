@@ -18,7 +18,7 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_simulation.simulate_command import write_bag
 from ship_simulation.suite.suite import suite_yaml
-from ship_testing.theodolite_scenes import bag_scenario, with_night
+from ship_testing.theodolite_scenes import bag_scenario, with_stars_and_targets
 
 TARGET, DIRECTION, TRUTH = "theodolite/target", "theodolite/target_direction", "truth/target_direction"
 
@@ -26,7 +26,7 @@ TARGET, DIRECTION, TRUTH = "theodolite/target", "theodolite/target_direction", "
 @pytest.fixture(scope="module", name="voyage")
 def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[int, Any]]:
     """Return a bag with images, its suite file, and the true directions and places by stamp."""
-    folder, scenario = tmp_path_factory.mktemp("target"), with_night(bag_scenario(duration_s=10.0))
+    folder, scenario = tmp_path_factory.mktemp("target"), with_stars_and_targets(bag_scenario(duration_s=10.0))
     scenario = dataclasses.replace(scenario, telescopes={})
     write_bag(scenario, 3, folder / "in.mcap", b"")
     (folder / "suite.yaml").write_text(suite_yaml(scenario))

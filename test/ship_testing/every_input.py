@@ -30,7 +30,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.scenario.theodolite_scenario import Rtk, ShipBaseline
 from ship_simulation.suite.suite import suite_yaml
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, Arrivals, hand_over, stamp_of
-from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replaced, with_night
+from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replaced, with_stars_and_targets
 from ship_testing.theodolite_stations import buoy_seen, direction_message, placing_values
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
@@ -142,7 +142,7 @@ def _ship() -> Scenario:
 
 
 def _theodolite(node: str) -> Scenario:
-    scenario = with_night(bag_scenario(duration_s=5.0))
+    scenario = with_stars_and_targets(bag_scenario(duration_s=5.0))
     fused = replaced(scenario.fused_attitude, written=not node.endswith("by ins"))
     ins = replaced(scenario.ins, rate_hz=20.0)
     return replace(scenario, ins=ins, star_sensors={}, telescopes={}, fused_attitude=fused)

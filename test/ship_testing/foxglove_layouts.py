@@ -11,7 +11,7 @@ from typing import Any
 import ship_attitude_star.ship_attitude.model as attitude_model
 import theodolite_calib.filter.model as pointing_model
 
-Night = dict[str, list[Any]]
+MessagesByTopic = dict[str, list[Any]]
 """Messages by absolute topic."""
 
 SCRIPTS = "/studio_script/"
@@ -50,7 +50,7 @@ class Missing(AssertionError):
 class Scripts:
     """Scripts of a layout: their inputs exist, and their outputs have types that panels show."""
 
-    def __init__(self, layout: dict[str, Any], night: Night) -> None:
+    def __init__(self, layout: dict[str, Any], messages: MessagesByTopic) -> None:
         self.given: dict[str, dict[str, dict[str, str]]] = {}
         for key, script in layout["userNodes"].items():
             code = script["sourceCode"]
@@ -58,10 +58,10 @@ class Scripts:
             assert script["name"] == key
             assert f'export default function script(event: Input<"{topic}">): Output' in code
             for field in re.findall(r"event\.message\.(\w+)", code):
-                resolve(f"{topic}.{field}", night, layout["globalVariables"])
+                resolve(f"{topic}.{field}", messages, layout["globalVariables"])
             for names in re.findall(r"const LEVELS = \[(.*)\]", code):
                 for value, name in enumerate(re.findall(r'"(\w+)"', names)):
-                    constant(night, topic, name, value)
+                    constant(messages, topic, name, value)
             types = {
                 name: dict(re.findall(r"(\w+): (\w+(?:\[\])?);?\s", body))
                 for name, body in re.findall(r"^type (\w+) = \{(.*?)\};$", code, re.MULTILINE | re.DOTALL)
@@ -104,12 +104,12 @@ def split(path: str) -> tuple[str, list[re.Match[str]]]:
     return topic, steps
 
 
-def resolve(path: str, night: Night, variables: dict[str, str]) -> list[Any]:
+def resolve(path: str, messages: MessagesByTopic, variables: dict[str, str]) -> list[Any]:
     """Return the values of a message path in the messages; at least one."""
     topic, steps = split(path)
-    if topic not in night:
+    if topic not in messages:
         raise Missing(f"{path}: no topic {topic}")
-    found = night[topic]
+    found = messages[topic]
     for step in steps:
         if step["name"]:
             found = [value_of(holder, step["name"], path) for holder in found]
@@ -140,9 +140,9 @@ def wanted_value(step: re.Match[str], variables: dict[str, str]) -> str:
     return variables[value[1:]]
 
 
-def constant(night: Night, topic: str, name: str, value: int) -> None:
+def constant(messages: MessagesByTopic, topic: str, name: str, value: int) -> None:
     """Raise unless messages of a topic have this constant."""
-    if getattr(night[topic][0], name, None) != value:
+    if getattr(messages[topic][0], name, None) != value:
         raise Missing(f"{topic}: {name} is not {value}")
 
 
@@ -151,18 +151,18 @@ def named_constants(text: str) -> list[tuple[int, str]]:
     return [(int(value), name) for value, name in re.findall(r"\b(\d) ([A-Z_]{2,})\b", text)]
 
 
-def look_up(path: str, layout: dict[str, Any], night: Night, scripts: Scripts, is_shown: tuple[type, ...]) -> None:
+def look_up(path: str, layout: dict[str, Any], messages_by_topic: MessagesByTopic, scripts: Scripts, is_shown: tuple[type, ...]) -> None:
     """Raise unless a path leads to a type that its panel can show."""
     topic, steps = split(path)
     if not topic.startswith(SCRIPTS):
-        values = resolve(path, night, layout["globalVariables"])
+        values = resolve(path, messages_by_topic, layout["globalVariables"])
         if not all(isinstance(getattr(value, "item", lambda value=value: value)(), is_shown) for value in values[:1]):
             raise Missing(f"{path}: {values[0]!r} cannot be shown")
         return
     kind = scripts.follow(topic, steps)
     if is_shown != (object,) and kind != "number":
         raise Missing(f"{path}: a {kind} cannot be shown")
-    told = {message.source for name, messages in night.items() if name.endswith("/innovation") for message in messages}
+    told = {message.source for name, messages in messages_by_topic.items() if name.endswith("/innovation") for message in messages}
     for step in steps:
         if step["field"] and wanted_value(step, layout["globalVariables"]) not in told | ERROR_SOURCES:
             raise Missing(f"{path}: no source {step['value']}")
@@ -180,10 +180,10 @@ def leaves(mosaic: Any) -> Iterator[str]:
     yield from leaves(mosaic["second"])
 
 
-def check_foxglove(layout: dict[str, Any], night: Night) -> None:
+def check_foxglove(layout: dict[str, Any], messages: MessagesByTopic) -> None:
     """Raise if a name in a layout does not exist."""
     assert set(layout) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
-    scripts = Scripts(layout, night)
+    scripts = Scripts(layout, messages)
     panels = list(leaves(layout["layout"]))
     for panel, config in layout["configById"].items():
         kind = panel.partition("!")[0]
@@ -192,26 +192,26 @@ def check_foxglove(layout: dict[str, Any], night: Night) -> None:
         if kind == "Tab":
             assert all(set(tab) == {"title", "layout"} for tab in config["tabs"])
             panels += [leaf for tab in config["tabs"] for leaf in leaves(tab["layout"])]
-        check_panel(kind, config, layout, night, scripts)
+        check_panel(kind, config, layout, messages, scripts)
     assert sorted(panels) == sorted(layout["configById"])
 
 
-def check_panel(kind: str, config: dict[str, Any], layout: dict[str, Any], night: Night, scripts: Scripts) -> None:
+def check_panel(kind: str, config: dict[str, Any], layout: dict[str, Any], messages: MessagesByTopic, scripts: Scripts) -> None:
     shown: tuple[type, ...] = (int, float) if kind == "Plot" else (int, float, str, bool)
     for series in config.get("paths", []):
         assert {"value", "enabled", "timestampMethod"} <= set(series) <= SERIES
-        look_up(series["value"], layout, night, scripts, shown)
+        look_up(series["value"], layout, messages, scripts, shown)
         for value, name in named_constants(series["label"]):
-            constant(night, split(series["value"])[0], name, value)
+            constant(messages, split(series["value"])[0], name, value)
     if kind == "Indicator":
-        look_up(config["path"], layout, night, scripts, (int,))
+        look_up(config["path"], layout, messages, scripts, (int,))
         for rule in config["rules"]:
             assert set(rule) == {"operator", "rawValue", "color", "label"}
-            constant(night, split(config["path"])[0], rule["label"], int(rule["rawValue"]))
+            constant(messages, split(config["path"])[0], rule["label"], int(rule["rawValue"]))
     if "topicPath" in config:
-        look_up(config["topicPath"], layout, night, scripts, (object,))
+        look_up(config["topicPath"], layout, messages, scripts, (object,))
     if "topicToRender" in config:
-        look_up(config["topicToRender"], layout, night, scripts, (object,))
+        look_up(config["topicToRender"], layout, messages, scripts, (object,))
 
 
 def paths(layout: dict[str, Any]) -> list[str]:

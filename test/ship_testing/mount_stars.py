@@ -153,7 +153,7 @@ def stars_seen(
     )
 
 
-class MountNight:
+class MountSession:
     """One night of a theodolite on a ship that does not move.
 
     Args:

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from ship_testing.foxglove_layouts import Missing, Night, constant, named_constants
+from ship_testing.foxglove_layouts import Missing, MessagesByTopic, constant, named_constants
 
 
-def curves(night: Night) -> set[str]:
+def curves(messages_by_topic: MessagesByTopic) -> set[str]:
     """Return PlotJuggler's names of the numbers of the messages."""
     found: set[str] = set()
-    for topic, messages in night.items():
+    for topic, messages in messages_by_topic.items():
         for message in messages:
             if topic == "/diagnostics":
                 for status in message.status:
@@ -50,9 +50,9 @@ def flat(value: Any, name: str) -> Iterator[str]:
         yield name
 
 
-def check_plotjuggler(root: ET.Element, night: Night) -> None:
+def check_plotjuggler(root: ET.Element, messages_by_topic: MessagesByTopic) -> None:
     """Raise if a name in a layout does not exist."""
-    known = curves(night)
+    known = curves(messages_by_topic)
     assert {element.tag for element in root} == {
         "tabbed_widget", "use_relative_time_offset", "streaming_buffer_size", "customMathEquations"
     }  # fmt: skip
@@ -77,5 +77,5 @@ def check_plotjuggler(root: ET.Element, night: Night) -> None:
     for area in root.iter("DockArea"):
         for value, name in named_constants(area.get("name")):
             topic = area.find("plot/curve").get("name").rpartition("/")[0]
-            constant(night, topic, name, value)
+            constant(messages_by_topic, topic, name, value)
     assert {plot.get("style") for plot in root.iter("plot")} <= {"Lines", "Dots", "Steps"}

@@ -13,7 +13,7 @@ SIGMA_ENU = np.diag([2.0, 3.0, 4.0]) * ARCSEC
 """Of a ship with heading North: pitch 2″, roll 3″, heading 4″; 95 % are 3.9″, 5.9″ and 7.8″."""
 
 
-def write_night(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):
+def write_bag(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):
     """Write attitudes at 10 Hz with 1″ of heading error, a gap between two times; rejections of star.fore at times."""
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", "ship_attitude:\n  ros__parameters: {}\n")

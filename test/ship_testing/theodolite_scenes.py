@@ -34,7 +34,7 @@ def bag_scenario(duration_s=10.0, **changes):
     return dataclasses.replace(load_scenario(SCENARIOS / "theodolite.yaml"), duration_s=duration_s, **changes)
 
 
-def with_night(scenario):
+def with_stars_and_targets(scenario):
     """Return the scenario with the targets and the stars on the mount of theodolite_night.yaml."""
     night = load_scenario(SCENARIOS / "theodolite_night.yaml")
     return dataclasses.replace(

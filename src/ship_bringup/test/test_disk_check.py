@@ -10,7 +10,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.disk_check import DiskState, check_disk, look_at_disk, night_bytes
+from ship_bringup.checks.disk_check import DiskState, check_disk, look_at_disk, estimate_write_rates
 from ship_bringup.checks.network_look import ObservedTopic
 from ship_node.edge.topics import InputTopic
 from ship_replay.offline.adapter_chain import suite_chain
@@ -61,7 +61,7 @@ def test_record_size_is_within_the_estimate(name, tmp_path):
                 writer.flush()
                 next_ns = record.log_time_ns + 100_000_000
     measured = written.stat().st_size / seconds
-    estimated = night_bytes(chain.adapters, heard).record
+    estimated = estimate_write_rates(chain.adapters, heard).record
     assert measured < estimated < 4.0 * measured
 
 
@@ -71,25 +71,25 @@ def test_black_box_size_is_within_the_estimate(node, tmp_path):
     chain, heard, _, _ = chain_and_inputs(node.bag)
     own = [adapter for adapter in chain.adapters if isinstance(adapter, node.adapter_class)]
     measured = (tmp_path / "box.mcap").stat().st_size / (LENGTH_NS * 1e-9 + TAIL_S)
-    estimated = night_bytes(own, heard).boxes
+    estimated = estimate_write_rates(own, heard).boxes
     assert measured < estimated < 5.0 * measured
 
 
 def test_missing_inputs_count_with_typical_values():
     path = ROOT / "bags" / "demo.mcap"
     chain, heard, _, _ = chain_and_inputs(path)
-    full, unheard = night_bytes(chain.adapters, heard), night_bytes(chain.adapters, [])
+    full, unheard = estimate_write_rates(chain.adapters, heard), estimate_write_rates(chain.adapters, [])
     assert 0.5 < unheard.record / full.record < 2.0
     silent = [ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
-    assert night_bytes(chain.adapters, silent) == unheard
+    assert estimate_write_rates(chain.adapters, silent) == unheard
     one_message = [dataclasses.replace(silent[0], count=1, message_bytes=316.0)]
-    assert night_bytes(chain.adapters, one_message) == unheard
+    assert estimate_write_rates(chain.adapters, one_message) == unheard
 
 
 def test_faster_ins_needs_more_space():
     chain, heard, _, _ = chain_and_inputs(ROOT / "bags" / "demo.mcap")
     faster = [ObservedTopic(each.input, (), 10.0 * each.rate_hz, each.message_bytes, each.count) for each in heard]
-    assert night_bytes(chain.adapters, faster).boxes > 5.0 * night_bytes(chain.adapters, heard).boxes
+    assert estimate_write_rates(chain.adapters, faster).boxes > 5.0 * estimate_write_rates(chain.adapters, heard).boxes
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ class TestTheSameRecording:
         assert not pair.is_same
         assert pair.differences[0].all_equal
         assert "No parameter differs." in sentences(pair)
-        assert "+weather: calm" in text_differences(*pair.nights)["notes.yaml"]
+        assert "+weather: calm" in text_differences(*pair.recordings)["notes.yaml"]
 
 
 def test_the_last_bit_counts(plain, folder):

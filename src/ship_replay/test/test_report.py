@@ -11,7 +11,7 @@ from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.report.drawings import MOST_POINTS, source_colours, thin_errors, thinned
 from ship_replay.report.event_groups import event_rows
-from ship_replay.report.night import read_night
+from ship_replay.report.night import read_recording
 from ship_replay.report.page import SECTIONS, page
 from ship_replay.report.summary import summary
 from ship_replay.report.tables import outages
@@ -20,13 +20,13 @@ from ship_replay.report.told import read_told
 from ship_replay.report.wording import duration, number
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, ship_attitude
 from ship_testing.refusals import refused
-from ship_testing.reported_nights import SECOND_NS, copied, section, write_night
+from ship_testing.reported_nights import SECOND_NS, copied, section, write_bag
 from ship_watch.picture import Event, Safety
 
 
 @pytest.fixture(scope="module")
 def night_path(tmp_path_factory):
-    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
+    return write_bag(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
 
 
 def test_every_section_in_its_order_and_nothing_of_the_network(night_path):
@@ -57,7 +57,7 @@ def test_numbers_are_those_of_evaluate(night_path):
 
 def test_states_follow_the_limits(night_path):
     """95 % heading 7.8″ over 5″, pitch 3.9″ over 3″, roll 5.9″ over 3″: CAUTION; UNSAFE without data."""
-    night = read_night(night_path)
+    night = read_recording(night_path)
     seconds = night.seconds("heading")
     assert seconds[Safety.SAFE] == 0
     assert seconds[Safety.CAUTION] >= 25
@@ -68,7 +68,7 @@ def test_states_follow_the_limits(night_path):
 
 
 def test_no_state_without_output(night_path):
-    told = {second for second, _ in read_night(night_path).words["heading"]}
+    told = {second for second, _ in read_recording(night_path).words["heading"]}
     start_s = START_NS // SECOND_NS
     # The limit of age is 1 s: from 22 s on the last value is old, until one comes at 25 s.
     assert not told & {start_s + 22, start_s + 23, start_s + 24}
@@ -76,24 +76,24 @@ def test_no_state_without_output(night_path):
 
 
 def test_rejections_are_counted_with_their_times(night_path):
-    refusals = [one for one in read_night(night_path).rejections if one.by == "filter"]
+    refusals = [one for one in read_recording(night_path).rejections if one.by == "filter"]
     assert {one.source for one in refusals} == {"star.fore"}
     assert [one.utc_ns for one in refusals] == [START_NS + second * SECOND_NS for second in range(30, 37)]
 
 
 def test_a_source_rejected_five_times_is_in_summary_and_alerts(night_path):
     told = read_told(night_path)
-    out = [event for event in told.night.events if event.subject == "star.fore" and "OUT" in event.text]
+    out = [event for event in told.recording.events if event.subject == "star.fore" and "OUT" in event.text]
     assert abs(out[0].utc_ns - (START_NS + 34 * SECOND_NS)) <= 2 * SECOND_NS // 10
-    assert summary(told.night)[1].startswith("Worst source: star.fore, out once, ")
-    assert "star.fore: clean the sensor and check its mounting" in summary(told.night)[4]
+    assert summary(told.recording)[1].startswith("Worst source: star.fore, out once, ")
+    assert "star.fore: clean the sensor and check its mounting" in summary(told.recording)[4]
     assert "<td>star.fore</td>" in section(page(told), "verdict")
-    assert not told.night.alerts_are_recorded
-    assert "star.fore.out" in {one.alert.id for one in told.night.alerts}
+    assert not told.recording.alerts_are_recorded
+    assert "star.fore.out" in {one.alert.id for one in told.recording.alerts}
 
 
 def test_an_outage_whose_reason_changes_is_one(night_path):
-    night = read_night(night_path)
+    night = read_recording(night_path)
     first = START_NS + 10 * SECOND_NS
     told = [("star.fore OUT, 5 rejected in a row", 0), ("star.fore OUT, no data", 1), ("star.fore IN", 5),
             ("ins OUT, no data", 7)]
@@ -105,14 +105,14 @@ def test_an_outage_whose_reason_changes_is_one(night_path):
 
 
 def test_without_truth_innovations_take_the_room(tmp_path):
-    text = page(read_told(write_night(tmp_path / "out.mcap", with_truth=False)))
+    text = page(read_told(write_bag(tmp_path / "out.mcap", with_truth=False)))
     assert "No truth in this recording" in text
     assert '<svg' in text[text.index('id="errors"'):text.index('id="budget"')]
 
 
 def test_truth_of_another_bag(tmp_path):
-    out = write_night(tmp_path / "out.mcap", with_truth=False)
-    truth = write_night(tmp_path / "truth.mcap")
+    out = write_bag(tmp_path / "out.mcap", with_truth=False)
+    truth = write_bag(tmp_path / "truth.mcap")
     assert read_told(out, truth).evaluation.errors[0].label == "fused"
 
 
@@ -135,7 +135,7 @@ class TestBadInput:
         assert line.startswith(f"report: {bag}: nothing to evaluate: expected topics")
 
     def test_a_truth_without_truth(self, tmp_path, capsys):
-        out = write_night(tmp_path / "out.mcap", 5, with_truth=False)
+        out = write_bag(tmp_path / "out.mcap", 5, with_truth=False)
         line = refused(main, capsys, out, "--truth", out, "--out", tmp_path / "a.html")
         assert line.startswith(f"report: {out}: no truth: expected topic truth/attitude or truth/pointing")
 
@@ -147,7 +147,7 @@ class TestBadInput:
     def test_an_unknown_key_in_the_limits(self, tmp_path, capsys):
         limits = tmp_path / "limits.yaml"
         limits.write_text("heading_arcsec: 8.0\nheadding_arcsec: 8.0\n")
-        out = write_night(tmp_path / "out.mcap", 5)
+        out = write_bag(tmp_path / "out.mcap", 5)
         line = refused(main, capsys, out, "--limits", limits, "--out", tmp_path / "a.html")
         assert f"{limits}:2" in line
         assert "headding_arcsec" in line
@@ -199,7 +199,7 @@ def events(*entries):
 class TestFiveSentences:
     def test_each_opens_the_page_in_its_order(self, night_path):
         told = read_told(night_path)
-        sentences = summary(told.night)
+        sentences = summary(told.recording)
         assert [text.partition(":")[0] for text in sentences] == [
             "Availability", "Worst source", "Cause → consequence", "Mountings", "To do"
         ]
@@ -208,11 +208,11 @@ class TestFiveSentences:
 
     def test_availability_counts_missing_outputs(self, night_path):
         """No data from 20 s to 25 s of 40 s; the first second of it is within the age limit."""
-        share = re.search(r"ship/attitude VALID ([\d.]+) % of the time", summary(read_night(night_path))[0])
+        share = re.search(r"ship/attitude VALID ([\d.]+) % of the time", summary(read_recording(night_path))[0])
         assert float(share[1]) == pytest.approx(90.0, abs=1.0)
 
     def test_the_cause_stands_before_what_needs_it(self, night_path):
-        night = read_night(night_path)
+        night = read_recording(night_path)
         night.events = events(
             (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, no data"),
             (5, "state", "heading SAFE → UNSAFE, ins no data"), (9, "source", "ins IN"), (9, "source", "star.fore IN"),
@@ -224,7 +224,7 @@ class TestFiveSentences:
         )
 
     def test_a_shifted_mounting_is_named(self, night_path):
-        night = read_night(night_path)
+        night = read_recording(night_path)
         night.events = events(
             (5, "source", "star.fore OUT, excluded"), (30, "source", "star.fore IN"),
             (31, "source", "star.fore reinstated, mounting shifted by 51″"),
@@ -232,7 +232,7 @@ class TestFiveSentences:
         assert summary(night)[3].startswith("Mountings: star.fore reinstated, mounting shifted by 51″ at ")
 
     def test_a_run_without_faults_has_nothing_to_do(self, tmp_path):
-        sentences = summary(read_night(write_night(tmp_path / "out.mcap")))
+        sentences = summary(read_recording(write_bag(tmp_path / "out.mcap")))
         assert sentences[1] == "Worst source: none; no source was out."
 
 
@@ -283,7 +283,7 @@ def test_ticks_are_at_round_times(length_s, step_s):
 
 def test_a_source_has_one_colour_in_all_figures(night_path):
     told = read_told(night_path)
-    colours = source_colours(told.night, told.evaluation)
+    colours = source_colours(told.recording, told.evaluation)
     assert len({*colours.values()}) == len(colours) == 2
     text = page(told)
     assert colours["star.fore"] in section(text, "refusals")
@@ -294,7 +294,7 @@ def test_the_commit_of_the_suite_is_stated_of_a_plain_bag(tmp_path):
     """The commit of the suite that wrote the bag, from the bag, and that of the suite that made the report."""
     with BagWriter(tmp_path / "out.mcap") as writer:
         writer.add_metadata(COMMIT_RECORD, {"commit": "0123abcd"})
-        copied(write_night(tmp_path / "night.mcap", 5), writer)
+        copied(write_bag(tmp_path / "night.mcap", 5), writer)
     text = section(page(read_told(tmp_path / "out.mcap")), "provenance")
     made_bag, made_report = text.split("Versions that made this report")
     assert "<tr><td>suite, commit</td><td>0123abcd</td></tr>" in made_bag

@@ -18,14 +18,14 @@ from ship_replay.report.page import page
 from ship_replay.report.told import read_told
 from ship_replay.report.wording import utc
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, star_message
-from ship_testing.reported_nights import SECOND_NS, SIGMA_ENU, copied, section, write_night
+from ship_testing.reported_nights import SECOND_NS, SIGMA_ENU, copied, section, write_bag
 from ship_watch.alert_states import AlertState
 from ship_watch.picture import Priority
 
 
 @pytest.fixture(scope="module")
 def night_path(tmp_path_factory):
-    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
+    return write_bag(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
 
 
 @pytest.mark.slow
@@ -83,11 +83,11 @@ def test_alerts_that_were_recorded_stand_before_those_computed(night_path, tmp_p
             else:
                 writer.write_raw(what.topic, what.type_name, what.data, time_ns)
     reported = read_told(path)
-    assert [(one.what, one.alert.id) for one in reported.night.alerts] == [
+    assert [(one.what, one.alert.id) for one in reported.recording.alerts] == [
         ("active unacknowledged", "star.fore.out"), ("active acknowledged", "star.fore.out"), ("over", "star.fore.out")
     ]
-    assert [one.utc_ns for one in reported.night.alerts[:2]] == [START_NS + second * SECOND_NS for second in (10, 14)]
-    assert reported.night.alerts[2].utc_ns == pytest.approx(START_NS + 20 * SECOND_NS, abs=SECOND_NS // 5)
+    assert [one.utc_ns for one in reported.recording.alerts[:2]] == [START_NS + second * SECOND_NS for second in (10, 14)]
+    assert reported.recording.alerts[2].utc_ns == pytest.approx(START_NS + 20 * SECOND_NS, abs=SECOND_NS // 5)
     shown = section(page(reported), "alerts")
     assert "As recorded from ship/alerts." in shown
     assert "WARNING" in shown
@@ -136,7 +136,7 @@ def test_damaged_versions_are_none(night_path, tmp_path, damaged):
 def test_a_truncated_bag_is_reported_up_to_its_end(tmp_path, capsys, left, end_s):
     """A truncated recording is reported with a warning and the time of its end."""
     whole = tmp_path / "whole.mcap"
-    copied(write_night(tmp_path / "night.mcap"), writer := BagWriter(whole))
+    copied(write_bag(tmp_path / "night.mcap"), writer := BagWriter(whole))
     assert writer.message_count > 800
     out = tmp_path / "out.mcap"
     out.write_bytes(whole.read_bytes()[: round(left * whole.stat().st_size)])

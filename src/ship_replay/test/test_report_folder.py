@@ -8,7 +8,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_replay.commands.report import main
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu
 from ship_testing.refusals import refused
-from ship_testing.reported_nights import write_night
+from ship_testing.reported_nights import write_bag
 
 
 def rows_of(text):
@@ -23,9 +23,9 @@ def rows_of(text):
 def test_a_row_for_each_session_with_the_difference_to_the_one_before(tmp_path, capsys):
     folder = tmp_path / "voyage"
     folder.mkdir()
-    write_night(folder / "a.mcap")
+    write_bag(folder / "a.mcap")
     # The same hours: by name the later one. Silent for 5 s of 40 s, of which the first is within the limit of age.
-    write_night(folder / "b 1.mcap", gap_s=(20, 25), rejected=range(30, 37))
+    write_bag(folder / "b 1.mcap", gap_s=(20, 25), rejected=range(30, 37))
     (folder / "bad.mcap").write_text("no bag")
     with BagWriter(folder / "inputs.mcap") as writer:
         writer.write("ins/imu", imu(START_NS), START_NS + PERIOD_NS)
@@ -55,7 +55,7 @@ def test_a_row_for_each_session_with_the_difference_to_the_one_before(tmp_path, 
 def test_nothing_is_written_over_without_force(tmp_path, capsys):
     folder = tmp_path / "voyage"
     folder.mkdir()
-    write_night(folder / "a.mcap", 5)
+    write_bag(folder / "a.mcap", 5)
     command = [str(folder), "--out", str(tmp_path / "index.html")]
     assert main(command) == 0
     (tmp_path / "index.html").unlink()
@@ -67,7 +67,7 @@ def test_nothing_is_written_over_without_force(tmp_path, capsys):
 def test_truth_is_of_one_bag(tmp_path, capsys):
     folder = tmp_path / "voyage"
     folder.mkdir()
-    night = write_night(folder / "a.mcap", 5)
+    night = write_bag(folder / "a.mcap", 5)
     assert "--truth is for one bag" in refused(main, capsys, folder, "--truth", night, "--out", tmp_path / "b.html")
 
 

@@ -17,7 +17,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_testing.every_case import check_every_case
 from ship_testing.places import ROOT
-from ship_testing.theodolite_scenes import with_night
+from ship_testing.theodolite_scenes import with_stars_and_targets
 
 TOPICS = {
     "ins/imu": "sensor_msgs/msg/Imu",
@@ -72,7 +72,7 @@ def bag(tmp_path_factory):
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
     gravity = dataclasses.replace(scenario.gravity, told="topic", rate_hz=5.0, xi_arcsec=5.0, sigma_arcsec=1.0)
     scenario = dataclasses.replace(scenario, duration_s=2.0, fused_attitude=fused, gravity=gravity)
-    scenario = with_night(scenario)
+    scenario = with_stars_and_targets(scenario)
     path = tmp_path_factory.mktemp("bag") / "everything.mcap"
     write_bag(scenario, 3, path, b"scenario: here\n")
     return path

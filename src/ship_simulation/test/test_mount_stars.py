@@ -21,7 +21,7 @@ STARS = "theodolite/night/stars"
 FOCAL_LENGTH_M, PIXEL_PITCH_M, MIDDLE_PX = 0.1, 6.5e-6, 1100.0
 
 
-def night(duration_s=4.0, **changes):
+def short_run(duration_s=4.0, **changes):
     """Return the star scenario without lights and targets; changes by path of its camera."""
     scenario = with_exact_optics(load_scenario(SCENARIOS / "theodolite_night.yaml"))
     camera = replaced(scenario.telescopes["night"], **changes)
@@ -38,7 +38,7 @@ def test_stars_are_imaged_according_to_main_axis_mounting_and_sky(exposure_s):
     # simulation the sky stands still meanwhile: what its turn, 12", and that of the image, 2°, have as product is left,
     # 0.03" or 0.002 px.
     told = {"identified": True, "false_stars": 0.0, "camera__centroid_sigma_px": 1e-6}
-    run = simulate(night(exposure_s=exposure_s, **told), seed=1)
+    run = simulate(short_run(exposure_s=exposure_s, **told), seed=1)
     truth, sky, found = run.theodolite.truth, run.truth.sky, stars_of(run)
     assert len(found) == 20
     rows = {int(number): row for row, number in enumerate(sky.catalogue.hip)}
@@ -62,10 +62,10 @@ def test_stars_are_imaged_according_to_main_axis_mounting_and_sky(exposure_s):
 
 
 def test_errors_of_the_sensor_are_those_of_a_star_sensor():
-    clean = stars_of(simulate(night(false_stars=0.0), seed=1))
-    swapped = stars_of(simulate(night(identified=True, swapped_probability=1.0, false_stars=0.0), seed=1))
-    named = stars_of(simulate(night(identified=True, false_stars=0.0), seed=1))
-    false = stars_of(simulate(night(false_stars=3.0), seed=1))
+    clean = stars_of(simulate(short_run(false_stars=0.0), seed=1))
+    swapped = stars_of(simulate(short_run(identified=True, swapped_probability=1.0, false_stars=0.0), seed=1))
+    named = stars_of(simulate(short_run(identified=True, false_stars=0.0), seed=1))
+    false = stars_of(simulate(short_run(false_stars=3.0), seed=1))
     assert {star.catalogue_id for message in clean for star in message.stars} == {0}
     changed = [
         sum(one.catalogue_id != other.catalogue_id for one, other in zip(a.stars, b.stars, strict=True))
@@ -76,14 +76,14 @@ def test_errors_of_the_sensor_are_those_of_a_star_sensor():
 
 
 def test_no_stars_in_an_outage_and_by_day():
-    clouded = stars_of(simulate(night(outages={"x": Outage(1.0, 2.0)}, false_stars=0.0), seed=1))
+    clouded = stars_of(simulate(short_run(outages={"x": Outage(1.0, 2.0)}, false_stars=0.0), seed=1))
     assert [bool(message.stars) for message in clouded] == [True] * 5 + [False] * 5 + [True] * 10
-    scenario = dataclasses.replace(night(false_stars=0.0), start_utc="2014-07-09T04:00:00Z")
+    scenario = dataclasses.replace(short_run(false_stars=0.0), start_utc="2014-07-09T04:00:00Z")
     assert not any(message.stars for message in stars_of(simulate(scenario, seed=1)))
 
 
 def test_parallelism_is_drawn_with_its_sigma_and_published_as_truth():
-    scenario = night(azimuth_sigma_arcsec=2.0, elevation_sigma_arcsec=3.0, roll_sigma_arcsec=40.0)
+    scenario = short_run(azimuth_sigma_arcsec=2.0, elevation_sigma_arcsec=3.0, roll_sigma_arcsec=40.0)
     config = scenario.telescopes["night"]
     known = np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg])
     drawn = np.array([draw_parallelism("night", config, seed) - known for seed in range(400)])
@@ -98,7 +98,7 @@ def test_parallelism_is_drawn_with_its_sigma_and_published_as_truth():
 
 
 def test_a_further_camera_changes_nothing_else():
-    alone, scenario = night(), night()
+    alone, scenario = short_run(), short_run()
     other = replaced(scenario.telescopes["night"], azimuth_deg=-2.0)
     both = dataclasses.replace(scenario, telescopes={**scenario.telescopes, "second": other})
     runs = [simulate(one, seed=1) for one in (alone, both)]
@@ -118,7 +118,7 @@ def test_a_start_beyond_the_table_of_the_earth_is_refused(tmp_path):
 def test_detector_errors_are_drawn_for_this_camera_too():
     told = {"identified": True, "false_stars": 0.0, "exposure_s": 0.0}
     plain, spatial = (
-        simulate(night(duration_s=20.0, camera__field_spatial_sigma_px=sigma_px, **told), seed=1)
+        simulate(short_run(duration_s=20.0, camera__field_spatial_sigma_px=sigma_px, **told), seed=1)
         for sigma_px in (0.0, 0.5)
     )
     off_px = spatial.theodolite.stars["night"].pixel - plain.theodolite.stars["night"].pixel

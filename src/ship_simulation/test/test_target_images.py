@@ -21,7 +21,7 @@ IMAGE, TRUTH, POINTING = "theodolite/target", "truth/target_direction", "truth/p
 FOCAL_LENGTH_M, EARTH_RADIUS_M = 1.5, 6_371_000.0
 
 
-def night(duration_s=6.0, detector=None, **target):
+def short_run(duration_s=6.0, detector=None, **target):
     """Return the scenario without lights and stars; changes by path of its detector and of its target."""
     scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
     changes = {f"main_detector__{name}": value for name, value in (detector or {}).items()}
@@ -35,7 +35,7 @@ def night(duration_s=6.0, detector=None, **target):
 def exact(**target):
     """Return a run without errors, with images at the stamps of the true main axis in the bag."""
     detector = {"sigma_m": 1e-9, "focal_length_sigma_m": 0.0, "rotation_sigma_arcsec": 0.0, "exposure_s": 0.0}
-    return without_errors(night(detector=detector, **target))
+    return without_errors(short_run(detector=detector, **target))
 
 
 def told(run):
@@ -99,7 +99,7 @@ def test_the_true_position_is_along_the_direction_without_refraction_at_the_true
 
 
 def test_points_and_ranges_have_white_noise_of_their_sigmas():
-    scenario = night(duration_s=40.0, detector={"rate_hz": 25.0, "exposure_s": 0.0}, hidden={})
+    scenario = short_run(duration_s=40.0, detector={"rate_hz": 25.0, "exposure_s": 0.0}, hidden={})
     quiet = with_theodolite(scenario, main_detector__sigma_m=1e-9)
     noisy, clean = simulate(scenario, seed=1).theodolite.targets, simulate(quiet, seed=1).theodolite.targets
     low, high = sigma_ratio_band(noisy.point_m.size, 0.999)
@@ -109,7 +109,7 @@ def test_points_and_ranges_have_white_noise_of_their_sigmas():
 
 
 def test_a_target_without_a_range_has_none_and_a_hidden_one_no_image():
-    scenario = night(range_sigma_m=0.0, hidden={"x": Outage(1.0, 2.0)}, leaves_s=4.0)
+    scenario = short_run(range_sigma_m=0.0, hidden={"x": Outage(1.0, 2.0)}, leaves_s=4.0)
     found = told(simulate(scenario, seed=1))
     assert len(found[IMAGE]) == len(found[TRUTH]) == 30
     assert all(np.isnan([image.range, image.range_sigma]).all() for image in found[IMAGE])
@@ -117,7 +117,7 @@ def test_a_target_without_a_range_has_none_and_a_hidden_one_no_image():
 
 
 def test_a_target_off_the_detector_has_no_image():
-    run = simulate(night(course__escort__right_deg=0.6), seed=1)
+    run = simulate(short_run(course__escort__right_deg=0.6), seed=1)
     assert run.theodolite.targets.time_ns.size == 0
     assert IMAGE not in told(run)
 
@@ -127,9 +127,9 @@ def test_an_exposure_shows_the_mean_of_the_path():
     turning = {"exposure_s": 1.0, "rotation_rate_deg_per_s": 0.0, "rate_hz": 1.0, "phase_s": 2.0, "sigma_m": 1e-9}
     turning |= {"focal_length_sigma_m": 0.0, "rotation_sigma_arcsec": 0.0, "width_m": 0.2, "height_m": 0.2}
     hanging = {"course__kind": "hover", "course__hover__azimuth_deg": 61.0, "course__hover__elevation_deg": 36.0}
-    scenario = night(detector=turning, **hanging)
+    scenario = short_run(detector=turning, **hanging)
     samples = simulate(scenario, seed=1).theodolite.targets
-    points = night(
+    points = short_run(
         detector={**turning, "exposure_s": 0.0, "rate_hz": 1000.0, "phase_s": 1.5}, duration_s=4.0, **hanging
     )
     way_m = simulate(points, seed=1).theodolite.targets.point_m[:2001]
@@ -140,7 +140,7 @@ def test_an_exposure_shows_the_mean_of_the_path():
 
 def test_the_detector_is_drawn_about_what_is_known():
     detector = {"focal_length_sigma_m": 1e-3, "principal_sigma_m": 1e-5, "rotation_sigma_arcsec": 7.0}
-    config = night(detector=detector).theodolite.main_detector
+    config = short_run(detector=detector).theodolite.main_detector
     drawn = [_true_detector(config, seed) for seed in range(400)]
     low, high = sigma_ratio_band(400, 0.999)
     errors = [

@@ -22,7 +22,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotati
 from ship_testing.mount_stars import (
     CAMERA_ID,
     STAR_SIGMA,
-    MountNight,
+    MountSession,
     drawn_errors,
     mount_config,
     mount_sky,
@@ -60,11 +60,11 @@ class Mount:
         self.settings, self.watch, self.filter = settings, watch, CalibrationFilter(settings)
         self.step, self._output = StarStep(settings, self.filter, watch), PointingOutput(settings, self.filter)
 
-    def night(self, seed: int) -> tuple[MountNight, np.random.Generator]:
+    def run(self, seed: int) -> tuple[MountSession, np.random.Generator]:
         rng = np.random.default_rng(seed)
-        return MountNight(self.settings, drawn_errors(self.settings, rng), self.watch, rng), rng
+        return MountSession(self.settings, drawn_errors(self.settings, rng), self.watch, rng), rng
 
-    def pointing(self, night: MountNight, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
+    def pointing(self, night: MountSession, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
         reading = night.reading(encoder, time_ns)
         return self._output.estimate(PendingPointing(reading, night.ship(), "", 0.0, state))
 
@@ -82,7 +82,7 @@ def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
     """Return RMS and stated sigma of the pointing by one exposure (arcsec), and the mean NEES."""
     told = []
     for seed in range(SEEDS):
-        night, rng = mount.night(seed)
+        night, rng = mount.run(seed)
         encoder = random_field(rng)
         state, decision = mount.step(mount.filter.initial_state(), night.sighting(encoder, count))
         assert decision.accepted, (seed, decision.text)
@@ -126,7 +126,7 @@ def streaked(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSigh
 def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(watch) -> None:
     mount, told, bounds = Mount(SETTINGS, watch), [], []
     for seed in range(SEEDS):
-        night, rng = mount.night(500 + seed)
+        night, rng = mount.run(500 + seed)
         encoder = random_field(rng)
         sighting, bound = streaked(night.sighting(encoder, 5), rng)
         state, decision = mount.step(mount.filter.initial_state(), sighting)
@@ -150,7 +150,7 @@ def test_parallelism_dominates_the_budget(watch) -> None:
     assert low <= nees <= high
     assert 1.6 < sigma < 1.9
     assert rms == pytest.approx(sigma, rel=0.2)
-    night, rng = mount.night(0)
+    night, rng = mount.run(0)
     encoder = random_field(rng)
     state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 4))
     estimate = mount.pointing(night, state, encoder)
@@ -171,7 +171,7 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
     settings = mount_config(ship__source=source, axes__flexure_sigma_arcsec=10.0, sky__utc_sigma_s=0.01)
     watch = mount_sky(settings)
     mount = Mount(settings, watch)
-    night, rng = mount.night(5)
+    night, rng = mount.run(5)
     encoder, model = random_field(rng), mount.filter.stars
     sighting = night.sighting(encoder, 5)
     sighting = replace(sighting, ship=replace(sighting.ship, rate_d=np.array([0.05, 0.01, -0.02])))
@@ -203,7 +203,7 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
     mount = Mount(SETTINGS, watch)
     named, left_open = 0, 0
     for seed in range(20):
-        night, rng = mount.night(seed)
+        night, rng = mount.run(seed)
         sighting = night.sighting(random_field(rng), 6)
         nameless = replace(sighting, exposure=without_identity(sighting.exposure))
         _, decision = mount.step(mount.filter.initial_state(), nameless)
@@ -218,21 +218,21 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
 
 def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> None:
     mount = Mount(SETTINGS, watch)
-    night, rng = mount.night(0)
+    night, rng = mount.run(0)
     estimate = mount.pointing(night, mount.filter.initial_state(), random_field(rng))
     assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.DEGRADED)
     assert estimate.text == "no light or star used yet and no calibration loaded: axis errors as configured"
 
 
-def state_after_shift(night: MountNight) -> MountNight:
+def state_after_shift(night: MountSession) -> MountSession:
     """Return the state after a shift of camera or encoders by 100″, which stars cannot distinguish."""
     errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
-    return MountNight(night.settings, errors, night.watch, night.rng)
+    return MountSession(night.settings, errors, night.watch, night.rng)
 
 
 def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None:
     mount = Mount(SETTINGS, watch)
-    night, _ = mount.night(1)
+    night, _ = mount.run(1)
     encoder = np.array([1.0, 0.9])
     state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 6))
     for number in range(1, 4):
@@ -252,7 +252,7 @@ def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None
 def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     """The encoders slipped by a degree: stars without names are not identified, which is no contradiction."""
     mount = Mount(SETTINGS, watch)
-    night, _ = mount.night(3)
+    night, _ = mount.run(3)
     encoder = np.array([2.0, 0.8])
     sighting = night.sighting(encoder, 6)
     state, _ = mount.step(mount.filter.initial_state(), sighting)
@@ -275,7 +275,7 @@ def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
 
 def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
     mount = Mount(SETTINGS, watch)
-    night, rng = mount.night(2)
+    night, rng = mount.run(2)
     encoder = random_field(rng)
     sighting = night.sighting(encoder, 6)
     directions_s = sighting.exposure.directions_s.copy()
@@ -292,7 +292,7 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
 def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
     """Unobservable combinations stay unknown although the stars are known to an arcsecond: no step fails."""
     mount = Mount(SETTINGS, watch)
-    night, rng = mount.night(4)
+    night, rng = mount.run(4)
     encoder, state = random_field(rng), mount.filter.initial_state()
     for number in range(20):
         state, decision = mount.step(state, night.sighting(encoder, 12, TIME_NS + number * SECOND_NS // 5))
@@ -311,12 +311,12 @@ def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
     afterwards_s = np.arange(5.0, 31.0, 5.0)
     squares, nees, left = [], [], []
     for seed in range(seeds):
-        night, rng = mount.night(100 + seed)
+        night, rng = mount.run(100 + seed)
         times_s = np.concatenate([np.arange(exposures) * 0.25, 0.25 * exposures + afterwards_s])
         bent_d = gauss_markov(rng, times_s, deformation, settings.deformation.time_s)
         state = mount.filter.initial_state()
         for time_s, turn_d in zip(times_s, bent_d, strict=True):
-            now = MountNight(settings, replace(night.errors, deformation_d=turn_d), watch, rng)
+            now = MountSession(settings, replace(night.errors, deformation_d=turn_d), watch, rng)
             encoder, time_ns = random_field(rng), TIME_NS + round(time_s * SECOND_NS)
             if time_s < 0.25 * exposures:
                 state, decision = mount.step(state, now.sighting(encoder, 6, time_ns))

@@ -17,7 +17,7 @@ from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_testing.mount_stars import (
     CAMERA,
     CAMERA_ID,
-    MountNight,
+    MountSession,
     drawn_errors,
     mount_config,
     mount_sky,
@@ -54,7 +54,7 @@ def after_five_seconds(
     times_ns = np.arange(EXPOSURES) * PERIOD_NS
     bent_d = gauss_markov(rng, times_ns * 1e-9, deformation, settings.deformation.time_s)
     for time_ns, turn_d in zip((TIME_NS + times_ns).tolist(), bent_d, strict=True):
-        night = MountNight(settings, replace(errors, deformation_d=turn_d), watch, rng, detector)
+        night = MountSession(settings, replace(errors, deformation_d=turn_d), watch, rng, detector)
         state, _ = step(state, night.sighting(encoder, STARS, time_ns))
     due = PendingPointing(night.reading(encoder, time_ns), night.ship(), "", 0.0, state)
     return night.main_axis(encoder), PointingOutput(settings, filter_).estimate(due), filter_

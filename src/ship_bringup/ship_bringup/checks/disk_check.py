@@ -43,7 +43,7 @@ _UNKNOWN = (10.0, 500)
 
 
 @dataclass(frozen=True)
-class NightBytes:
+class WriteRates:
     """Write rates of a suite, bytes/s: a record of all topics, and the black boxes of its nodes."""
 
     record: float
@@ -67,7 +67,7 @@ class DiskState:
     asked: Path | None = None
 
 
-def night_bytes(adapters: Sequence[Adapter], observed: Sequence[ObservedTopic]) -> NightBytes:
+def estimate_write_rates(adapters: Sequence[Adapter], observed: Sequence[ObservedTopic]) -> WriteRates:
     """Return the write rates of a suite.
 
     Args:
@@ -80,7 +80,7 @@ def night_bytes(adapters: Sequence[Adapter], observed: Sequence[ObservedTopic]) 
     taken = [sum(_stream_bytes(topic.topic, streams) for topic in adapter.inputs) for adapter in adapters]
     given = [_GIVEN_SHARE * each + REPORTS_BYTES_PER_S for each in taken]
     boxes = sum(taken) + sum(given) + _TICKS_BYTES_PER_S * len(adapters)
-    return NightBytes(sum(_stream_bytes(topic, streams) for topic in outside) + sum(given), boxes)
+    return WriteRates(sum(_stream_bytes(topic, streams) for topic in outside) + sum(given), boxes)
 
 
 def look_at_disk(folder: Path) -> DiskState:

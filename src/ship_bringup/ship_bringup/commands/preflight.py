@@ -18,7 +18,7 @@ from ship_bags.parameter_yaml import full_name
 from ship_bags.renamed_topics import ship_names
 from ship_bringup.checks.check_line import CheckLine, Result, exit_code, table, summary_text, worst_first
 from ship_bringup.checks.clock_check import check_clock, look_at_clock
-from ship_bringup.checks.disk_check import check_disk, look_at_disk, night_bytes
+from ship_bringup.checks.disk_check import check_disk, look_at_disk, estimate_write_rates
 from ship_bringup.checks.domain_check import check_domain, check_settings
 from ship_bringup.checks.file_check import check_files, look_at_files
 from ship_bringup.checks.network_look import NetworkState, look_at_network
@@ -180,12 +180,12 @@ def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
 
 
 def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    night, box = night_bytes(suite.chain.adapters, network.inputs), suite.options.box
+    write_rates, box = estimate_write_rates(suite.chain.adapters, network.inputs), suite.options.box
     disk_path = suite.limits.machine.disk_path
     must_be_there = "machine.disk_path" if disk_path else ""
-    states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), night.record, must_be_there)]
+    states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), write_rates.record, must_be_there)]
     if box is not None:
-        states.append((look_at_disk(box), night.boxes, ""))
+        states.append((look_at_disk(box), write_rates.boxes, ""))
     for state, _, named_by in states:
         # The needs of all folders on one disk are added.
         needs = sum(bytes_per_s for other, bytes_per_s, _ in states if other.device == state.device)

@@ -40,7 +40,7 @@ def _run(options: argparse.Namespace) -> int:
     pair = read_pair(options.a, options.b, options.truth, limits, options.namespace)
     write_whole(path, pair_page(pair))
     for letter, told in zip("AB", (pair.a, pair.b), strict=True):
-        for problem in told.night.problems:
+        for problem in told.recording.problems:
             print(f"warning: {letter}: {problem}")
     print(f"compare: {path}")
     return EXIT_DONE

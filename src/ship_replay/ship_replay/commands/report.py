@@ -70,7 +70,7 @@ def _run(options: argparse.Namespace) -> int:
 
     told = read_told(options.bag, options.truth, limits, options.namespace)
     write_whole(path, page(told))
-    for problem in told.night.problems:
+    for problem in told.recording.problems:
         print(f"warning: {problem}")
     print(f"report: {path}")
     return EXIT_DONE

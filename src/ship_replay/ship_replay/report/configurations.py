@@ -8,7 +8,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_estimation.parameters import flatten
 from ship_replay.evaluation.evaluate import named_config
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.report.night import Night
+from ship_replay.report.night import Recording
 
 _NODES = {kind.node_name: kind.config_type for kind in ADAPTERS}
 _TEXTS = (".yaml", ".yml")
@@ -24,15 +24,15 @@ class ParameterDifference:
     b: str
 
 
-def attached_texts(night: Night) -> dict[str, str]:
+def attached_texts(recording: Recording) -> dict[str, str]:
     """Return name → text of the configurations attached to a bag."""
     return {
-        name: data.decode(errors="replace") for name, data in sorted(night.attachments.items())
+        name: data.decode(errors="replace") for name, data in sorted(recording.attachments.items())
         if name.endswith(_TEXTS)
     }
 
 
-def text_differences(a: Night, b: Night) -> dict[str, list[str]]:
+def text_differences(a: Recording, b: Recording) -> dict[str, list[str]]:
     """Return name of an attached configuration → lines of its unified diff from A to B; no lines if both are equal."""
     texts_a, texts_b = attached_texts(a), attached_texts(b)
     return {
@@ -47,7 +47,7 @@ def text_differences(a: Night, b: Night) -> dict[str, list[str]]:
     }
 
 
-def parameter_differences(a: Night, b: Night) -> list[ParameterDifference]:
+def parameter_differences(a: Recording, b: Recording) -> list[ParameterDifference]:
     """Return the parameters that differ, defaults included.
 
     A parameter written out at its default in one file only does not differ. A node configured in one file only is one
@@ -71,10 +71,10 @@ def parameter_differences(a: Night, b: Night) -> list[ParameterDifference]:
     return found
 
 
-def _parameters(night: Night, node: str, kind: type) -> dict[str, Any] | None:
-    if SUITE_ATTACHMENT not in night.attachments:
+def _parameters(recording: Recording, node: str, kind: type) -> dict[str, Any] | None:
+    if SUITE_ATTACHMENT not in recording.attachments:
         return None
-    config = named_config(night.attachments[SUITE_ATTACHMENT].decode(errors="replace"), kind, node)
+    config = named_config(recording.attachments[SUITE_ATTACHMENT].decode(errors="replace"), kind, node)
     return None if config is None else flatten(config)
 
 

@@ -26,7 +26,7 @@ from ship_node.documents.figure_files import MOST_ROWS, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
-from ship_replay.report.night import Night
+from ship_replay.report.night import Recording
 from ship_replay.report.time_axis import gap_times, interrupted, utc_axis
 from ship_watch.history import BudgetPoint, extreme_rows
 from ship_watch.picture import ANGLES, Safety
@@ -74,10 +74,10 @@ def svg(figure: Figure, name: str) -> str:
     return "\n".join(line.rstrip() for line in text.strip().splitlines())
 
 
-def source_colours(night: Night, evaluation: Evaluation) -> dict[str, str]:
+def source_colours(recording: Recording, evaluation: Evaluation) -> dict[str, str]:
     """Return one colour for each source, the same in all figures of a report."""
     named = [errors.label for errors in evaluation.errors]
-    named += [*evaluation.innovations, *(source_of(refusal.source) for refusal in night.rejections)]
+    named += [*evaluation.innovations, *(source_of(refusal.source) for refusal in recording.rejections)]
     first = [name for name in _FIRST_SOURCES if name in named]
     names = [*first, *sorted({*named} - {*first})]
     return {name: _SOURCE_COLOURS[number % len(_SOURCE_COLOURS)] for number, name in enumerate(names)}
@@ -88,14 +88,14 @@ def source_of(name: str) -> str:
     return source_of_name(name) or source_of_topic(name) or name
 
 
-def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
+def status_svg(recording: Recording, marked: Iterable[int] = ()) -> str:
     """Return a bar of states for each angle, one second per point, and the accuracy below; empty without any angle.
 
     Args:
         recording: the recording.
         marked: POSIX seconds that links lead to: a line for each, visible while it is the target of the page.
     """
-    shown = [name for name in ANGLES if night.words.get(name)]
+    shown = [name for name in ANGLES if recording.words.get(name)]
     if not shown:
         return ""
     with plt.rc_context(SVG_STYLE):
@@ -103,15 +103,15 @@ def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
             2, 1, figsize=(9.2, 1.2 + 0.34 * len(shown) + 2.3), sharex=True, layout="constrained",
             height_ratios=(0.34 * len(shown), 2.0),
         )
-        start_ns = night.start_utc_ns
+        start_ns = recording.start_utc_ns
         for row, name in enumerate(shown):
-            draw_ribbon(grid[0], row, night.words[name], start_ns)
+            draw_ribbon(grid[0], row, recording.words[name], start_ns)
         grid[0].set_yticks(range(len(shown)), shown)
         grid[0].invert_yaxis()
         grid[0].tick_params(length=0)
         drawn = 0
         for number, name in enumerate(shown):
-            told = np.array(night.accuracy.get(name, []), dtype=float).reshape(-1, 2)
+            told = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
             told = told[told[:, 1] > 0.0]
             drawn += len(told)
             kept = np.flatnonzero(thinned(told[:, 1:], MOST_POINTS))
@@ -120,7 +120,7 @@ def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
                          ls=("-", "--", "-.", ":", "-")[number], label=name)
         grid[1].set_yscale("log" if drawn else "linear")
         grid[1].set_ylabel("95 % [arcsec]")
-        for limit in sorted({night.limits.angle_limit(name) / ARCSEC for name in shown}):
+        for limit in sorted({recording.limits.angle_limit(name) / ARCSEC for name in shown}):
             grid[1].axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
             grid[1].annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
                              textcoords="offset points", va="center", fontsize=8, color="#666666")
@@ -129,7 +129,7 @@ def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
             grid[1].yaxis.set_minor_formatter(NullFormatter())
         grid[1].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         grid[1].legend(ncols=5, fontsize=8, frameon=False, loc="upper right")
-        grid[1].set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
+        grid[1].set_xlim(0.0, (recording.end_ns - recording.start_ns) / NS_PER_S)
         plain(grid)
         utc_axis(grid[1], start_ns)
         across = blended_transform_factory(grid[0].transData, figure.transFigure)
@@ -184,15 +184,15 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
     return svg(figure, "budget-" + topic.partition("/")[0])
 
 
-def rejections_svg(night: Night, colours: Mapping[str, str]) -> str:
+def rejections_svg(recording: Recording, colours: Mapping[str, str]) -> str:
     """Return the times at which measurements were not used: one row per source, one bar per second."""
     rows: dict[str, set[int]] = {}
-    for refusal in night.rejections:
+    for refusal in recording.rejections:
         if not refusal.is_note:
             rows.setdefault(f"{refusal.source} ({refusal.by})", set()).add(refusal.utc_ns // NS_PER_S)
     if not rows:
         return ""
-    start_s, count = night.start_utc_ns / NS_PER_S, len(rows)
+    start_s, count = recording.start_utc_ns / NS_PER_S, len(rows)
     rows = dict(sorted(rows.items())[:MOST_ROWS])
     with plt.rc_context(SVG_STYLE):
         figure, axes = plt.subplots(figsize=(9.2, 0.7 + 0.27 * len(rows)), layout="constrained")
@@ -204,9 +204,9 @@ def rejections_svg(night: Night, colours: Mapping[str, str]) -> str:
             axes.broken_barh(bars, (row - 0.35, 0.7), facecolor=colour, lw=0)
         axes.set_yticks(range(len(rows)), [short_name(name) for name in rows], fontsize=8)
         axes.invert_yaxis()
-        axes.set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
+        axes.set_xlim(0.0, (recording.end_ns - recording.start_ns) / NS_PER_S)
         plain([axes])
-        utc_axis(axes, night.start_utc_ns)
+        utc_axis(axes, recording.start_utc_ns)
     return svg(figure, "refusals")
 
 

@@ -10,7 +10,7 @@ from ship_geometry.input_error import InputError
 from ship_replay.report.page import page, render, versions
 from ship_replay.report.summary import summary, valid_shares, worst_source
 from ship_replay.report.tables import outages, root_outages
-from ship_replay.report.told import ToldNight
+from ship_replay.report.told import ReportData
 from ship_replay.report.wording import duration, utc
 from ship_watch.picture import ANGLES, Safety
 
@@ -56,7 +56,7 @@ def bags_in(folder: Path) -> list[Path]:
 
 
 def session_reports(
-    bags: Sequence[Path], read: Callable[[Path], ToldNight], write: Callable[[str, str], None]
+    bags: Sequence[Path], read: Callable[[Path], ReportData], write: Callable[[str, str], None]
 ) -> Iterator[SessionRow]:
     """Write the report of each bag and yield its row; a bag without a report yields a row with the error.
 
@@ -75,17 +75,17 @@ def session_reports(
         yield row
 
 
-def session_row(told: ToldNight) -> SessionRow:
+def session_row(told: ReportData) -> SessionRow:
     """Return the row of a session."""
-    night = told.night
-    shares = {f"{topic} VALID": share for topic, share in valid_shares(night).items()}
+    recording = told.recording
+    shares = {f"{topic} VALID": share for topic, share in valid_shares(recording).items()}
     for name in ANGLES:
-        if total := (seconds := night.seconds(name)).total():
+        if total := (seconds := recording.seconds(name)).total():
             shares[f"{name} SAFE"] = seconds[Safety.SAFE] / total
-    faults = len(root_outages(outages(night)))
-    length_s = (night.end_ns - night.start_ns) / NS_PER_S
+    faults = len(root_outages(outages(recording)))
+    length_s = (recording.end_ns - recording.start_ns) / NS_PER_S
     return SessionRow(
-        night.path.name, "", night.start_utc_ns, length_s, shares, worst_source(night), faults, summary(night)[-1]
+        recording.path.name, "", recording.start_utc_ns, length_s, shares, worst_source(recording), faults, summary(recording)[-1]
     )
 
 

@@ -72,7 +72,7 @@ class Rejection:
 
 
 @dataclass
-class Night:
+class Recording:
     """States, events, alerts, rejections and budgets of one recording.
 
     Attributes:
@@ -135,7 +135,7 @@ class Night:
         return Counter(word for _, word in self.words.get(angle, ()))
 
 
-def read_night(path: Path, limits: Limits | None = None, namespace: str = "") -> Night:
+def read_recording(path: Path, limits: Limits | None = None, namespace: str = "") -> Recording:
     """Read a bag with outputs of the suite.
 
     Raises:
@@ -150,13 +150,13 @@ def read_night(path: Path, limits: Limits | None = None, namespace: str = "") ->
                 f"no outputs of the suite: expected topic {' or '.join(OUTPUTS)}, as replay writes them; found {found}",
                 file=path,
             )
-        night = Night(
+        recording = Recording(
             path, content_sha256(path), bag.start_ns or 0, bag.end_ns or 0, limits,
             {topic: bag.topics[name] for topic, name in topics.items()}, dict(bag.attachments), dict(bag.metadata),
         )
-        _Reading(night, ALERTS in topics).read(bag, {name: topic for topic, name in topics.items()})
-        night.problems = bag.problems
-    return night
+        _Reading(recording, ALERTS in topics).read(bag, {name: topic for topic, name in topics.items()})
+        recording.problems = bag.problems
+    return recording
 
 
 class _FewKept(HistoryKeeper):
@@ -175,10 +175,10 @@ class _FewKept(HistoryKeeper):
 class _Reading:
     """Reader of one bag, in one pass."""
 
-    def __init__(self, night: Night, alerts_are_recorded: bool) -> None:
-        self._night, self._watch = night, Watch(night.limits, _FewKept)
-        night.alerts_are_recorded = alerts_are_recorded
-        self._book = AlertBook(night.limits.alerts, (), night.start_ns)
+    def __init__(self, recording: Recording, alerts_are_recorded: bool) -> None:
+        self._recording, self._watch = recording, Watch(recording.limits, _FewKept)
+        recording.alerts_are_recorded = alerts_are_recorded
+        self._book = AlertBook(recording.limits.alerts, (), recording.start_ns)
         self._last_alerts: dict[tuple[str, int], AlertShown] = {}
         self._history = self._watch.history
         self._last_event: Event | None = None
@@ -195,7 +195,7 @@ class _Reading:
             if not topic.startswith(TRUTH_PREFIX) and (row := monitored_topic(topic, bag.topics[name]))
         }
         newest: dict[str, int] = {}
-        next_ns = self._night.start_ns + _LOOK_NS
+        next_ns = self._recording.start_ns + _LOOK_NS
         for record in watched(bag.records(set(rows)), bag, "reading"):
             now_ns = record.log_time_ns
             while next_ns <= now_ns:
@@ -204,7 +204,7 @@ class _Reading:
             if rows[record.topic].every or now_ns - newest.get(record.topic, 0) >= _OFTEN_ENOUGH_NS:
                 newest[record.topic] = now_ns
                 self._take(topics[record.topic], record)
-        self._look(self._night.end_ns)
+        self._look(self._recording.end_ns)
 
     def _take(self, topic: str, record: BagRecord) -> None:
         message = record.decode()
@@ -223,11 +223,11 @@ class _Reading:
 
     def _look(self, now_ns: int) -> None:
         picture = self._watch.look(now_ns)
-        night = self._night
+        recording = self._recording
         for angle in picture.angles:
             is_invalid = self._status.get(OUTPUT_OF_ANGLE[angle.name], (0, ""))[1] == "INVALID"
             if picture.utc_ns and not angle.is_old and not is_invalid and math.isfinite(angle.accuracy_95):
-                night.accuracy.setdefault(angle.name, []).append((picture.utc_ns, angle.accuracy_95))
+                recording.accuracy.setdefault(angle.name, []).append((picture.utc_ns, angle.accuracy_95))
         fresh: list[Event] = []
         for event in picture.events:
             if event is self._last_event:
@@ -235,28 +235,28 @@ class _Reading:
             fresh.append(event)
         if fresh:
             self._last_event = fresh[0]
-            night.events += reversed(fresh)
-        if not night.alerts_are_recorded and picture.utc_ns:
-            changes = self._book.take(conditions(picture, night.limits), now_ns, picture.utc_ns)
-            night.alerts += [AlertTold(picture.utc_ns, change.what, change.alert) for change in _grave(changes)]
-        night.last = picture
+            recording.events += reversed(fresh)
+        if not recording.alerts_are_recorded and picture.utc_ns:
+            changes = self._book.take(conditions(picture, recording.limits), now_ns, picture.utc_ns)
+            recording.alerts += [AlertTold(picture.utc_ns, change.what, change.alert) for change in _grave(changes)]
+        recording.last = picture
         self._empty()
 
     def _empty(self) -> None:
         """Append the new entries of the buffers to the recording."""
-        night = self._night
+        recording = self._recording
         for point in self._newer("", self._history.ribbons):
             for name in ANGLES:
                 if (word := point.words.get(name)) is not None:
-                    night.words.setdefault(name, []).append((point.utc_ns // NS_PER_S, word))
+                    recording.words.setdefault(name, []).append((point.utc_ns // NS_PER_S, word))
         for topic, points in self._history.budgets.items():
-            night.budgets.setdefault(topic, []).extend(self._newer(topic, points))
+            recording.budgets.setdefault(topic, []).extend(self._newer(topic, points))
         for topic, shown in (
             ("ship/alignment", self._history.alignment), ("theodolite/calibration", self._history.calibration)
         ):
             if shown:
-                night.before.setdefault(topic, shown)
-                night.after[topic] = shown
+                recording.before.setdefault(topic, shown)
+                recording.after[topic] = shown
 
     def _newer(self, name: str, points: Sequence[Any]) -> list[Any]:
         found = newer(points, self._last_point_ns.get(name))
@@ -269,14 +269,14 @@ class _Reading:
         since_ns, word = self._status.get(topic, (now_ns, ""))
         if word:
             stood_s = min((now_ns - since_ns) / NS_PER_S, _LONGEST_S)
-            of_topic = self._night.status_s.setdefault(topic, {})
+            of_topic = self._recording.status_s.setdefault(topic, {})
             of_topic[word] = of_topic.get(word, 0.0) + stood_s
         self._status[topic] = now_ns, STATUS_WORDS[message.status] if message.status < len(STATUS_WORDS) else "unknown"
 
     def _note_innovation(self, message: Any) -> None:
         if not message.accepted:
             stamp_ns = ns_from_stamp(message.header.stamp)
-            self._night.rejections.append(Rejection(stamp_ns, str(message.source), reason_name(message), "filter"))
+            self._recording.rejections.append(Rejection(stamp_ns, str(message.source), reason_name(message), "filter"))
 
     def _note_health(self, message: Any) -> None:
         """Record rejections and notes from input_health.
@@ -292,7 +292,7 @@ class _Reading:
             self._counts[topic, str(reason)] = int(count)
             more = int(count) - (before if count >= before else 0)
             if more:
-                self._night.rejections.append(Rejection(stamp_ns, topic, str(reason), "node", more, is_note))
+                self._recording.rejections.append(Rejection(stamp_ns, topic, str(reason), "node", more, is_note))
 
     def _note_recorded(self, picture: Picture) -> None:
         """Record the changes of published alerts."""
@@ -300,8 +300,8 @@ class _Reading:
         for key, alert in alerts.items():
             if key not in self._last_alerts or self._last_alerts[key].state != alert.state:
                 what = AlertState(alert.state).name.lower().replace("_", " ")
-                self._night.alerts.append(AlertTold(alert.changed_ns, what, alert))
-        self._night.alerts += [
+                self._recording.alerts.append(AlertTold(alert.changed_ns, what, alert))
+        self._recording.alerts += [
             AlertTold(picture.utc_ns, "over", alert) for key, alert in self._last_alerts.items() if key not in alerts
         ]
         self._last_alerts = alerts

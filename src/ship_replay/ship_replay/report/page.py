@@ -16,10 +16,10 @@ from ship_node.black_box.versions import LIBRARIES, SUITE_PACKAGES, package_vers
 from ship_replay.report.consistency import consistency
 from ship_replay.report.drawings import budget_svg, errors_svg, rejections_svg, source_colours, status_svg
 from ship_replay.report.event_groups import event_rows
-from ship_replay.report.night import Night
+from ship_replay.report.night import Recording
 from ship_replay.report.summary import summary
 from ship_replay.report.tables import before_after, outage_rows, rejection_rows, shares
-from ship_replay.report.told import ToldNight
+from ship_replay.report.told import ReportData
 from ship_replay.report.wording import duration, number, utc
 
 SECTIONS = (
@@ -44,45 +44,45 @@ _PACKAGES = (
 )
 
 
-def page(told: ToldNight) -> str:
+def page(told: ReportData) -> str:
     """Return the report of one recording as a single HTML file; the same recording gives the same text."""
-    night, evaluation = told.night, told.evaluation
-    start_ns = night.start_utc_ns
-    events, colours = event_rows(night.events), source_colours(night, evaluation)
+    recording, evaluation = told.recording, told.evaluation
+    start_ns = recording.start_utc_ns
+    events, colours = event_rows(recording.events), source_colours(recording, evaluation)
     drawn = _drawn({
-        "status": partial(status_svg, night, [row.from_ns // NS_PER_S for row in events]),
+        "status": partial(status_svg, recording, [row.from_ns // NS_PER_S for row in events]),
         "errors": partial(errors_svg, evaluation, colours),
-        "refusals": partial(rejections_svg, night, colours),
-        **{topic: partial(budget_svg, topic, points, start_ns) for topic, points in sorted(night.budgets.items())},
+        "refusals": partial(rejections_svg, recording, colours),
+        **{topic: partial(budget_svg, topic, points, start_ns) for topic, points in sorted(recording.budgets.items())},
     })
     return render(
         "report.html.j2",
         sections=SECTIONS,
-        night=night,
-        title=night.path.name,
+        night=recording,
+        title=recording.path.name,
         date=utc(start_ns, "%Y-%m-%d"),
         start=utc(start_ns),
-        end=utc(start_ns + night.end_ns - night.start_ns),
-        length=duration((night.end_ns - night.start_ns) / NS_PER_S),
-        verdict=summary(night),
-        outages=outage_rows(night),
+        end=utc(start_ns + recording.end_ns - recording.start_ns),
+        length=duration((recording.end_ns - recording.start_ns) / NS_PER_S),
+        verdict=summary(recording),
+        outages=outage_rows(recording),
         events=events,
-        shares=shares(night),
+        shares=shares(recording),
         evaluation=evaluation,
         errors=[(series, series.statistics()) for series in evaluation.errors],
         consistency=consistency(evaluation),
         status=drawn["status"],
         drawn_errors=drawn["errors"],
-        budgets=[(topic, drawn[topic]) for topic in sorted(night.budgets)],
-        alignment=[(topic, before_after(night.before[topic], night.after[topic])) for topic in sorted(night.after)],
-        refusals=rejection_rows(night),
+        budgets=[(topic, drawn[topic]) for topic in sorted(recording.budgets)],
+        alignment=[(topic, before_after(recording.before[topic], recording.after[topic])) for topic in sorted(recording.after)],
+        refusals=rejection_rows(recording),
         refusal_drawing=drawn["refusals"],
-        suite={name: data.decode(errors="replace") for name, data in sorted(night.attachments.items())
+        suite={name: data.decode(errors="replace") for name, data in sorted(recording.attachments.items())
                if name.endswith((".yaml", ".yml"))},
         versions=versions(),
-        recorded_versions=recorded_versions(night),
-        problems=night.problems,
-        left_out=[problem for problem in evaluation.problems if problem not in night.problems],
+        recorded_versions=recorded_versions(recording),
+        problems=recording.problems,
+        left_out=[problem for problem in evaluation.problems if problem not in recording.problems],
     )
 
 
@@ -107,12 +107,12 @@ def versions() -> list[tuple[str, str]]:
     return [("suite, commit", own), ("python", platform.python_version()), *package_versions(_PACKAGES).items()]
 
 
-def recorded_versions(night: Night) -> list[tuple[str, str]]:
+def recorded_versions(recording: Recording) -> list[tuple[str, str]]:
     """Return the commit of the suite that made the bag, and the versions in a black box; empty if it has neither."""
-    commit = night.metadata.get(COMMIT_RECORD, {}).get("commit", "")
+    commit = recording.metadata.get(COMMIT_RECORD, {}).get("commit", "")
     of_commit = [("suite, commit", commit)] if commit else []
     try:
-        told = json.loads(night.attachments.get(VERSIONS_ATTACHMENT, b"{}"))
+        told = json.loads(recording.attachments.get(VERSIONS_ATTACHMENT, b"{}"))
         return of_commit + [(name, str(told[name])) for name in ("python", "machine") if name in told] + [
             (name, str(version)) for group in ("suite", "libraries") for name, version in told.get(group, {}).items()
         ]

@@ -7,9 +7,9 @@ from pathlib import Path
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.report.night import Night, read_night
+from ship_replay.report.night import Recording, read_recording
 from ship_replay.report.published import OutputDifference, Published, differences, overlap_s, read_published, span
-from ship_replay.report.told import ToldNight, check_truth, is_short, other_processes, read_told
+from ship_replay.report.told import ReportData, check_truth, is_short, other_processes, read_told
 from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits
 
@@ -28,25 +28,25 @@ class Pair:
         differences: outputs at equal stamps, B minus A, by orientation.
     """
 
-    a: ToldNight
-    b: ToldNight
+    a: ReportData
+    b: ReportData
     published: tuple[Published, Published]
     differences: list[OutputDifference]
 
     @property
     def is_same(self) -> bool:
         """True if both are the same file, byte for byte."""
-        return self.a.night.sha256 == self.b.night.sha256
+        return self.a.recording.sha256 == self.b.recording.sha256
 
     @property
-    def nights(self) -> tuple[Night, Night]:
+    def recordings(self) -> tuple[Recording, Recording]:
         """Recordings A and B."""
-        return self.a.night, self.b.night
+        return self.a.recording, self.b.recording
 
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last time of both recordings, UTC in ns."""
-        spans = [night.span_ns for night in self.nights]
+        spans = [recording.span_ns for recording in self.recordings]
         return min(start for start, _ in spans), max(end for _, end in spans)
 
 
@@ -70,17 +70,17 @@ def read_pair(
 
 def _read_beside(
     a: Path, b: Path, truth: Path | None, limits: Limits | None, namespace: str
-) -> tuple[ToldNight, ToldNight, tuple[Published, Published]]:
+) -> tuple[ReportData, ReportData, tuple[Published, Published]]:
     """Read both bags in parallel, with additional processes."""
     check_truth(truth, namespace)
     with other_processes(5) as others:
         evaluated = [others.submit(evaluate, path, against=truth, namespace=namespace) for path in (a, b)]
-        night_b = others.submit(read_night, b, limits, namespace)
+        recording_b = others.submit(read_recording, b, limits, namespace)
         published = [others.submit(read_published, path, namespace) for path in (a, b)]
-        night_a = read_night(a, limits, namespace)
+        recording_a = read_recording(a, limits, namespace)
         return (
-            ToldNight(night_a, evaluated[0].result()),
-            ToldNight(night_b.result(), evaluated[1].result()),
+            ReportData(recording_a, evaluated[0].result()),
+            ReportData(recording_b.result(), evaluated[1].result()),
             (published[0].result(), published[1].result()),
         )
 
@@ -98,7 +98,7 @@ def input_sentences(pair: Pair) -> list[str]:
     ]
     if counted:
         sentences.append(f"The nodes received different numbers of messages: {'; '.join(counted)}.")
-    spans = [night.span_ns for night in pair.nights]
+    spans = [recording.span_ns for recording in pair.recordings]
     if max(abs(spans[0][0] - spans[1][0]), abs(spans[0][1] - spans[1][1])) > 2 * 10**9:
         texts = [f"{utc(start)} to {utc(end)}" for start, end in spans]
         common = duration(overlap_s(*spans))
@@ -116,13 +116,13 @@ def _stem(pair: Pair) -> str:
     unequal = [topic for topic in shared if given_a[topic] != given_b[topic]]
     if unequal:
         return f"The inputs are not the same: {', '.join(unequal)} differ{'s' * (len(unequal) == 1)}."
-    injected = [night.metadata.get(_INJECTION) for night in pair.nights]
+    injected = [recording.metadata.get(_INJECTION) for recording in pair.recordings]
     if injected[0] != injected[1]:
         told = [f"{_entries(record)} in {letter}" for letter, record in zip("AB", injected, strict=True) if record]
         only = " only" if len(told) == 1 else ""
         return f"The inputs are not the same: faults were injected ({', '.join(told)}{only})."
-    scenarios = [night.attachments.get(SCENARIO_ATTACHMENT) for night in pair.nights]
-    seeds = [night.metadata.get(_SIMULATION) for night in pair.nights]
+    scenarios = [night.attachments.get(SCENARIO_ATTACHMENT) for night in pair.recordings]
+    seeds = [night.metadata.get(_SIMULATION) for night in pair.recordings]
     if scenarios[0] is not None and scenarios[1] is not None:
         if scenarios[0] != scenarios[1]:
             return f"The inputs are not the same: the scenarios differ ({SCENARIO_ATTACHMENT} below)."
@@ -141,11 +141,11 @@ def _entries(record: Mapping[str, str] | None) -> str:
 
 
 def _check_overlap(pair: Pair) -> None:
-    spans = [span(one) or told.night.span_ns for one, told in zip(pair.published, (pair.a, pair.b), strict=True)]
+    spans = [span(one) or told.recording.span_ns for one, told in zip(pair.published, (pair.a, pair.b), strict=True)]
     if overlap_s(*spans) < 0.0:
         form = "%Y-%m-%d %H:%M:%S"
         texts = [f"{utc(start, form)} to {utc(end, form)}" for start, end in spans]
         raise BadInput(
-            f"no time in common with {pair.a.night.path}: outputs from {texts[1]} UTC, expected some from {texts[0]}",
-            file=pair.b.night.path,
+            f"no time in common with {pair.a.recording.path}: outputs from {texts[1]} UTC, expected some from {texts[0]}",
+            file=pair.b.recording.path,
         )

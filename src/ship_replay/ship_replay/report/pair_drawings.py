@@ -26,7 +26,7 @@ from ship_replay.report.drawings import (
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
 from ship_replay.report.time_axis import gap_times, interrupted, utc_axis
-from ship_replay.report.told import ToldNight
+from ship_replay.report.told import ReportData
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES
 
@@ -41,7 +41,7 @@ def states_svg(pair: Pair) -> str:
 
     The text is empty if no angle was published.
     """
-    shown = [name for name in ANGLES if any(night.words.get(name) for night in pair.nights)]
+    shown = [name for name in ANGLES if any(recording.words.get(name) for recording in pair.recordings)]
     if not shown:
         return ""
     start_ns, end_ns = pair.span_ns
@@ -53,7 +53,7 @@ def states_svg(pair: Pair) -> str:
         )
         top, *others = grid[:, 0]
         for row, name in enumerate(shown):
-            for below, night in enumerate(pair.nights):
+            for below, night in enumerate(pair.recordings):
                 draw_ribbon(top, 2 * row + below, night.words.get(name, []), start_ns)
         top.set_yticks(range(ribbons), [f"{name} {one}" for name in shown for one in "AB"], fontsize=8)
         top.set_ylim(ribbons - 0.5, -0.5)
@@ -155,14 +155,14 @@ def sides_svg(pair: Pair) -> str:
 
 def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
     drawn = 0
-    for letter, night, (colour, dash) in zip("AB", pair.nights, (_A, _B), strict=True):
-        told = np.array(night.accuracy.get(name, []), dtype=float).reshape(-1, 2)
+    for letter, recording, (colour, dash) in zip("AB", pair.recordings, (_A, _B), strict=True):
+        told = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
         told = told[told[:, 1] > 0.0]  # a covariance of zeros was not given
         kept = np.flatnonzero(thinned(told[:, 1:], MOST_POINTS))
         drawn += len(kept)
         time_ns, (value,) = interrupted(told[kept, 0], gap_times(told[:, 0]), told[kept, 1])
         axes.plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=colour, ls=dash, lw=1.0, label=letter)
-    limit = pair.a.night.limits.angle_limit(name) / ARCSEC
+    limit = pair.a.recording.limits.angle_limit(name) / ARCSEC
     axes.axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
     axes.annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
                   textcoords="offset points", va="center", fontsize=8, color="#666666")
@@ -175,7 +175,7 @@ def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
     axes.set_ylabel(f"{name}\n95 % [″]", fontsize=8)
 
 
-def _errors(told: ToldNight) -> dict[str, _Line]:
+def _errors(told: ReportData) -> dict[str, _Line]:
     lines = {}
     outputs = [orientation.label for orientation in ORIENTATIONS]
     for series in told.evaluation.errors:
@@ -188,7 +188,7 @@ def _errors(told: ToldNight) -> dict[str, _Line]:
     return lines
 
 
-def _innovations(told: ToldNight) -> dict[str, _Line]:
+def _innovations(told: ReportData) -> dict[str, _Line]:
     lines = {}
     for source, part in told.evaluation.innovations.items():
         thin = thin_innovations(part)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.configurations import parameter_differences, text_differences
-from ship_replay.report.night import Night
+from ship_replay.report.night import Recording
 from ship_replay.report.page import recorded_versions, render, versions
 from ship_replay.report.pair import Pair
 from ship_replay.report.pair_drawings import difference_svg, sides_svg, states_svg
@@ -43,7 +43,7 @@ PAIR_SECTIONS = (
 
 def pair_page(pair: Pair) -> str:
     """Return the comparison of two recordings as a single HTML file; the same recordings give the same text."""
-    a, b = pair.nights
+    a, b = pair.recordings
     start_ns, end_ns = pair.span_ns
     parameters, errors = parameter_differences(a, b), error_rows(pair)
     warnings = pair_warnings(pair, _problems(pair))
@@ -80,7 +80,7 @@ def pair_page(pair: Pair) -> str:
         only_topics=[(letter, sorted(mine.keys() - others.keys()))
                      for letter, mine, others in (("A", a.topics, b.topics), ("B", b.topics, a.topics))],
         metadata=_of_both(*({name: " ".join(f"{key} {value}" for key, value in sorted(entries.items()))
-                             for name, entries in sorted(night.metadata.items())} for night in (a, b))),
+                             for name, entries in sorted(recording.metadata.items())} for recording in (a, b))),
         recorded_versions=_of_both(*(dict(recorded_versions(night)) for night in (a, b))),
         versions=versions(),
     )
@@ -90,14 +90,14 @@ def _problems(pair: Pair) -> list[str]:
     """Return the problems of the bags, each with the letters of the bags that have it."""
     found: dict[str, str] = {}
     for letter, told in zip("AB", (pair.a, pair.b), strict=True):
-        for problem in sorted({*told.night.problems, *told.evaluation.problems}):
+        for problem in sorted({*told.recording.problems, *told.evaluation.problems}):
             found[problem] = f"{found[problem]} and {letter}" if problem in found else letter
     return [f"{letters}: {problem}" for problem, letters in found.items()]
 
 
-def _shares_of_both(a: Night, b: Night) -> list[tuple[str, dict[str, float] | None, dict[str, float] | None]]:
+def _shares_of_both(a: Recording, b: Recording) -> list[tuple[str, dict[str, float] | None, dict[str, float] | None]]:
     """Return angle, and the share of each state in A and in B; None where the angle was not published."""
-    of_a, of_b = ({name: share for name, share, _ in shares(night)} for night in (a, b))
+    of_a, of_b = ({name: share for name, share, _ in shares(recording)} for recording in (a, b))
     return [(name, of_a.get(name), of_b.get(name)) for name in ANGLES if name in of_a or name in of_b]
 
 

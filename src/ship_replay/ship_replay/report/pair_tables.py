@@ -13,7 +13,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.evaluation.statistics import AttitudeErrors
 from ship_replay.report.consistency import SigmaFit, consistency
-from ship_replay.report.night import Night
+from ship_replay.report.night import Recording
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
 from ship_replay.report.tables import shown_scale, told_value
@@ -123,8 +123,8 @@ class BudgetTable:
 def budget_tables(pair: Pair) -> list[BudgetTable]:
     """Return the error budgets: mean variance of each source of error over the run."""
     tables = []
-    for topic in sorted({topic for night in pair.nights for topic in night.budgets}):
-        a, b = (_mean_variances(night.budgets.get(topic, [])) for night in pair.nights)
+    for topic in sorted({topic for recording in pair.recordings for topic in recording.budgets}):
+        a, b = (_mean_variances(night.budgets.get(topic, [])) for night in pair.recordings)
         angles = list(dict.fromkeys([*a, *b]))
         weights: dict[str, float] = {}
         for by_source in (*a.values(), *b.values()):
@@ -173,10 +173,10 @@ def consistency_rows(pair: Pair) -> list[FitOfBoth]:
 
 def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
     """Return topic, and a row for each parameter: the last estimates of A and B with their σ, and their difference."""
-    a, b = pair.nights
+    a, b = pair.recordings
     tables = []
     for topic in sorted(a.after.keys() | b.after.keys()):
-        shown_a, shown_b = ({shown.name: shown for shown in night.after.get(topic, ())} for night in (a, b))
+        shown_a, shown_b = ({shown.name: shown for shown in recording.after.get(topic, ())} for recording in (a, b))
         either = {**shown_b, **shown_a}
         names = dict.fromkeys([*shown_a, *shown_b])
         rows = [_alignment_row(either[name], shown_a.get(name), shown_b.get(name)) for name in names]
@@ -189,8 +189,8 @@ def only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
     Two events are the same if kind and text agree except for numbers, and the times differ by at most two seconds.
     """
-    a, b = ([(event.utc_ns, (event.kind, _DIGITS.sub("#", event.text)), event) for event in night.events]
-            for night in pair.nights)
+    a, b = ([(event.utc_ns, (event.kind, _DIGITS.sub("#", event.text)), event) for event in recording.events]
+            for recording in pair.recordings)
     alone, both = _unmatched(a, b)
     return [
         {"when": utc(time_ns), "side": side, "kind": event.kind, "text": event.text} for time_ns, side, event in alone
@@ -199,7 +199,7 @@ def only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 def alerts_only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
     """Return the alert changes of one run only, in order of time, and the number of those of both."""
-    a, b = ([(told.utc_ns, (told.alert.id, told.what), told) for told in night.alerts] for night in pair.nights)
+    a, b = ([(told.utc_ns, (told.alert.id, told.what), told) for told in recording.alerts] for recording in pair.recordings)
     alone, both = _unmatched(a, b)
     return [
         {"when": utc(time_ns), "side": side, "priority": told.alert.priority.name, "id": told.alert.id,
@@ -210,7 +210,7 @@ def alerts_only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 def rejection_rows_of_both(pair: Pair) -> list[dict[str, str]]:
     """Return a row for each source, place and reason: counts in A and in B; rejections before notes."""
-    a, b = (_rejection_counts(night) for night in pair.nights)
+    a, b = (_rejection_counts(recording) for recording in pair.recordings)
     return [
         {
             "source": key[1], "by": key[2], "reason": key[3] + (" (note: used)" if key[0] else ""),
@@ -267,9 +267,9 @@ def _alignment_row(
     return row
 
 
-def _rejection_counts(night: Night) -> Counter[tuple[bool, str, str, str]]:
+def _rejection_counts(recording: Recording) -> Counter[tuple[bool, str, str, str]]:
     counts: Counter[tuple[bool, str, str, str]] = Counter()
-    for refusal in night.rejections:
+    for refusal in recording.rejections:
         counts[refusal.is_note, refusal.source, refusal.by, refusal.reason] += refusal.count
     return counts
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ship_replay.report.configurations import ParameterDifference
-from ship_replay.report.night import Night
+from ship_replay.report.night import Recording
 from ship_replay.report.pair import Pair, input_sentences
 from ship_replay.report.pair_tables import SAME_MOMENT_NS, ErrorRow
 from ship_replay.report.published import OutputDifference
@@ -59,7 +59,7 @@ def _safe_for_longer(pair: Pair) -> list[str]:
     """Return which run was SAFE for more of the time, and in which of the angles that both published."""
     longer: dict[str, list[str]] = {"A": [], "B": []}
     for name in ANGLES:
-        a, b = (_share_safe(night, name) for night in pair.nights)
+        a, b = (_share_safe(recording, name) for recording in pair.recordings)
         if a != b and math.isfinite(a) and math.isfinite(b):
             longer["A" if a > b else "B"].append(name)
     parts = [f"{letter} was SAFE longer in {', '.join(names)}" for letter, names in longer.items() if names]
@@ -84,7 +84,7 @@ def _which_is_better(errors: Sequence[ErrorRow]) -> list[str]:
 
 def _angle(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
     """Return for how long an angle was SAFE in each run, and its error."""
-    safe = [_share_safe(night, name) for night in pair.nights]
+    safe = [_share_safe(recording, name) for recording in pair.recordings]
     if not any(map(math.isfinite, safe)):
         return ""
     if all(map(math.isfinite, safe)):
@@ -137,7 +137,7 @@ def _not_compared(pair: Pair) -> list[str]:
 
 def _sources(pair: Pair) -> list[str]:
     """Return which source was out in one run only, for the time that both cover."""
-    a, b = (outages(night) for night in pair.nights)
+    a, b = (outages(recording) for recording in pair.recordings)
     sentences, told = [], set()
     for source in dict.fromkeys(outage.source for outage in (*a, *b)):
         for letter, other, mine, others in (("A", "B", a, b), ("B", "A", b, a)):
@@ -176,7 +176,7 @@ def _without(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
 def _unrecorded(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
     """Return the times that the other recording does not cover, as outages of the source."""
     (start_ns, end_ns), (_, other_end_ns) = (
-        night.span_ns for night in (pair.nights if letter == "A" else reversed(pair.nights))
+        recording.span_ns for recording in (pair.recordings if letter == "A" else reversed(pair.recordings))
     )
     before, after = SourceOutage(source, 0, start_ns, ""), SourceOutage(source, end_ns, 0, "")
     return [before, after] if other_end_ns > end_ns + SAME_MOMENT_NS else [before]
@@ -187,9 +187,9 @@ def _of_outputs(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
     return [row for row in errors if row.label in labels]
 
 
-def _share_safe(night: Night, angle: str) -> float:
+def _share_safe(recording: Recording, angle: str) -> float:
     """Return the SAFE share of the time in which an angle was published; NaN if it never was."""
-    seconds = night.seconds(angle)
+    seconds = recording.seconds(angle)
     total = sum(seconds.values())
     return seconds[Safety.SAFE] / total if total else math.nan
 

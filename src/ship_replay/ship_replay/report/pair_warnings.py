@@ -83,5 +83,5 @@ def _explained(text: str) -> PairWarning:
 
 
 def _commits(pair: Pair) -> list[str]:
-    a, b = (night.metadata.get(COMMIT_RECORD, {}).get("commit", "") for night in pair.nights)
+    a, b = (recording.metadata.get(COMMIT_RECORD, {}).get("commit", "") for recording in pair.recordings)
     return [f"A and B were made by different commits of the suite: {a} and {b}."] if a and b and a != b else []

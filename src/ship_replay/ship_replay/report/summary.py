@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.event_groups import states_of
-from ship_replay.report.night import Night
+from ship_replay.report.night import Recording
 from ship_replay.report.tables import SourceOutage, outages, root_outages
 from ship_replay.report.wording import duration, number, utc
 from ship_watch.picture import ANGLES, Safety
@@ -20,53 +20,53 @@ _CONSEQUENCE = ".degraded"
 """Suffix of alerts about an output over its limit: the source that caused it has its own alert."""
 
 
-def summary(night: Night) -> list[str]:
+def summary(recording: Recording) -> list[str]:
     """Return the five sentences; one if no output was published."""
-    if not any(night.words.get(name) for name in ANGLES):
+    if not any(recording.words.get(name) for name in ANGLES):
         return ["Availability: no attitude and no pointing was published."]
-    found = outages(night)
-    return [_availability(night), _worst_source(night, found), _causes(night, found), _mountings(night), _advice(night)]
+    found = outages(recording)
+    return [_availability(recording), _worst_source(recording, found), _causes(recording, found), _mountings(recording), _advice(recording)]
 
 
-def worst_source(night: Night) -> str:
+def worst_source(recording: Recording) -> str:
     """Return the source with the longest own outage; empty if none was out."""
-    seconds = _seconds_out(night, root_outages(outages(night)))
+    seconds = _seconds_out(recording, root_outages(outages(recording)))
     return max(seconds, key=lambda source: seconds[source], default="")
 
 
-def valid_shares(night: Night) -> dict[str, float]:
+def valid_shares(recording: Recording) -> dict[str, float]:
     """Return topic of an output → share of the time in which it was VALID."""
-    length_s = max((night.end_ns - night.start_ns) / NS_PER_S, 1e-9)
-    return {topic: min(seconds.get("VALID", 0.0) / length_s, 1.0) for topic, seconds in sorted(night.status_s.items())}
+    length_s = max((recording.end_ns - recording.start_ns) / NS_PER_S, 1e-9)
+    return {topic: min(seconds.get("VALID", 0.0) / length_s, 1.0) for topic, seconds in sorted(recording.status_s.items())}
 
 
-def _availability(night: Night) -> str:
+def _availability(recording: Recording) -> str:
     parts = [
         f"{name} SAFE {100.0 * seconds[Safety.SAFE] / total:.1f} %"
-        for name in ANGLES if (total := (seconds := night.seconds(name)).total())
+        for name in ANGLES if (total := (seconds := recording.seconds(name)).total())
     ]
-    parts += [f"{topic} VALID {100.0 * share:.1f} %" for topic, share in valid_shares(night).items()]
+    parts += [f"{topic} VALID {100.0 * share:.1f} %" for topic, share in valid_shares(recording).items()]
     return f"Availability: {', '.join(parts)} of the time."
 
 
-def _worst_source(night: Night, found: Sequence[SourceOutage]) -> str:
+def _worst_source(recording: Recording, found: Sequence[SourceOutage]) -> str:
     roots = root_outages(found)
-    source = worst_source(night)
+    source = worst_source(recording)
     if not source:
         return "Worst source: none; no source was out."
     mine = [outage for outage in roots if outage.source == source]
-    seconds = _seconds_out(night, mine)[source]
-    share = 100.0 * seconds / max((night.end_ns - night.start_ns) / NS_PER_S, 1e-9)
+    seconds = _seconds_out(recording, mine)[source]
+    share = 100.0 * seconds / max((recording.end_ns - recording.start_ns) / NS_PER_S, 1e-9)
     times = "once" if len(mine) == 1 else f"{len(mine)} times"
     length = f"{duration(seconds)} in all ({share:.0f} % of the time)"
     return f"Worst source: {source}, out {times}, {length}, {mine[0].text}."
 
 
-def _causes(night: Night, found: Sequence[SourceOutage]) -> str:
+def _causes(recording: Recording, found: Sequence[SourceOutage]) -> str:
     """Return the sentence about each source that failed, and the sources and angles affected by it."""
     roots = list(dict.fromkeys(outage.source for outage in root_outages(found)))
     if not roots:
-        unsafe = [name for name in ANGLES if _is_ever(night, name)]
+        unsafe = [name for name in ANGLES if _is_ever(recording, name)]
         return f"Cause: no source failed; {_listed(unsafe)} not SAFE because of accuracy." if unsafe else \
             "Cause: nothing failed."
     texts = []
@@ -74,7 +74,7 @@ def _causes(night: Night, found: Sequence[SourceOutage]) -> str:
         first = next(outage for outage in root_outages(found) if outage.source == source)
         needs = [one.source for one in found if one.why.startswith(f"needs {source}")]
         angles = [
-            event.subject for event in night.events
+            event.subject for event in recording.events
             if event.kind == "state" and states_of(event)[1] in ("CAUTION", "UNSAFE")
             and re.search(rf"(^|\W){re.escape(source)}(\W|$)", states_of(event)[2])
         ]
@@ -85,14 +85,14 @@ def _causes(night: Night, found: Sequence[SourceOutage]) -> str:
     return f"Cause → consequence: {'; '.join(texts)}{more}."
 
 
-def _mountings(night: Night) -> str:
+def _mountings(recording: Recording) -> str:
     """Return the sentence about shifted mountings, or about estimates far from their first values."""
-    shifted = [event for event in night.events if event.kind == "source" and _SHIFTED in event.text]
+    shifted = [event for event in recording.events if event.kind == "source" and _SHIFTED in event.text]
     if shifted:
         return f"Mountings: {'; '.join(f'{event.text} at {utc(event.utc_ns)}' for event in shifted[:_MOST_NAMED])}."
     changed: dict[str, float] = {}
-    for topic, after in night.after.items():
-        before = {shown.name: shown for shown in night.before[topic]}
+    for topic, after in recording.after.items():
+        before = {shown.name: shown for shown in recording.before[topic]}
         for shown in after:
             start = before.get(shown.name, shown)
             sigmas = abs(math.remainder(shown.value - start.value, math.tau)) / start.sigma if (
@@ -106,9 +106,9 @@ def _mountings(night: Night) -> str:
     return f"Mountings: no source was reinstated with a shifted mounting, but {', '.join(texts)}."
 
 
-def _advice(night: Night) -> str:
+def _advice(recording: Recording) -> str:
     """Return the advice of the raised alerts, causes first, then by priority."""
-    raised = [told.alert for told in night.alerts if told.what in ("raised", "active not acknowledged")]
+    raised = [told.alert for told in recording.alerts if told.what in ("raised", "active not acknowledged")]
     raised.sort(key=lambda alert: (alert.id.endswith(_CONSEQUENCE), -int(alert.priority)))
     texts = [
         f"{alert.source or alert.id}: {alert.advice[:1].lower()}{alert.advice[1:]}" for alert in raised if alert.advice
@@ -117,8 +117,8 @@ def _advice(night: Night) -> str:
     return f"To do: {'. '.join(kept)}." if kept else "To do: nothing."
 
 
-def _seconds_out(night: Night, found: Sequence[SourceOutage]) -> Counter[str]:
-    _, end_ns = night.span_ns
+def _seconds_out(recording: Recording, found: Sequence[SourceOutage]) -> Counter[str]:
+    _, end_ns = recording.span_ns
     seconds: Counter[str] = Counter()
     for outage in found:
         # Whole seconds are precise enough.
@@ -126,9 +126,9 @@ def _seconds_out(night: Night, found: Sequence[SourceOutage]) -> Counter[str]:
     return seconds
 
 
-def _is_ever(night: Night, name: str) -> bool:
+def _is_ever(recording: Recording, name: str) -> bool:
     """True if an angle was published and not always SAFE."""
-    seconds = night.seconds(name)
+    seconds = recording.seconds(name)
     return seconds.total() > seconds[Safety.SAFE]
 
 

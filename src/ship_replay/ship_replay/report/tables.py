@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_replay.report.night import Night
+from ship_replay.report.night import Recording
 from ship_replay.report.wording import duration, number, placed, utc
 from ship_watch.history import ParameterShown
 from ship_watch.picture import ANGLES, Safety
@@ -38,11 +38,11 @@ class SourceOutage:
         return f"{utc(self.from_ns)} to {utc(self.to_ns) if self.to_ns else 'the end'} ({self.why})"
 
 
-def outages(night: Night) -> list[SourceOutage]:
+def outages(recording: Recording) -> list[SourceOutage]:
     """Return the outages of all sources; an outage whose reason changes is still one."""
     found: list[SourceOutage] = []
     last: dict[str, int] = {}
-    for event in night.events:
+    for event in recording.events:
         if event.kind != "source":
             continue
         number, is_out = last.get(event.subject), f"{event.subject} OUT" in event.text
@@ -60,23 +60,23 @@ def root_outages(found: Sequence[SourceOutage]) -> list[SourceOutage]:
     return [outage for outage in found if not outage.why.startswith(_NEEDS)]
 
 
-def outage_rows(night: Night) -> list[dict[str, str]]:
+def outage_rows(recording: Recording) -> list[dict[str, str]]:
     """Return a row for each outage: source, from, to, length and reason."""
-    _, end_ns = night.span_ns
+    _, end_ns = recording.span_ns
     return [
         {
             "source": one.source, "from": utc(one.from_ns), "to": utc(one.to_ns) if one.to_ns else "the end",
             "length": duration(((one.to_ns or end_ns) - one.from_ns) / NS_PER_S), "why": one.why,
         }
-        for one in outages(night)
+        for one in outages(recording)
     ]
 
 
-def shares(night: Night) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
+def shares(recording: Recording) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
     """Return angle, share of the time of each state and seconds of each state, for the angles published."""
     rows = []
     for name in ANGLES:
-        seconds = night.seconds(name)
+        seconds = recording.seconds(name)
         if total := sum(seconds.values()):
             rows.append((name, {word.name: seconds[word] / total for word in Safety}, seconds))
     return rows
@@ -103,11 +103,11 @@ def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShow
     return rows
 
 
-def rejection_rows(night: Night) -> list[dict[str, str]]:
+def rejection_rows(recording: Recording) -> list[dict[str, str]]:
     """Return a row for each source, place and reason: count, first and last time; rejections before notes."""
     counts: Counter[tuple[bool, str, str, str]] = Counter()
     times: dict[tuple[bool, str, str, str], tuple[int, int]] = {}
-    for refusal in night.rejections:
+    for refusal in recording.rejections:
         key = refusal.is_note, refusal.source, refusal.by, refusal.reason
         first, last = times.get(key, (refusal.utc_ns, refusal.utc_ns))
         counts[key] += refusal.count

@@ -14,7 +14,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.renamed_topics import current_names
 from ship_bags.topic_names import relative_topics
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
-from ship_replay.report.night import Night, read_night
+from ship_replay.report.night import Recording, read_recording
 from ship_watch.limits import Limits
 from ship_watch.orientations import ORIENTATIONS
 
@@ -25,16 +25,16 @@ _TRUTH_TOPICS = [orientation.truth_topic for orientation in ORIENTATIONS]
 
 
 @dataclass(frozen=True)
-class ToldNight:
+class ReportData:
     """A recording and its evaluation: all data of a report page."""
 
-    night: Night
+    recording: Recording
     evaluation: Evaluation
 
 
 def read_told(
     path: Path, truth: Path | None = None, limits: Limits | None = None, namespace: str = ""
-) -> ToldNight:
+) -> ReportData:
     """Read and evaluate a bag with outputs.
 
     Raises:
@@ -42,12 +42,12 @@ def read_told(
     """
     check_truth(truth, namespace)
     if is_short(path):
-        return ToldNight(read_night(path, limits, namespace), evaluate(path, against=truth, namespace=namespace))
+        return ReportData(read_recording(path, limits, namespace), evaluate(path, against=truth, namespace=namespace))
     # Both take equally long and are independent.
     with other_processes(1) as others:
         evaluated = others.submit(evaluate, path, against=truth, namespace=namespace)
-        night = read_night(path, limits, namespace)
-        return ToldNight(night, evaluated.result())
+        recording = read_recording(path, limits, namespace)
+        return ReportData(recording, evaluated.result())
 
 
 @contextlib.contextmanager
