@@ -15,7 +15,7 @@ import pytest
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.catalogue import hipparcos
-from ship_attitude_star.sky.sky_watch import ApparentStars, SkyMoment, SkyWatch
+from ship_attitude_star.sky.sky_watch import ApparentStars, LocalSky, SkyWatch
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
@@ -186,7 +186,7 @@ def test_errors_of_long_streaks_fit_their_covariance() -> None:
     assert np.all((low <= ratio) & (ratio <= high))
 
 
-class _Airless(SkyMoment):
+class _Airless(LocalSky):
     """Apparent places of stars without air."""
 
     def apparent(self, stars) -> ApparentStars:
@@ -198,7 +198,7 @@ class _Airless(SkyMoment):
 class SkyWithoutRefraction(SkyWatch):
     """Sky without refraction."""
 
-    def at(self, time_ns: int) -> SkyMoment | Rejection:
+    def at(self, time_ns: int) -> LocalSky | Rejection:
         moment = super().at(time_ns)
         return moment if isinstance(moment, Rejection) else _Airless(**vars(moment))
 

@@ -43,7 +43,7 @@ class _Graph:
         self._smoother = gtsam.ISAM2(parameters)
         self._run, self._ins = run, _Ins(run)
         self._mounting_keys = {id_: 1 + number for number, id_ in enumerate(run.stars)}
-        self._first_moment = 1 + len(run.stars)
+        self._first_key = 1 + len(run.stars)
 
     def solved(self) -> tuple[FloatArray, FloatArray]:
         """Return the attitude at the last INS sample, (3, 3), and its covariance in the horizon, rad², (3, 3)."""
@@ -55,13 +55,13 @@ class _Graph:
             if self._ins.surrounds(int(time_ns))
         ]
         before_ns = None
-        moment = self._first_moment
-        for moment, (time_ns, id_, row) in enumerate(sorted(told), start=self._first_moment):
-            graph, values = self._moved(moment, before_ns, time_ns)
-            graph.add(self._sighting(moment, time_ns, id_, row))
+        key = self._first_key
+        for key, (time_ns, id_, row) in enumerate(sorted(told), start=self._first_key):
+            graph, values = self._moved(key, before_ns, time_ns)
+            graph.add(self._sighting(key, time_ns, id_, row))
             self._smoother.update(graph, values)
             before_ns = time_ns
-        end_ns, end = int(self._ins.time_ns[-1]), moment + 1
+        end_ns, end = int(self._ins.time_ns[-1]), key + 1
         self._smoother.update(*self._moved(end, before_ns, end_ns))
         for _ in range(3):
             self._smoother.update()
@@ -87,29 +87,29 @@ class _Graph:
 
         return self._gtsam.CustomFactor(self._gtsam.noiseModel.Diagonal.Sigmas(sigma), [key], error)
 
-    def _moved(self, moment: int, before_ns: int | None, time_ns: int) -> tuple[Any, Any]:
+    def _moved(self, key: int, before_ns: int | None, time_ns: int) -> tuple[Any, Any]:
         """Add a new time, with the change of the INS's slow error since the one before: Gauss–Markov."""
         gtsam, ins = self._gtsam, self._run.scenario.ins
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         sigma = np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]) * ARCSEC
         time_s = np.array([ins.tilt_time_s, ins.heading_time_s, ins.tilt_time_s])
         if before_ns is None:
-            values.insert(moment, np.zeros(3))
-            graph.add(self._prior(moment, sigma))
+            values.insert(key, np.zeros(3))
+            graph.add(self._prior(key, sigma))
             return graph, values
         decay = np.exp(-1e-9 * (time_ns - before_ns) / time_s)
-        values.insert(moment, decay * self._smoother.calculateEstimateVector(moment - 1))
+        values.insert(key, decay * self._smoother.calculateEstimateVector(key - 1))
 
         def error(_: Any, at: Any, jacobians: Any) -> FloatArray:
             if jacobians is not None:
                 jacobians[0], jacobians[1] = -np.diag(decay), np.eye(3)
-            return at.atVector(moment) - decay * at.atVector(moment - 1)
+            return at.atVector(key) - decay * at.atVector(key - 1)
 
         step = gtsam.noiseModel.Diagonal.Sigmas(sigma * np.sqrt(1.0 - decay**2))
-        graph.add(gtsam.CustomFactor(step, [moment - 1, moment], error))
+        graph.add(gtsam.CustomFactor(step, [key - 1, key], error))
         return graph, values
 
-    def _sighting(self, moment: int, time_ns: int, sensor_id: str, row: int) -> Any:
+    def _sighting(self, key: int, time_ns: int, sensor_id: str, row: int) -> Any:
         """Add R_star = exp(a) R_ins(t - tau) R0 exp(m) exp(noise), its residual in the sensor."""
         sensor, samples = self._run.scenario.star_sensors[sensor_id], self._run.stars[sensor_id]
         mounting = self._mounting_keys[sensor_id]
@@ -119,7 +119,7 @@ class _Graph:
         def error(_: Any, at: Any, jacobians: Any) -> FloatArray:
             rotation_nd, rate_d = self._ins.at(time_ns, at.atVector(_CLOCK)[0])
             mounted_dv = nominal_dv @ exp_rotation(at.atVector(mounting))
-            expected_nv = exp_rotation(at.atVector(moment)) @ rotation_nd @ mounted_dv
+            expected_nv = exp_rotation(at.atVector(key)) @ rotation_nd @ mounted_dv
             if jacobians is not None:
                 jacobians[0], jacobians[1] = -expected_nv.T, -np.eye(3)
                 jacobians[2] = (nominal_dv.T @ rate_d)[:, None]
@@ -127,7 +127,7 @@ class _Graph:
 
         noise = samples.noise_v + self._ins.white_variance(time_ns) * np.eye(3)
         return self._gtsam.CustomFactor(
-            self._gtsam.noiseModel.Gaussian.Covariance(noise), [moment, mounting, _CLOCK], error
+            self._gtsam.noiseModel.Gaussian.Covariance(noise), [key, mounting, _CLOCK], error
         )
 
     def _attitude(self, end: int) -> tuple[FloatArray, FloatArray]:

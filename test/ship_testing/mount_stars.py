@@ -121,9 +121,9 @@ def stars_seen(
         lens: true optics of the camera; None where they are those configured.
         optics: model of the errors of its lens.
     """
-    moment, catalogue = watch.at(time_ns), watch.catalogue
-    rows = moment.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
-    apparent = moment.apparent(catalogue.at_j2000[rows])
+    sky_at_time, catalogue = watch.at(time_ns), watch.catalogue
+    rows = sky_at_time.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
+    apparent = sky_at_time.apparent(catalogue.at_j2000[rows])
     seen_s = (apparent.direction_n + apparent.shared_n @ sky) @ rotation_ns
     inside = np.flatnonzero(np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1))
     brightest = inside[np.argsort(catalogue.magnitude[rows[inside]], kind="stable")]

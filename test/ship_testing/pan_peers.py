@@ -59,9 +59,9 @@ class ErfaSky:
 
     def directions(self, stars: StarPositions) -> FloatArray:
         """Return unit vectors (North, Up, East), shape (k, 3)."""
-        moment = datetime.fromtimestamp(self.time_ns // 1_000_000_000, tz=timezone.utc)
-        seconds = moment.second + (self.time_ns % 1_000_000_000) * 1e-9
-        utc = erfa.dtf2d("UTC", moment.year, moment.month, moment.day, moment.hour, moment.minute, seconds)
+        utc_time = datetime.fromtimestamp(self.time_ns // 1_000_000_000, tz=timezone.utc)
+        seconds = utc_time.second + (self.time_ns % 1_000_000_000) * 1e-9
+        utc = erfa.dtf2d("UTC", utc_time.year, utc_time.month, utc_time.day, utc_time.hour, utc_time.minute, seconds)
         told, place = earth_orientation_table().at(self.time_ns), self.position
         azimuth, zenith, *_ = erfa.atco13(
             stars.right_ascension, stars.declination, stars.pm_right_ascension, stars.pm_declination,

@@ -5,7 +5,7 @@ import pytest
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.sky_watch import SHARED_TERMS, SkyMoment, SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SHARED_TERMS, LocalSky, SkyWatch, installed_sky
 from ship_estimation.refusals import Reason
 from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
 from ship_geometry.rotations import ARCSEC
@@ -22,7 +22,7 @@ def told(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) ->
     return watch
 
 
-def moment(*args, **kwargs) -> SkyMoment:
+def local_sky(*args, **kwargs) -> LocalSky:
     return told(*args, **kwargs).at(TIME_NS)
 
 
@@ -55,8 +55,8 @@ def test_repeated_fixes_and_readings_are_rejected() -> None:
 
 
 def test_a_sigma_of_refraction_equals_other_air(stars) -> None:
-    here = moment().apparent(stars)
-    thicker = moment(pressure_hpa=1000.0 + PRESSURE_SIGMA_HPA).apparent(stars)
+    here = local_sky().apparent(stars)
+    thicker = local_sky(pressure_hpa=1000.0 + PRESSURE_SIGMA_HPA).apparent(stars)
     lifted = here.shared_n[..., SHARED_TERMS.index("refraction")]
     # The model's own error is added.
     np.testing.assert_allclose(lifted, thicker.direction_n - here.direction_n, atol=0.05 * ARCSEC)
@@ -72,8 +72,8 @@ def test_a_sigma_of_position_equals_another_position(stars, column: int, north: 
         POSITION.longitude + east * EAST_SIGMA_M / (radius_east_m * np.cos(POSITION.latitude)),
         POSITION.height_m,
     )
-    here = moment().apparent(stars)
-    moved = moment(there).apparent(stars)
+    here = local_sky().apparent(stars)
+    moved = local_sky(there).apparent(stars)
     np.testing.assert_allclose(here.shared_n[..., column], moved.direction_n - here.direction_n, atol=0.05 * ARCSEC)
 
 

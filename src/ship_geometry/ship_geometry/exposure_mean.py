@@ -42,7 +42,7 @@ class Nodes:
         """Time from the middle of the exposure to the outermost nodes."""
         return self.offset_ns[-1]
 
-    def moments(self, middle_ns: int) -> list[tuple[int, float]]:
+    def times_and_weights(self, middle_ns: int) -> list[tuple[int, float]]:
         """Return time (ns) and weight of each node of an exposure whose middle is at ``middle_ns``."""
         offsets = zip(self.offset_ns, self.weight.tolist(), strict=True)
         return [(middle_ns + offset_ns, weight) for offset_ns, weight in offsets]
@@ -141,7 +141,7 @@ def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | 
         >>> print(turning.turns.shape, turning.correction_error)  # at rest nothing turns
         (3, 3, 3) 0.0
     """
-    middle, moments = track.at(time_ns), nodes.moments(time_ns)
+    middle, moments = track.at(time_ns), nodes.times_and_weights(time_ns)
     around = [found for found in (track.at(moment_ns) for moment_ns, _ in moments) if found is not None]
     if middle is None or len(around) < len(moments):
         return None

@@ -226,13 +226,13 @@ class SampleTrack(Generic[Sample]):
         """True if the quantity has jumped between two times."""
         return bool(self._cuts_ns) and any(start_ns <= cut_ns < end_ns for cut_ns in self._cuts_ns)
 
-    def noise_gain_of_mean(self, moments: Iterable[tuple[int, float]]) -> float:
+    def noise_gain_of_mean(self, times_and_weights: Iterable[tuple[int, float]]) -> float:
         """Return the variance of a weighted sum of interpolated values per variance of the samples' independent noise.
 
         Args:
             times_and_weights: (ns, weight) of each value; none outside the track or in a gap.
         """
-        return sum(weight * weight for weight in self._weights_of_sum(moments).values())
+        return sum(weight * weight for weight in self._weights_of_sum(times_and_weights).values())
 
     def noise_covariance_of_sums(self, sums: Sequence[Iterable[tuple[int, float]]]) -> FloatArray:
         """Return the covariance of weighted sums of interpolated values per variance of the samples' noise.
@@ -266,10 +266,10 @@ class SampleTrack(Generic[Sample]):
         covariance: FloatArray = by_sample @ by_sample.T
         return covariance
 
-    def _weights_of_sum(self, moments: Iterable[tuple[int, float]]) -> dict[int, float]:
+    def _weights_of_sum(self, times_and_weights: Iterable[tuple[int, float]]) -> dict[int, float]:
         """Return the weight of each sample in a weighted sum of interpolated values."""
         weights: dict[int, float] = {}
-        for time_ns, share in moments:
+        for time_ns, share in times_and_weights:
             interval = self._interval(time_ns)
             assert interval is not None
             left, fraction = interval

@@ -13,7 +13,7 @@ from ship_monitor.page.budget_panel import (
     variances_arcsec2,
 )
 from ship_monitor.page.themes import THEMES
-from ship_monitor.page.trails import TimePlots
+from ship_monitor.page.trails import TimeAxis
 from ship_testing.watched_minutes import ARCSEC, watched_history
 
 
@@ -63,7 +63,7 @@ def test_bands_are_labelled_at_their_middle() -> None:
 @pytest.mark.slow
 def test_bands_add_up_to_the_total_of_the_chosen_angle() -> None:
     history = watched_history()
-    panel = BudgetPanel(THEMES["day"], TimePlots(600.0))
+    panel = BudgetPanel(THEMES["day"], TimeAxis(600.0))
     panel.update(history, "")
     assert panel.angle == "heading"
     heading = np.asarray(panel._trail.source.data["total"])

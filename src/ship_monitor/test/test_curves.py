@@ -8,7 +8,7 @@ import pytest
 from bokeh.document import Document
 
 from ship_monitor.page.curves import fixed_step, gap_rows, placed, signed, thinned
-from ship_monitor.page.trails import TimePlots, Trail
+from ship_monitor.page.trails import TimeAxis, Trail
 from ship_watch.history import newer
 
 SECOND_NS = 1_000_000_000
@@ -138,7 +138,7 @@ def test_signed_numbers() -> None:
 
 
 def test_zoomed_time_axis_does_not_move() -> None:
-    times = TimePlots(600.0)
+    times = TimeAxis(600.0)
     Document().add_root(times.range)
     times.follow(1_000 * SECOND_NS)
     assert (times.range.start, times.range.end) == (400e3, 1000e3)

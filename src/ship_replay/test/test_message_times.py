@@ -12,7 +12,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_replay.commands.replay import main
-from ship_replay.offline.message_times import Gaps, LogTimes, in_order_of_stamps
+from ship_replay.offline.message_times import Gaps, LogDelays, in_order_of_stamps
 from ship_replay.offline.replay import replay
 from ship_testing.hand_made_bags import START_NS, imu
 
@@ -84,7 +84,7 @@ def test_messages_without_a_usable_stamp_keep_their_place():
     shown = stamps.copy()
     shown[40], shown[70] = 0, START_NS + 10**9 * SECOND_NS // 10**3
     records = [record_of(int(s), int(log)) for s, log in zip(shown, logged, strict=True)]
-    times = LogTimes()
+    times = LogDelays()
     for record in records:
         times.add(record.topic, record)
     assert times.usual_ns() >= 5 * 10**8
@@ -119,7 +119,7 @@ def test_times_noted_together_are_those_noted_one_by_one(late):
 def test_of_messages_noted_together_one_without_a_stamp_is_left_out():
     stamps_ns = np.array([START_NS, 0, START_NS + SECOND_NS])
     log_times_ns = START_NS + np.array([2_000_000, 500_000_000, SECOND_NS + 2_000_000])
-    times = LogTimes()
+    times = LogDelays()
     times.add_block("ins/imu", stamps_ns, log_times_ns)
     times.add_block("ins/imu", stamps_ns[1:2], log_times_ns[1:2])
     assert (times.usual_ns(), times.held_up()) == (2_000_000, "")

@@ -162,4 +162,4 @@ def _round_limits(least_arcsec: float) -> Iterator[float]:
 def _reason(angles: Sequence[AngleShown]) -> str:
     """Return why a quantity is not SAFE with any limit, without changing figures."""
     worst = max(angles, key=lambda angle: angle.safety)
-    return "hold time" if worst.is_good_again else still(worst.reason)
+    return "hold time" if worst.is_recovering else still(worst.reason)

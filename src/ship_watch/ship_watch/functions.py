@@ -81,7 +81,7 @@ class FunctionShown:
         """Name and state of the function, the same as long as the situation is."""
         if self.safety is None:
             return f"{self.name} off"
-        if self.angle.is_good_again:
+        if self.angle.is_recovering:
             return f"{self.name} good again"
         return f"{self.name} {_WORDS[self.priority]}"
 
@@ -173,7 +173,7 @@ def _function_text(function: FunctionShown) -> str:
     if function.safety is Safety.SAFE:
         return f"safe: {known}"
     because = f"because of {function.because_of}" if function.because_of else ""
-    lost = "" if function.angle.is_good_again else function.text.partition(" ")[2]
+    lost = "" if function.angle.is_recovering else function.text.partition(" ")[2]
     return ", ".join(filter(None, [lost, because, function.angle.reason, known]))
 
 

@@ -84,7 +84,7 @@ class AngleShown:
     now: tuple[Safety, str] | None = None
 
     @property
-    def is_good_again(self) -> bool:
+    def is_recovering(self) -> bool:
         """True if the safety without hold is SAFE and the displayed one is not yet."""
         return self.now is not None and self.now[0] is Safety.SAFE and self.safety is not Safety.SAFE
 

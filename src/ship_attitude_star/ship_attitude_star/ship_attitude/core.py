@@ -111,8 +111,8 @@ class ShipAttitudeCore:
             decided=self._note_used,
             on_commit=closed,
         )
-        self._shell: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
-        self._shell = EstimatorShell(
+        self._estimator: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
+        self._estimator = EstimatorShell(
             model, self.filter.initial_state(), config.lag_s, self._max_gap_ns + self._stamp_reach_ns
         )
         self.reset()
@@ -132,7 +132,7 @@ class ShipAttitudeCore:
     def reset(self, clock_jumped: bool = False) -> None:
         """Discard all measurements. After a jump of the clock, outputs may start again at earlier times."""
         initial, _ = self._initial()
-        self._shell.reset(initial, clock_jumped)
+        self._estimator.reset(initial, clock_jumped)
         if self._watch is not None:
             self._watch.reset()
         if self.vertical is not None:
@@ -151,7 +151,7 @@ class ShipAttitudeCore:
             # They may have been excluded for an error of UTC.
             state = self.filter.fault_detector.restart_subfilters(state)
         state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
-        self._shell.step_time_base(state, step_ns)
+        self._estimator.step_time_base(state, step_ns)
         if self._watch is not None:
             self._watch.step_time_base(step_ns)
         if self.vertical is not None:
@@ -183,8 +183,8 @@ class ShipAttitudeCore:
             arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
             estimate: False if no attitude is needed, as in a Monte Carlo run.
         """
-        if sample.time_ns < self._shell.window.oldest_ns:
-            return AttitudeOutcome(self._shell.window.late(sample.time_ns))
+        if sample.time_ns < self._estimator.window.oldest_ns:
+            return AttitudeOutcome(self._estimator.window.late(sample.time_ns))
         outcome = AttitudeOutcome()
         judged = self._plausibility.ins.check(sample, self._track, self._plausibility.motion_references)
         return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
@@ -208,7 +208,7 @@ class ShipAttitudeCore:
         newest, before = self._track.newest, self._track.recent_rates()
         if newest is None or before is None or self._ins_arrival_ns is None:
             return None
-        if not (newest.time_ns < first_ns and self._shell.follows(first_ns)):
+        if not (newest.time_ns < first_ns and self._estimator.follows(first_ns)):
             return None
         # No sample after a gap, after an INS timeout, or one that may arrive too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
@@ -228,22 +228,22 @@ class ShipAttitudeCore:
     def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
         while batch.committed_count < stop:
-            if self._shell.is_idle:
+            if self._estimator.is_idle:
                 end = stop
                 self._track.extend(batch.samples[batch.committed_count : end])
-                self._shell.advance_to(batch.samples[end - 1].time_ns)
+                self._estimator.advance_to(batch.samples[end - 1].time_ns)
             else:
                 # A pending measurement may need this sample.
                 end, outcome = batch.committed_count + 1, AttitudeOutcome()
-                self._shell.add_sample(INS, self._track, batch.samples[batch.committed_count], outcome)
+                self._estimator.add_sample(INS, self._track, batch.samples[batch.committed_count], outcome)
                 if outcome.decisions or outcome.failures:
                     batch.pending_outcomes.append((batch.committed_count, outcome))
             contradiction_texts = None
-            if self._shell.contradictions:
+            if self._estimator.contradictions:
                 contradiction_texts = [self._contradiction_text(sample.time_ns) for sample in batch.samples[batch.committed_count : end]]
-            batch.commit(self._shell.state_now, end, contradiction_texts)
+            batch.commit(self._estimator.state_now, end, contradiction_texts)
             self._ins_arrival_ns = int(batch.arrivals_ns[end - 1])
-            self._shell.was_put_out(batch.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
+            self._estimator.was_put_out(batch.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
             self._plausibility.ins.by_rates = batch.checked.by_rates(end - 1)
 
     def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
@@ -267,21 +267,21 @@ class ShipAttitudeCore:
             # The rates are faulty. Measurements evaluated with them are evaluated again without rates.
             changed_after_ns = self._track.forget_rates(judged.rates_wrong_after_ns)
             if changed_after_ns is not None:
-                self._shell.data_changed(changed_after_ns)
-                self._shell.apply(outcome)
+                self._estimator.data_changed(changed_after_ns)
+                self._estimator.apply(outcome)
         if judged.noise is not None:
             # Measurements since then are evaluated again with the measured noise of the samples.
             since_ns = self._track.add_noise(judged.noise)
-            self._shell.add_jump(self.filter.change_effective_ns(judged.noise), INS, judged.noise, since_ns)
-            self._shell.apply(outcome)
+            self._estimator.add_jump(self.filter.change_effective_ns(judged.noise), INS, judged.noise, since_ns)
+            self._estimator.apply(outcome)
         self._ins_jumps.extend(judged.jumps)
         for jump in judged.jumps:
-            self._shell.add_jump(self.filter.change_effective_ns(jump), INS, jump, self._track.cut(jump.time_ns))
+            self._estimator.add_jump(self.filter.change_effective_ns(jump), INS, jump, self._track.cut(jump.time_ns))
         if judged.rejection is not None:
             outcome.rejection = judged.rejection
-            self._shell.add_rejected(INS, self._track, judged.sample)
+            self._estimator.add_rejected(INS, self._track, judged.sample)
             return outcome
-        if not self._shell.add_sample(INS, self._track, judged.sample, outcome):
+        if not self._estimator.add_sample(INS, self._track, judged.sample, outcome):
             return outcome
         # Propagation by a clock offset needs the rate. Without a rate no attitude is published for the sample.
         if self._track.newest is judged.sample and (self._track.newest_rate_known or self.state.time_ns is None):
@@ -291,7 +291,7 @@ class ShipAttitudeCore:
                 def by_ins(state: FilterState) -> AttitudeEstimate:
                     return self._estimate_by_newest_ins(state, time_ns)
 
-                self._shell.put_out(outcome, time_ns, arrival_ns, by_ins, self._ins_timeout_ns)
+                self._estimator.put_out(outcome, time_ns, arrival_ns, by_ins, self._ins_timeout_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
@@ -299,30 +299,30 @@ class ShipAttitudeCore:
         outcome = AttitudeOutcome()
         if self._watch is not None:
             outcome.rejection = self._watch.surroundings.rejection(sky_input)
-            self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
+            self._estimator.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
             changed_after_ns = self._watch.surroundings.insert(sky_input)
             # A plain AttitudeMeasurement does not depend on the sky model; its subclass SolvedAttitude does.
             self._reevaluate(changed_after_ns, lambda used: type(used) is not AttitudeMeasurement)
         if self.vertical is not None and isinstance(sky_input, PositionFix):
             if self._watch is None:
                 outcome.rejection = self.vertical.rejection(sky_input)
-                self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
+                self._estimator.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
             self._reevaluate(self.vertical.insert(sky_input), lambda _used: True)
-        self._shell.apply(outcome)
+        self._estimator.apply(outcome)
         return outcome
 
     def add_deflection(self, reading: DeflectionReading) -> AttitudeOutcome:
         """Add a deflection of the vertical; measurements after its stamp are evaluated again."""
         assert self.vertical is not None
         outcome = AttitudeOutcome(self.vertical.rejection(reading))
-        self._shell.contradictions.note(reading.source, reading.time_ns, outcome.rejection)
+        self._estimator.contradictions.note(reading.source, reading.time_ns, outcome.rejection)
         self._reevaluate(self.vertical.insert(reading), lambda _used: True)
-        self._shell.apply(outcome)
+        self._estimator.apply(outcome)
         return outcome
 
     def contest(self, source: str, text: str) -> None:
         """Record that two publishers send as a source; an empty text ends it."""
-        self._shell.contradictions.contest(source, self._shell.window.newest_ns, text)
+        self._estimator.contradictions.contest(source, self._estimator.window.newest_ns, text)
 
     def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
         """Add a measurement of a star sensor, another attitude system or a baseline.
@@ -331,13 +331,13 @@ class ShipAttitudeCore:
             measurement: an attitude, single stars or a baseline.
             arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
         """
-        if measurement.time_ns < self._shell.window.oldest_ns:
-            return AttitudeOutcome(self._shell.window.late(measurement.time_ns))
+        if measurement.time_ns < self._estimator.window.oldest_ns:
+            return AttitudeOutcome(self._estimator.window.late(measurement.time_ns))
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
         outcome = AttitudeOutcome(self._plausibility.check(measurement, self._track))
-        if outcome.rejection is not None or not self._shell.add(measurement, outcome):
+        if outcome.rejection is not None or not self._estimator.add(measurement, outcome):
             return outcome
-        if self._shell.follows(measurement.time_ns) and self._may_carry(measurement.source):
+        if self._estimator.follows(measurement.time_ns) and self._may_carry(measurement.source):
             self._newest_star = measurement, arrival_ns
         self._carry(outcome, arrival_ns)
         return outcome
@@ -351,9 +351,9 @@ class ShipAttitudeCore:
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = AttitudeOutcome()
-        self._shell.tick(now_ns, outcome)
+        self._estimator.tick(now_ns, outcome)
         self._carry(outcome, waiting_ns)
-        self._shell.say_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
+        self._estimator.say_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
@@ -406,7 +406,7 @@ class ShipAttitudeCore:
     @property
     def state(self) -> FilterState:
         """State of the filter after the last applied measurement."""
-        return self._shell.state
+        return self._estimator.state
 
     # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
 
@@ -439,7 +439,7 @@ class ShipAttitudeCore:
             second.vertical = self.vertical.twin()
             second.filter = second.filter_class(second.config, second.vertical)
         state = start_from_memory(second.filter, memory, self.state)
-        second._shell.reset(state)
+        second._estimator.reset(state)
         second._begin(state)
         return second
 
@@ -455,7 +455,7 @@ class ShipAttitudeCore:
 
     def propagate_memory(self, memory: FilterState, jumps: Sequence[InsJump]) -> FilterState:
         """Return a stored state propagated to the oldest time that measurements may still have."""
-        return propagate_memory(self.filter, memory, jumps, self._shell.window.oldest_ns)
+        return propagate_memory(self.filter, memory, jumps, self._estimator.window.oldest_ns)
 
     def memory_residuals(self, decision: AttitudeDecision, memory: FilterState) -> Mapping[str, MemoryResidual]:
         """Return the residual of a star measurement against a stored state; empty for other measurements."""
@@ -471,12 +471,12 @@ class ShipAttitudeCore:
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return the sources of which no measurement was accepted recently."""
-        since_ns, used_ns = self._shell.window.newest_ns - MAX_MEASUREMENT_AGE_NS, self.state.used_ns
+        since_ns, used_ns = self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS, self.state.used_ns
         return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
 
     def take_over_outputs(self, live: "ShipAttitudeCore") -> None:
         """Continue the outputs of another estimator."""
-        self._shell.continue_outputs(live._shell)
+        self._estimator.continue_outputs(live._estimator)
 
     @property
     def rates(self) -> RateStatus:
@@ -522,7 +522,7 @@ class ShipAttitudeCore:
         if self._watch is not None:
             self._watch.surroundings.drop_before(time_ns)
         if self.vertical is not None:
-            state_ns = self._shell.oldest_state.time_ns
+            state_ns = self._estimator.oldest_state.time_ns
             self.vertical.drop_before(time_ns, asked_since_ns if state_ns is None else min(asked_since_ns, state_ns))
 
     def _asked_since_ns(self, closed_ns: int) -> int:
@@ -532,7 +532,7 @@ class ShipAttitudeCore:
     def _reevaluate(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
         """Evaluate the affected measurements after a time again; None: no change."""
         if changed_after_ns is not None:
-            self._shell.rewind_where(
+            self._estimator.rewind_where(
                 lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
             )
 
@@ -563,15 +563,15 @@ class ShipAttitudeCore:
 
     def _contradiction_text(self, time_ns: int) -> str:
         """Return a text about the sources in use that recently contradicted themselves; empty for none."""
-        if not self._shell.contradictions:
+        if not self._estimator.contradictions:
             return ""
         used_ns, devices = self.state.used_ns, self.filter.devices
         contradictory = [
             source
-            for source, since_ns in self._shell.contradictions.at(time_ns).items()
+            for source, since_ns in self._estimator.contradictions.at(time_ns).items()
             if source not in devices or used_ns.get(source, since_ns - 1) >= since_ns
         ]
-        return self._shell.contradictions.text(contradictory)
+        return self._estimator.contradictions.text(contradictory)
 
     def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """Without INS samples, publish the attitude by the newest star measurement once, within 1 s of its arrival."""
@@ -588,7 +588,7 @@ class ShipAttitudeCore:
                 self.filter, self.state, attitude, self.config.horizon
             )
 
-        self._shell.put_out(outcome, measurement.time_ns, waiting_ns, by_star)
+        self._estimator.put_out(outcome, measurement.time_ns, waiting_ns, by_star)
 
     def _is_ins_timed_out(self, waiting_ns: int) -> bool:
         """True if the last accepted INS sample is older than ``ins.silence_s``."""

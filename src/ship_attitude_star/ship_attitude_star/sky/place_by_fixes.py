@@ -128,10 +128,10 @@ class PlaceByFixes:
         conflict_ns = self._fixes.conflict_changed_ns
         told_ns = [] if conflict_ns is None else [conflict_ns + self._delay_ns - 1]
         if changed_ns is not None:
-            told_ns.append(self._after_change(changed_ns))
+            told_ns.append(self._last_unchanged_ns(changed_ns))
         return min(told_ns, default=None)
 
-    def _after_change(self, changed_ns: int) -> int:
+    def _last_unchanged_ns(self, changed_ns: int) -> int:
         """Return the time after which results may differ if the accepted fixes differ from a stamp on."""
         times, index = self._fixes.times, bisect.bisect_left(self._fixes.times, changed_ns)
         if index < 2:

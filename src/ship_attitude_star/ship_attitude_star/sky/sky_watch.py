@@ -38,7 +38,7 @@ The ship's position has two columns, one for each of the independent errors of :
 EARTH_ROTATION_RATE = 15.041 * ARCSEC
 """Rotation of the sky per second of UT1, rad."""
 
-_MOMENTS_KEPT = 256
+_MAX_CACHED_TIMES = 256
 _STARS_KEPT = 4
 """Number of star sets cached per time: sensors that expose together share the time."""
 
@@ -86,7 +86,7 @@ class BrightStars:
 
 
 @dataclass(frozen=True)
-class SkyMoment:
+class LocalSky:
     """The sky over the ship at one time; created by :meth:`SkyModel.sky_at`.
 
     Results are cached, so that an exposure that is applied again gets the same arrays.
@@ -204,7 +204,7 @@ class SkyWatch:
     def reset(self) -> None:
         """Drop all fixes and readings of the air."""
         self.surroundings = Surroundings(self._config)
-        self._moments: dict[int, SkyMoment] = {}
+        self._sky_by_time: dict[int, LocalSky] = {}
 
     def twin(self, with_surroundings: bool) -> "SkyWatch":
         """Return the same model for another estimator, with a copy of the surroundings or with empty ones."""
@@ -217,11 +217,11 @@ class SkyWatch:
     def step_time_base(self, step_ns: int) -> None:
         """Shift fixes and readings of the air by a step of their clocks."""
         self.surroundings.step_time_base(step_ns)
-        self._moments.clear()
+        self._sky_by_time.clear()
 
-    def at(self, time_ns: int) -> SkyMoment | Rejection:
+    def at(self, time_ns: int) -> LocalSky | Rejection:
         """Return the sky at a time, or the rejection: NO_EARTH_ORIENTATION or NO_FIX."""
-        found, known = self.surroundings.at(time_ns), self._moments.get(time_ns)
+        found, known = self.surroundings.at(time_ns), self._sky_by_time.get(time_ns)
         if known is not None and not isinstance(found, Rejection) and known.place is found[0] and known.air is found[1]:
             return known
         reason = self._table.reason_against(time_ns)
@@ -230,7 +230,7 @@ class SkyWatch:
         if isinstance(found, Rejection):
             return found
         place, air = found
-        moment = self._moments[time_ns] = SkyMoment(
+        moment = self._sky_by_time[time_ns] = LocalSky(
             time_ns=time_ns,
             place=place,
             air=air,
@@ -240,8 +240,8 @@ class SkyWatch:
             utc_sigma_s=self._config.utc_sigma_s,
             bright=self._bright,
         )
-        if len(self._moments) > _MOMENTS_KEPT:
-            del self._moments[next(iter(self._moments))]
+        if len(self._sky_by_time) > _MAX_CACHED_TIMES:
+            del self._sky_by_time[next(iter(self._sky_by_time))]
         return moment
 
 

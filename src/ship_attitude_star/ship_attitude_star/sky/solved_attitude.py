@@ -16,7 +16,7 @@ u uᵀ C / (uᵀ C u) is the covariance C conditioned on u.
 import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
-from ship_attitude_star.sky.sky_watch import SkyMoment
+from ship_attitude_star.sky.sky_watch import LocalSky
 from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import FloatArray
 
@@ -30,7 +30,7 @@ At boresight elevation 45° the ratio is 1.4 for stars 10° lower, at 25° for s
 """
 
 
-def separate_shared_errors(solved: SolvedAttitude, moment: SkyMoment) -> AttitudeMeasurement:
+def separate_shared_errors(solved: SolvedAttitude, moment: LocalSky) -> AttitudeMeasurement:
     """Return the attitude with ``shared_n``; its noise and common error no longer contain these errors.
 
     Where the message states noise and total error separately, the shared errors are part of the difference. Where it
@@ -61,7 +61,7 @@ def separate_shared_errors(solved: SolvedAttitude, moment: SkyMoment) -> Attitud
     )
 
 
-def _lift(rotation_ns: FloatArray, moment: SkyMoment) -> tuple[FloatArray, float]:
+def _lift(rotation_ns: FloatArray, moment: LocalSky) -> tuple[FloatArray, float]:
     """Return the axis about which refraction rotates the boresight upwards, and the error of refraction there, rad.
 
     The error is NaN below the elevation range of the refraction model.

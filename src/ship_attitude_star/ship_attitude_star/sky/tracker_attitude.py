@@ -14,7 +14,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
-from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
+from ship_attitude_star.sky.sky_watch import LocalSky, SkyWatch
 from ship_attitude_star.sky.solved_attitude import separate_shared_errors
 from ship_estimation.refusals import Rejection
 from ship_geometry.refraction import elevation_of, lifting_axis
@@ -43,7 +43,7 @@ def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> 
     return separate_shared_errors(attitude, moment) if isinstance(attitude, SolvedAttitude) else _turned(attitude, moment)
 
 
-def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasurement | Rejection:
+def _turned(inertial: InertialAttitude, moment: LocalSky) -> AttitudeMeasurement | Rejection:
     """Convert an attitude against the ICRS into the horizon."""
     field = inertial.field
     bare_ns = moment.rotation_horizon_from_icrs() @ inertial.rotation_cs
@@ -70,7 +70,7 @@ def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasuremen
 
 
 def _over_the_field(
-    field: FieldOfView, moment: SkyMoment, elevation: float, angle: float, forward: FloatArray
+    field: FieldOfView, moment: LocalSky, elevation: float, angle: float, forward: FloatArray
 ) -> tuple[float, FloatArray]:
     """Return the effect of refraction on the attitude in addition to raising the boresight by ``angle``.
 

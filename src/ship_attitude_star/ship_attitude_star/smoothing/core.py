@@ -90,7 +90,7 @@ class SmoothingCore(ShipAttitudeCore):
         """Restart smoothing from now; pending smoothed attitudes are discarded."""
         self._closed.clear()
         self._told.clear()
-        oldest = self._shell.oldest_state
+        oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
         self._chain: Chain[VerticalHere | None] = Chain(self._between(), oldest)
 
@@ -120,11 +120,11 @@ class SmoothingCore(ShipAttitudeCore):
         self._closed.clear()
         if self._lag_ns is None:
             return []
-        return self._smoothed_until(min(self._shell.window.newest_ns - self._lag_ns, self._closed_ns))
+        return self._smoothed_until(min(self._estimator.window.newest_ns - self._lag_ns, self._closed_ns))
 
     def smoothed_to_the_end(self) -> Iterator[AttitudeEstimate]:
         """Yield all remaining attitudes smoothed with all measurements; no input may follow."""
-        self._take([*self._closed, *self._shell.states_in_window()])
+        self._take([*self._closed, *self._estimator.states_in_window()])
         self._closed.clear()
         while self._told:
             last = self._told[min(len(self._told), _AT_ONCE) - 1]

@@ -280,7 +280,7 @@ class InsMotion:
         """Return the INS stamps (ns) whose attitudes make up the rotation from an exposure, each with its weight."""
         middle_ns, length = exposure.time_ns - self._offset_ns, exposure.length
         if length is not None and exposure.smear_s is not None:
-            return [*length.nodes.moments(middle_ns), (to_ns - self._offset_ns, -1.0)]
+            return [*length.nodes.times_and_weights(middle_ns), (to_ns - self._offset_ns, -1.0)]
         if to_ns == exposure.time_ns:
             return []
         return [(middle_ns, 1.0), (to_ns - self._offset_ns, -1.0)]

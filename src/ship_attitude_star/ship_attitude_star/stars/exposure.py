@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import julian_year
-from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
+from ship_attitude_star.sky.sky_watch import LocalSky, SkyWatch
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
 from ship_attitude_star.stars.chance import WRONG_NAMES
 from ship_attitude_star.stars.fit import SightedStars
@@ -304,7 +304,7 @@ def visible_stars(
 
 
 def identified(
-    exposure: StarExposure, prior: StarPrior, moment: SkyMoment
+    exposure: StarExposure, prior: StarPrior, moment: LocalSky
 ) -> tuple[StarExposure, dict[int, Rejection]]:
     """Identify the stars of an exposure that have no identity, where possible.
 
@@ -366,7 +366,7 @@ def _identification_rejection(nearest: float, fitting: int, behind: str) -> Reje
 
 
 def _filled(
-    exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], moment: SkyMoment
+    exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], moment: LocalSky
 ) -> StarExposure:
     """Return the exposure with the catalogue stars ``chosen`` in its rows ``rows``."""
     catalogue = moment.bright.catalogue

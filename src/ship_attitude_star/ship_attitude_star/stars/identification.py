@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_watch import SkyMoment
+from ship_attitude_star.sky.sky_watch import LocalSky
 from ship_attitude_star.stars.chance import GATE_PROBABILITY
 from ship_attitude_star.stars.selection import StarPrior, across, distance
 from ship_estimation.gates import chi_square_gate
@@ -60,7 +60,7 @@ def candidates(
     magnitude: FloatArray,
     smear_s: FloatArray | None,
     prior: StarPrior,
-    moment: SkyMoment,
+    moment: LocalSky,
     masks: SensorMasks | None = None,
 ) -> Candidates:
     """Return the catalogue stars within the gates of detections.
@@ -96,7 +96,7 @@ def candidates(
     return Candidates(rows, fitting, nearest)
 
 
-def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, moment: SkyMoment) -> float:
+def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, moment: LocalSky) -> float:
     """Return the expected number of catalogue stars in the gate of the detection with the fewest."""
     turned = across(seen_n) @ skew(seen_n)
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
@@ -109,7 +109,7 @@ def _behind(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> ND
     return masks.hide(reference_n @ prior.rotation_nb, _FAR * float(np.sqrt(np.trace(prior.covariance_n))))
 
 
-def _in_field(directions_s: FloatArray, prior: StarPrior, moment: SkyMoment) -> NDArray[np.int64]:
+def _in_field(directions_s: FloatArray, prior: StarPrior, moment: LocalSky) -> NDArray[np.int64]:
     """Return the catalogue rows of the bright stars that may be in the field of these detections."""
     centre_s = np.mean(directions_s, axis=0)
     centre_s /= np.linalg.norm(centre_s)

@@ -84,8 +84,8 @@ def permissions_text(
     grant = ET.SubElement(ET.SubElement(root, "permissions"), "grant", name=rights.enclave)
     ET.SubElement(grant, "subject_name").text = f"CN={rights.enclave}"
     validity = ET.SubElement(grant, "validity")
-    for name, moment in (("not_before", not_before), ("not_after", not_after)):
-        ET.SubElement(validity, name).text = moment.strftime("%Y-%m-%dT%H:%M:%S")
+    for name, time in (("not_before", not_before), ("not_after", not_after)):
+        ET.SubElement(validity, name).text = time.strftime("%Y-%m-%dT%H:%M:%S")
     rule = ET.SubElement(grant, "allow_rule")
     _add_domain(rule, domain_id)
     for action, names in (("publish", published(rights)), ("subscribe", subscribed(rights))):

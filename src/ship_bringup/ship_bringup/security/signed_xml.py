@@ -169,8 +169,8 @@ def read_permissions(file: SignedFile) -> Permissions:
     fingerprint = re.search(rf"<!-- {FINGERPRINT} ([0-9a-f]{{64}}) -->", file.text)
     return Permissions(
         subject=_text(grant, "subject_name", file),
-        not_before=_moment(grant, "validity/not_before", file),
-        not_after=_moment(grant, "validity/not_after", file),
+        not_before=_read_time(grant, "validity/not_before", file),
+        not_after=_read_time(grant, "validity/not_after", file),
         fingerprint=fingerprint[1] if fingerprint else "",
         rules=tuple(_rules(grant)),
         is_open=_text(grant, "default", file) != "DENY",
@@ -226,11 +226,11 @@ def _text(grant: ET.Element, key: str, file: SignedFile) -> str:
     return text.strip()
 
 
-def _moment(grant: ET.Element, key: str, file: SignedFile) -> datetime.datetime:
+def _read_time(grant: ET.Element, key: str, file: SignedFile) -> datetime.datetime:
     text = _text(grant, key, file)
     try:
-        moment = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
+        time = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
     except ValueError as problem:
         reason = f"{key} is '{text}': expected a date as 2026-05-01T00:00:00"
         raise BadInput(reason, file=file.path, line=file.line_of(text)) from problem
-    return moment if moment.tzinfo else moment.replace(tzinfo=datetime.timezone.utc)
+    return time if time.tzinfo else time.replace(tzinfo=datetime.timezone.utc)

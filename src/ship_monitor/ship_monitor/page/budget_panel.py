@@ -24,7 +24,7 @@ from ship_monitor.page.figures import (
 )
 from ship_monitor.page.marking import is_budget_part_of, with_mark
 from ship_monitor.page.themes import FONT, Theme
-from ship_monitor.page.trails import TimePlots, Trail
+from ship_monitor.page.trails import TimeAxis, Trail
 from ship_watch.history import KEPT_S, BudgetPoint, History
 from ship_watch.picture import ANGLES
 
@@ -47,7 +47,7 @@ class BudgetPanel:
         chosen_angle: angle chosen by the user; empty for none.
     """
 
-    def __init__(self, theme: Theme, times: TimePlots) -> None:
+    def __init__(self, theme: Theme, times: TimeAxis) -> None:
         self._theme = theme
         self._times = times
         self.angle = self.chosen = self._marked = ""

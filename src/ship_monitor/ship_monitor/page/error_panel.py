@@ -11,7 +11,7 @@ from ship_monitor.page.curves import fixed_step
 from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, frame, hover, empty_time_plot
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.trails import BAND, TimePlots, Trail, band
+from ship_monitor.page.trails import BAND, TimeAxis, Trail, band
 from ship_watch.history import ErrorPoint, History, newer
 
 CHANNELS: Mapping[tuple[str, str], str] = {
@@ -46,7 +46,7 @@ class ErrorPanel:
         plots: plots, one for each angle.
     """
 
-    def __init__(self, theme: Theme, times: TimePlots) -> None:
+    def __init__(self, theme: Theme, times: TimeAxis) -> None:
         self.box = PanelBox(theme, "Error inside ±3σ", [])
         self.plots: GrowingRows[tuple[str, str], _ErrorRow] = GrowingRows(
             self.box, lambda key, is_last: _ErrorRow(theme, times, key, has_axis=is_last)
@@ -72,7 +72,7 @@ class ErrorPanel:
 class _ErrorRow:
     """Plot of one angle."""
 
-    def __init__(self, theme: Theme, times: TimePlots, key: tuple[str, str], *, has_axis: bool) -> None:
+    def __init__(self, theme: Theme, times: TimeAxis, key: tuple[str, str], *, has_axis: bool) -> None:
         self._theme, self._channel, self._title = theme, key[1], CHANNELS[key]
         self._height = Range1d(-15.0, 15.0)
         self.figure = empty_time_plot(theme, times, 88 if has_axis else 66, self._height, has_axis=has_axis)

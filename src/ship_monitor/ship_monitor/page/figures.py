@@ -27,7 +27,7 @@ from bokeh.plotting import figure
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import fixed_step
 from ship_monitor.page.themes import FONT, Theme
-from ship_monitor.page.trails import TimePlots
+from ship_monitor.page.trails import TimeAxis
 
 ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
 """Arcseconds in a radian."""
@@ -77,7 +77,7 @@ def empty_plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **
     return made
 
 
-def empty_time_plot(theme: Theme, times: TimePlots, height: int, y_range: Range1d, *, has_axis: bool) -> figure:
+def empty_time_plot(theme: Theme, times: TimeAxis, height: int, y_range: Range1d, *, has_axis: bool) -> figure:
     """Return an empty plot with the shared time axis; a double click returns to live."""
     made = empty_plot(theme, height, times.range, y_range, x_axis_type="datetime")
     made.on_event("doubletap", lambda _event: times.go_live())

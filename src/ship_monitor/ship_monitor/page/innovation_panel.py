@@ -24,7 +24,7 @@ from ship_monitor.page.figures import (
 )
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.trails import BAND, MS, TimePlots, Trail, band
+from ship_monitor.page.trails import BAND, MS, TimeAxis, Trail, band
 from ship_watch.history import History, InnovationPoint, newer
 from ship_watch.picture import Picture, Presence, SourceShown
 
@@ -45,7 +45,7 @@ class InnovationPanel:
         plots: plots, one for each source.
     """
 
-    def __init__(self, theme: Theme, times: TimePlots) -> None:
+    def __init__(self, theme: Theme, times: TimeAxis) -> None:
         self.box = PanelBox(theme, "Innovations by source", [])
         self.plots: GrowingRows[str, _SourceRow] = GrowingRows(
             self.box, lambda name, is_last: _SourceRow(theme, times, name, has_axis=is_last)
@@ -75,7 +75,7 @@ class InnovationPanel:
 class _SourceRow:
     """Plot of one source."""
 
-    def __init__(self, theme: Theme, times: TimePlots, name: str, *, has_axis: bool) -> None:
+    def __init__(self, theme: Theme, times: TimeAxis, name: str, *, has_axis: bool) -> None:
         self._theme, self._name = theme, name
         self._height = Range1d(-15.0, 15.0)
         self.figure = empty_time_plot(theme, times, 150 if has_axis else 128, self._height, has_axis=has_axis)

@@ -72,7 +72,7 @@ def band(sigma: FloatArray) -> dict[str, FloatArray]:
     return {"low": -3.0 * sigma, "high": 3.0 * sigma, "edge_low": -3.0 * sigma, "edge_high": 3.0 * sigma}
 
 
-class TimePlots:
+class TimeAxis:
     """Common time axis of all plots of a page: the last ten minutes, unless the user zooms.
 
     Args:

@@ -117,7 +117,7 @@ class SavedStart(Generic[Prior]):
             return _NEVER_NS
         return 0 if self._looked_ns is None else self._looked_ns + round(period_s * 1e9)
 
-    def is_time(self, waiting_ns: int, period_s: float) -> bool:
+    def is_autosave_time(self, waiting_ns: int, period_s: float) -> bool:
         """Return True if the node should save automatically now: once a period, never with period 0."""
         if waiting_ns < self.next_look_ns(period_s):
             return False

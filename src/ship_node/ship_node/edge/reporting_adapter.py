@@ -489,7 +489,7 @@ class ReportingAdapter(ABC):
 
     def _save_by_itself(self, waiting_ns: int) -> None:
         """Save what the core has learned, once a period, while the output is VALID and undisputed."""
-        if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
+        if self.saved is None or not self.saved.is_autosave_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict or excluded may have biased the state before its rejection.
         is_suspect = self.conflicts or (self.published_levels.report is not None and self.published_levels.report.excluded)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from ship_node.edge.overload import Overload
 from ship_node.live.node_clock import TimeoutClock
 
-LONG_WAIT_NS = 1_000_000_000
+LONG_QUEUE_TIME_NS = 1_000_000_000
 """Waiting time that is long, ns.
 
 With :data:`BEHIND_AFTER_NS` it stays within the default ``lag_s``, so that outputs are not late at the next node."""
@@ -73,7 +73,7 @@ class Backlog:
         """
         self._running_ns = running_ns
         worked_ns = self._worked.now_ns(0)
-        if waited_ns < LONG_WAIT_NS or self._last_short_ns is None:
+        if waited_ns < LONG_QUEUE_TIME_NS or self._last_short_ns is None:
             self._last_short_ns = worked_ns
         if waited_ns > LONGEST_WAIT_NS or worked_ns - self._last_short_ns > WORKED_NS:
             self._last_short_ns = worked_ns

@@ -104,7 +104,7 @@ class LiveNode:
         self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()}, lasting)
         self._backlog = Backlog(time.monotonic_ns)
         # Messages received from now on have arrived after this time, by the clock of waiting times.
-        self._all_received_ns = 0
+        self._queue_empty_ns = 0
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         # The path of the black box is logged already; it differs from the parameter if a black box existed.
@@ -119,10 +119,10 @@ class LiveNode:
 
     def spin(self, stop: Callable[[], bool]) -> None:
         """Run until ``stop()`` returns True or the context ends."""
-        self._all_received_ns = self._clock.running_ns()
+        self._queue_empty_ns = self._clock.running_ns()
         while not stop() and self._context.ok():
             if self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S):
-                self._all_received_ns = self._clock.running_ns()
+                self._queue_empty_ns = self._clock.running_ns()
             self._guard.call("backlog", self._check_backlog)
             self._guard.call("work", self._work)
             if self._clock.is_dead() and not self._status_log.tells_of("clock"):
@@ -201,7 +201,7 @@ class LiveNode:
         data, information = message
         now_ns, waiting_ns = self._clock.times()
         # An EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception.
-        self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, self._all_received_ns, self._clock.stepped_ns))
+        self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
         are_two = self._senders[topic].came(information["publication_sequence_number"], time.monotonic_ns())
         if are_two and topic not in self._contested:
             self._look_at_publishers(topic)
@@ -299,7 +299,7 @@ class LiveNode:
         self._clock.reset()
         self._backlog.restart()
         self._inbox.keeps_up()
-        self._all_received_ns = self._clock.running_ns()
+        self._queue_empty_ns = self._clock.running_ns()
         now_ns, waiting_ns = self._clock.times()
         self._log.warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: restarting")
         self._grid.restart(waiting_ns)

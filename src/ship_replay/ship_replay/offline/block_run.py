@@ -22,7 +22,7 @@ from ship_node.edge.blocks import StampArray
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
-from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicBlock, read_ahead
+from ship_replay.offline.node_pass import InputEvent, NodePass, Passed, TopicBlock, read_ahead
 from ship_replay.offline.ordered_output import ManySink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import StatusHistory
@@ -64,67 +64,67 @@ class BlockRun(ReplayRun):
     def _take_waiting(self) -> None:
         """Process the buffered messages by one node after another, then write the outputs."""
         records, self._waiting = self._waiting, []
-        moments, of_moment = self._moments(records)
-        rows = self._topic_blocks(moments, of_moment)
-        self._note(moments, of_moment, rows)
+        events, event_records = self._events(records)
+        rows = self._topic_blocks(events, event_records)
+        self._note(events, event_records, rows)
         passed: list[Passed] = []
         for adapter, taken in zip(self._chain.adapters, self._chain.taken, strict=True):
-            given = self._given(adapter, passed, taken, moments) if self._chain.linked else {}
-            passed.append(NodePass(adapter, taken, moments, rows, given).run())
-            self._add_message_batches(len(passed) - 1, passed[-1], moments)
-        self._hand_on(moments, of_moment, passed, self._truth(moments, of_moment))
+            given = self._given(adapter, passed, taken, events) if self._chain.linked else {}
+            passed.append(NodePass(adapter, taken, events, rows, given).run())
+            self._add_message_batches(len(passed) - 1, passed[-1], events)
+        self._hand_on(events, event_records, passed, self._truth(events, event_records))
         self._output.flush()
 
     # -- what goes in ---------------------------------------------------------------------------------------
 
-    def _moments(self, records: list[tuple[str, BagRecord]]) -> tuple[list[Moment], list[BagRecord | None]]:
+    def _events(self, records: list[tuple[str, BagRecord]]) -> tuple[list[InputEvent], list[BagRecord | None]]:
         """Return the ticks and messages of a batch, and the record of each message."""
-        moments: list[Moment] = []
-        of_moment: list[BagRecord | None] = []
+        events: list[InputEvent] = []
+        event_records: list[BagRecord | None] = []
         for topic, record in records:
             ticks_ns = self._tick_times_ns(record.log_time_ns)
-            moments += map(Moment, ticks_ns)
-            moments.append(Moment(record.log_time_ns, topic))
-            of_moment += [None] * len(ticks_ns) + [record]
-        return moments, of_moment
+            events += map(InputEvent, ticks_ns)
+            events.append(InputEvent(record.log_time_ns, topic))
+            event_records += [None] * len(ticks_ns) + [record]
+        return events, event_records
 
-    def _topic_blocks(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[str, TopicBlock]:
+    def _topic_blocks(self, events: list[InputEvent], event_records: list[BagRecord | None]) -> dict[str, TopicBlock]:
         """Return the messages of topics that may be processed in blocks; all others are decoded."""
         blocks = self._chain.topics_in_blocks()
         places: dict[str, list[int]] = defaultdict(list)
-        for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
-            if moment.topic in blocks:
-                places[moment.topic].append(place)
-            elif record is not None and not moment.topic.startswith(TRUTH_PREFIX):
-                self._decode(moment, record)
+        for place, (event, record) in enumerate(zip(events, event_records, strict=True)):
+            if event.topic in blocks:
+                places[event.topic].append(place)
+            elif record is not None and not event.topic.startswith(TRUTH_PREFIX):
+                self._decode(event, record)
         rows = {}
         for topic, of_topic in places.items():
-            records = [record for place in of_topic if (record := of_moment[place]) is not None]
+            records = [record for place in of_topic if (record := event_records[place]) is not None]
             messages = self._laid_out(records)
             if messages is not None:
                 times_ns = np.array([record.log_time_ns for record in records])
                 rows[topic] = TopicBlock(messages, times_ns, np.array(of_topic))
                 continue
             for place, record in zip(of_topic, records, strict=True):
-                self._decode(moments[place], record)
+                self._decode(events[place], record)
         return rows
 
-    def _truth(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[int, AttitudeSample | None]:
+    def _truth(self, events: list[InputEvent], event_records: list[BagRecord | None]) -> dict[int, AttitudeSample | None]:
         """Return event index → sample of the truth, where truth messages are read as a block."""
         found: dict[int, AttitudeSample | None] = {}
         for errors in self._errors:
             truth_topic = errors.orientation.truth_topic
-            places = [place for place, moment in enumerate(moments) if moment.topic == truth_topic]
-            messages = self._laid_out([record for place in places if (record := of_moment[place]) is not None])
+            places = [place for place, event in enumerate(events) if event.topic == truth_topic]
+            messages = self._laid_out([record for place in places if (record := event_records[place]) is not None])
             if messages is not None:
                 found |= zip(places, errors.orientation.samples(messages), strict=True)
         return found
 
-    def _decode(self, moment: Moment, record: BagRecord) -> None:
+    def _decode(self, event: InputEvent, record: BagRecord) -> None:
         try:
-            moment.message = record.decode()
+            event.message = record.decode()
         except BadInput:
-            self._summary.undecodable[moment.topic] += 1
+            self._summary.undecodable[event.topic] += 1
 
     def _laid_out(self, records: list[BagRecord]) -> CdrRows | None:
         """Return messages as rows; None if they are too few, differ in layout, or have an unknown layout."""
@@ -142,21 +142,21 @@ class BlockRun(ReplayRun):
         rows = np.frombuffer(b"".join([record.data for record in records]), dtype=np.uint8).reshape(len(records), -1)
         return CdrRows(template, rows) if template.fitting(rows).all() else None
 
-    def _note(self, moments: list[Moment], of_moment: list[BagRecord | None], rows: dict[str, TopicBlock]) -> None:
+    def _note(self, events: list[InputEvent], event_records: list[BagRecord | None], rows: dict[str, TopicBlock]) -> None:
         """Add the messages to the statistics of the inputs."""
         for topic, (messages, times_ns, _) in rows.items():
             stamps_ns = stamps_of_rows(messages.numbers)
             self._summary.inputs[topic] += len(times_ns)
             self._summary.times.setdefault(topic, MessageTimes()).add_block(stamps_ns, times_ns)
             self._summary.log_times.add_block(topic, stamps_ns, times_ns)
-        for moment, record in zip(moments, of_moment, strict=True):
-            if moment.message is not None and record is not None:
-                self._note_message(moment.topic, record)
+        for event, record in zip(events, event_records, strict=True):
+            if event.message is not None and record is not None:
+                self._note_message(event.topic, record)
 
     # -- from node to node ----------------------------------------------------------------------------------
 
     def _given(
-        self, adapter: Adapter, passed: list[Passed], taken: Container[str], moments: list[Moment]
+        self, adapter: Adapter, passed: list[Passed], taken: Container[str], events: list[InputEvent]
     ) -> dict[int, list[Published]]:
         """Return event index → messages of earlier nodes on some topics, in order.
 
@@ -168,7 +168,7 @@ class BlockRun(ReplayRun):
                 found += [(place, node, order, message) for message in published if message[0] in taken]
             for rows, places, orders in one.message_batches:
                 if rows.topic in taken:
-                    readings = read_ahead(adapter, rows.topic, rows.messages, _times_ns(moments, places))
+                    readings = read_ahead(adapter, rows.topic, rows.messages, _times_ns(events, places))
                     found += [
                         (place, node, order, (rows.topic, rows.messages.message(number) if read is None else read))
                         for number, (place, order, read) in enumerate(
@@ -180,10 +180,10 @@ class BlockRun(ReplayRun):
             given[place].append(message)
         return given
 
-    def _add_message_batches(self, node: int, passed: Passed, moments: list[Moment]) -> None:
+    def _add_message_batches(self, node: int, passed: Passed, events: list[InputEvent]) -> None:
         """Queue the messages made from a node's estimates."""
         for rows, places, orders in passed.message_batches:
-            self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, _times_ns(moments, places))
+            self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, _times_ns(events, places))
             for errors in self._errors:
                 errors.add_rows(rows)
 
@@ -191,8 +191,8 @@ class BlockRun(ReplayRun):
 
     def _hand_on(
         self,
-        moments: list[Moment],
-        of_moment: list[BagRecord | None],
+        events: list[InputEvent],
+        event_records: list[BagRecord | None],
         passed: list[Passed],
         truth: Mapping[int, AttitudeSample | None],
     ) -> None:
@@ -204,9 +204,9 @@ class BlockRun(ReplayRun):
                 single[place].append(((node << _NODE_BITS) + order, published))
             for run in one.runs:
                 runs[int(run.places[0])].append((run.topic, run.estimates))
-        copied = {place for place, moment in enumerate(moments) if moment.topic.startswith(TRUTH_PREFIX)}
+        copied = {place for place, event in enumerate(events) if event.topic.startswith(TRUTH_PREFIX)}
         waits = self._has_pending_errors
-        for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
+        for place, (moment, record) in enumerate(zip(events, event_records, strict=True)):
             if not waits and place not in single and place not in runs and place not in copied:
                 continue
             for topic, estimates in runs.get(place, ()):
@@ -223,9 +223,9 @@ class BlockRun(ReplayRun):
             waits = self._has_pending_errors
 
 
-def _times_ns(moments: list[Moment], places: StampArray) -> StampArray:
+def _times_ns(events: list[InputEvent], places: StampArray) -> StampArray:
     """Return the times of some events, ns."""
-    return np.array([moments[place].now_ns for place in places.tolist()], dtype=np.int64)
+    return np.array([events[place].now_ns for place in places.tolist()], dtype=np.int64)
 
 
 def _template(record: BagRecord) -> CdrTemplate | None:

@@ -18,7 +18,7 @@ from ship_bags.stamps import NS_PER_S, stamp_of_bytes, utc_text
 from ship_estimation.parameters import flatten
 from theodolite_calib.config import OpticalAxisConfig
 
-_MOST_OF_THE_TIME = 0.5
+_MAJORITY_SHARE = 0.5
 """Share of the time in gaps longer than a limit from which on the configuration is an error."""
 
 _WORTH_SAYING = 0.01
@@ -181,7 +181,7 @@ def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterat
         # All gaps may be shorter than the resolution.
         share = times_s[lengths_s > allowed_s].sum() / max(times_s.sum(), 1e-9)
         if share > _WORTH_SAYING:
-            yield Exceeded(limit, _words(limit, allowed_s, lengths_s, counts, source), share > _MOST_OF_THE_TIME)
+            yield Exceeded(limit, _words(limit, allowed_s, lengths_s, counts, source), share > _MAJORITY_SHARE)
 
 
 def _between_stamps(topic: str, parameter: str, meaning: str) -> GapLimit:
@@ -202,7 +202,7 @@ def _words(limit: GapLimit, allowed_s: float, lengths_s: np.ndarray, counts: np.
     )
 
 
-class LogTimes:
+class LogDelays:
     """Statistics of log time minus stamp by topic, in constant memory."""
 
     def __init__(self) -> None:

@@ -24,7 +24,7 @@ _PATIENCE = 8
 
 
 @dataclass(slots=True)
-class Moment:
+class InputEvent:
     """A tick, or a message of the bag.
 
     Attributes:
@@ -61,7 +61,7 @@ def read_ahead(
     return [None] * len(times_ns)
 
 
-class EstimatesOfMoments(NamedTuple):
+class EstimateBatch(NamedTuple):
     """Estimates of several events; ``orders`` are their positions among the other outputs of the event."""
 
     topic: str
@@ -89,7 +89,7 @@ class Passed:
     """
 
     single: list[tuple[int, int, list[Published]]] = field(default_factory=list)
-    runs: list[EstimatesOfMoments] = field(default_factory=list)
+    runs: list[EstimateBatch] = field(default_factory=list)
     message_batches: list[MessageBatch] = field(default_factory=list)
 
 
@@ -109,11 +109,11 @@ class NodePass:
         self,
         adapter: Adapter,
         taken: Set[str],
-        moments: list[Moment],
+        events: list[InputEvent],
         rows: Mapping[str, TopicBlock],
         given: Mapping[int, list[Published]],
     ) -> None:
-        self._adapter, self._taken, self._moments, self._given = adapter, taken, moments, given
+        self._adapter, self._taken, self._events, self._given = adapter, taken, events, given
         self._rows, self._next = rows, dict.fromkeys(rows, 0)
         self._read = {
             topic: read_ahead(adapter, topic, block.messages, block.times_ns)
@@ -134,23 +134,23 @@ class NodePass:
 
     def run(self) -> Passed:
         """Process all events, then make the messages of the estimates."""
-        for place, moment in enumerate(self._moments):
+        for place, event in enumerate(self._events):
             for topic, message in self._given.get(place, ()):
                 self._handle(place, topic, message)
-            if not moment.topic:
-                self._tick(place, moment.now_ns)
-            elif moment.topic in self._taken:
-                if moment.topic in self._rows:
-                    self._arrive(place, moment)
-                elif moment.message is not None:
-                    self._handle(place, moment.topic, moment.message)
+            if not event.topic:
+                self._tick(place, event.now_ns)
+            elif event.topic in self._taken:
+                if event.topic in self._rows:
+                    self._arrive(place, event)
+                elif event.message is not None:
+                    self._handle(place, event.topic, event.message)
         if self._deferring is not None and self._pending_outputs:
             self._publish_deferred(self._deferring)
         if self._block_adapter is not None and self.passed.runs:
             self._make_messages(self._block_adapter, self.passed.runs)
         return self.passed
 
-    def _make_messages(self, adapter: BatchAdapter, runs: list[EstimatesOfMoments]) -> None:
+    def _make_messages(self, adapter: BatchAdapter, runs: list[EstimateBatch]) -> None:
         places = np.concatenate([run.places for run in runs])
         orders = np.concatenate([run.orders for run in runs])
         for rows in adapter.block_messages([run.estimates for run in runs]):
@@ -171,23 +171,23 @@ class NodePass:
 
     def _handle(self, place: int, topic: str, message: Any) -> None:
         self._commit_arrived()
-        now_ns = self._moments[place].now_ns
+        now_ns = self._events[place].now_ns
         if isinstance(message, ReadMessage):
             assert self._block_adapter is not None
             self._publish(place, self._block_adapter.handle_read(topic, message, now_ns))
         else:
             self._publish(place, self._adapter.handle(topic, message, now_ns))
 
-    def _arrive(self, place: int, moment: Moment) -> None:
+    def _arrive(self, place: int, event: InputEvent) -> None:
         """Process a message of a topic block."""
-        number = self._next[moment.topic]
-        self._next[moment.topic] += 1
-        if self._batch is None and self._block_adapter is not None and self._block_adapter.takes_blocks(moment.topic):
-            self._batch = self._start_batch(self._block_adapter, moment.topic, number)
-        if self._block_adapter is None or self._batch is None or self._batch.topic != moment.topic:
-            reading = self._read[moment.topic][number]
-            message = self._rows[moment.topic].messages.message(number) if reading is None else reading
-            self._handle(place, moment.topic, message)
+        number = self._next[event.topic]
+        self._next[event.topic] += 1
+        if self._batch is None and self._block_adapter is not None and self._block_adapter.takes_blocks(event.topic):
+            self._batch = self._start_batch(self._block_adapter, event.topic, number)
+        if self._block_adapter is None or self._batch is None or self._batch.topic != event.topic:
+            reading = self._read[event.topic][number]
+            message = self._rows[event.topic].messages.message(number) if reading is None else reading
+            self._handle(place, event.topic, message)
             return
         self._arrived += 1
         if self._arrived == self._batch.evaluated.checked.count:
@@ -228,7 +228,7 @@ class NodePass:
                 self.passed.single.append((int(places[part.place]), int(orders[part.place]), part.published))
             if part.estimates is not None:
                 some = slice(part.place, part.place + len(part.estimates.time_ns))
-                run = EstimatesOfMoments(adapter.main_topic, places[some], orders[some] + 1, part.estimates)
+                run = EstimateBatch(adapter.main_topic, places[some], orders[some] + 1, part.estimates)
                 self.passed.runs.append(run)
 
     def _publish_parts(self, parts: list[BatchOutput]) -> None:
@@ -238,5 +238,5 @@ class NodePass:
             if part.estimates is not None:
                 places = self._batch_indices[part.place : part.place + len(part.estimates.time_ns)]
                 orders = np.full(len(places), self._order)
-                self.passed.runs.append(EstimatesOfMoments(self._block_adapter.main_topic, places, orders, part.estimates))
+                self.passed.runs.append(EstimateBatch(self._block_adapter.main_topic, places, orders, part.estimates))
                 self._order += 1

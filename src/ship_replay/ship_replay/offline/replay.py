@@ -22,7 +22,7 @@ from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import OutputTopic
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.block_run import BlockRun
-from ship_replay.offline.message_times import LogTimes, in_order_of_stamps
+from ship_replay.offline.message_times import LogDelays, in_order_of_stamps
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import reasons_for
 
@@ -72,7 +72,7 @@ def replay(
             relative_names = {name: relative for relative, name in names.items()}
             records = watch(bag.records(relative_names), bag)
             if by_stamps:
-                records = in_order_of_stamps(records, usual_delay_ns(bag_path, relative_names))
+                records = in_order_of_stamps(records, median_delay_ns(bag_path, relative_names))
             for record in records:
                 run.take(relative_names[record.topic], record)
             if bag.last_time_ns is None or bag.start_ns is None:
@@ -108,9 +108,9 @@ def _tell_of_node(
                 kept[name] = {reason.word: count for reason, count in reasons.items()}
 
 
-def usual_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
+def median_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
     """Return the median of log time minus stamp over all messages, ns."""
-    times = LogTimes()
+    times = LogDelays()
     with read_bag(bag_path) as bag:
         for record in bag.records(relative_names):
             times.add(record.topic, record)

@@ -15,7 +15,7 @@ from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.exclusion_history import INTEGRITY, ExclusionHistory
-from ship_replay.offline.message_times import LogTimes, MessageTimes
+from ship_replay.offline.message_times import LogDelays, MessageTimes
 from ship_replay.offline.status_course import STATUS_TOPICS, StatusHistory
 from ship_replay.offline.truth_errors import TruthErrors
 from ship_watch.orientations import ORIENTATIONS
@@ -57,7 +57,7 @@ class ReplaySummary:
     status_histories: dict[str, StatusHistory] = field(default_factory=dict)
     exclusions: dict[str, ExclusionHistory] = field(default_factory=dict)
     times: dict[str, MessageTimes] = field(default_factory=dict)
-    log_times: LogTimes = field(default_factory=LogTimes)
+    log_times: LogDelays = field(default_factory=LogDelays)
     reasons: list[str] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)

@@ -38,7 +38,7 @@ from ship_node.documents.saved_document import DISK, UNTOUCHED, Files
 from ship_node.edge.topics import OutputTopic, Published
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import in_order_of_stamps
-from ship_replay.offline.replay import Watcher, announce, match_inputs, truth_topic_names, usual_delay_ns
+from ship_replay.offline.replay import Watcher, announce, match_inputs, truth_topic_names, median_delay_ns
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore
@@ -200,7 +200,7 @@ def smooth(
 
         def records_of(some_names: Mapping[str, str]) -> Iterator[BagRecord]:
             records = watch(bag.records(some_names), bag)
-            return in_order_of_stamps(records, usual_delay_ns(bag_path, names)) if by_stamps else records
+            return in_order_of_stamps(records, median_delay_ns(bag_path, names)) if by_stamps else records
 
         _hand_over(chain, records_of(names), names, told)
         summary = SmoothSummary([*left_out, *bag.problems])

@@ -99,8 +99,8 @@ def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, watc
             exposure = star_exposure(message, sensor_id, "", geometry, camera, watch.catalogue, receive_ns).value
         except MessageRejected:
             continue
-        moment = watch.at(exposure.time_ns)
-        if isinstance(moment, Rejection):
+        sky = watch.at(exposure.time_ns)
+        if isinstance(sky, Rejection):
             continue
         if axes is not AS_EXPECTED:
             exposure = replace(exposure, directions_s=exposure.directions_s @ axes.expected_s.T)
@@ -109,7 +109,7 @@ def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, watc
             widened_n = prior.covariance_n + _PRIOR_SIGMA**2 * np.eye(3)
             unknown = np.full(len(exposure), np.nan)
             named, _ = identified(
-                replace(exposure, magnitude=unknown), StarPrior(prior.rotation_nb, widened_n), moment
+                replace(exposure, magnitude=unknown), StarPrior(prior.rotation_nb, widened_n), sky
             )
             exposure = replace(named, magnitude=exposure.magnitude)
         exposures.append(exposure)
@@ -127,9 +127,9 @@ def _angle_ratio(exposures: list[StarExposure], watch: SkyWatch) -> float | None
         named = exposure[exposure.identified]
         if len(named) < 2:
             continue
-        moment = watch.at(named.time_ns)
-        assert not isinstance(moment, Rejection)
-        places_n = moment.apparent(named.positions).direction_n
+        sky = watch.at(named.time_ns)
+        assert not isinstance(sky, Rejection)
+        places_n = sky.apparent(named.positions).direction_n
         first, second = np.triu_indices(len(named), 1)
         true = angle_between(places_n[first], places_n[second])
         measured = angle_between(named.directions_s[first], named.directions_s[second])

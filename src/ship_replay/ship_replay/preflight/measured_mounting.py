@@ -74,7 +74,7 @@ def measured_mountings(config: Config, bag: Bag, found: dict[str, str]) -> Itera
     devices = {topic: entry for topic, entry in _devices(config).items() if topic in found}
     if not devices:
         return
-    epochs = _epochs(bag, {found[topic]: topic for topic in devices})
+    epochs = _sample_stamps(bag, {found[topic]: topic for topic in devices})
     observing = [topic for topic in devices if topic.endswith(("/observations", "/inertial_attitude", "/stars"))]
     watch = installed_sky(config.sky) if observing else None
     tracks = AttitudeTracks(config, _ship_topic(config, found))
@@ -117,7 +117,7 @@ def _devices(config: Config) -> dict[str, tuple[str, Any]]:
     return devices
 
 
-def _epochs(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
+def _sample_stamps(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
     """Return relative topic → stamps of messages spread over the bag."""
     stamps: dict[str, list[int]] = {relative: [] for relative in topics.values()}
     spacing_ns = ((bag.end_ns or 0) - (bag.start_ns or 0)) // _EPOCHS

@@ -21,7 +21,7 @@ from ship_replay.report.wording import number, placed, utc
 from ship_watch.history import BudgetPoint, ParameterShown
 from ship_watch.orientations import channel_name
 
-SAME_MOMENT_NS = 2 * NS_PER_S
+SAME_TIME_NS = 2 * NS_PER_S
 """Maximum time difference of events that count as the same, ns."""
 
 DIFFERENT_SIGMAS = 3.0
@@ -286,7 +286,7 @@ def _unmatched(
     for time_ns, key, part in a:
         candidates = waiting.get(key, [])
         near = min(candidates, key=lambda other: abs(other[0] - time_ns), default=None)
-        if near is not None and abs(near[0] - time_ns) <= SAME_MOMENT_NS:
+        if near is not None and abs(near[0] - time_ns) <= SAME_TIME_NS:
             candidates.remove(near)
             both += 1
         else:

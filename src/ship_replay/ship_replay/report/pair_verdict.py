@@ -7,7 +7,7 @@ from dataclasses import replace
 from ship_replay.report.configurations import ParameterDifference
 from ship_replay.report.night import Recording
 from ship_replay.report.pair import Pair, input_sentences
-from ship_replay.report.pair_tables import SAME_MOMENT_NS, ErrorRow
+from ship_replay.report.pair_tables import SAME_TIME_NS, ErrorRow
 from ship_replay.report.published import OutputDifference
 from ship_replay.report.tables import SourceOutage, outages
 from ship_replay.report.wording import number, utc
@@ -158,7 +158,7 @@ def _beyond(outages_here: list[SourceOutage], elsewhere: list[SourceOutage]) -> 
     """Return the parts of outages that the other run does not have; parts of two seconds or less are ignored."""
     for other in elsewhere:
         outages_here = [left for outage in outages_here for left in _without(outage, other)]
-    return [one for one in outages_here if (one.to_ns or _NEVER_NS) - one.from_ns > SAME_MOMENT_NS]
+    return [one for one in outages_here if (one.to_ns or _NEVER_NS) - one.from_ns > SAME_TIME_NS]
 
 
 def _without(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
@@ -179,7 +179,7 @@ def _unrecorded(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
         recording.span_ns for recording in (pair.recordings if letter == "A" else reversed(pair.recordings))
     )
     before, after = SourceOutage(source, 0, start_ns, ""), SourceOutage(source, end_ns, 0, "")
-    return [before, after] if other_end_ns > end_ns + SAME_MOMENT_NS else [before]
+    return [before, after] if other_end_ns > end_ns + SAME_TIME_NS else [before]
 
 
 def _of_outputs(errors: Sequence[ErrorRow]) -> list[ErrorRow]:

@@ -329,8 +329,8 @@ def _ins_encoder_errors(run: SimulatedRun) -> FloatArray:
     theodolite, ins = theodolite_of(run), run.truth.ins
     index, mount = theodolite.truth.encoder_index, theodolite.truth.mount
     time_ns = theodolite.encoder.time_ns[index]
-    since_s, moments_s = (run.ins.time_ns - run.start_ns) * 1e-9, (time_ns - run.start_ns) * 1e-9
-    slow_n = np.stack([np.interp(moments_s, since_s, column) for column in ins.attitude_error_n.T], axis=-1)
+    since_s, times_s = (run.ins.time_ns - run.start_ns) * 1e-9, (time_ns - run.start_ns) * 1e-9
+    slow_n = np.stack([np.interp(times_s, since_s, column) for column in ins.attitude_error_n.T], axis=-1)
     known = AxisErrors.from_vector(axis_errors_of(run.scenario.theodolite.axes)[0])
     rotation_dm = main_axis_rotation(known, theodolite.encoder.azimuth[index], theodolite.encoder.elevation[index])
     axis_n = (exp_rotation(-slow_n) @ mount.rotation_nd @ rotation_dm)[:, :, 0]

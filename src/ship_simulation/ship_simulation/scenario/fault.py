@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from ship_estimation.parameter_fields import parameter
 from ship_estimation.parameters import ParameterError
-from ship_simulation.scenario.motion_scenario import DELAY, MOMENT
+from ship_simulation.scenario.motion_scenario import DELAY, TIME
 
 _TO_THE_END_S = 1e6
 _STEP: dict[str, Any] = {"unit": "arcsec", "minimum": -1_296_000.0, "maximum": 1_296_000.0}
@@ -94,8 +94,8 @@ class Fault:
 
     topic: str = parameter(doc="topic, for example ins/imu")
     kind: str = parameter(doc="kind of the fault", choices=tuple(KINDS))
-    start_s: float = parameter(doc="begin, after the start, by stamps", **MOMENT)
-    end_s: float = parameter(_TO_THE_END_S, doc="end, after the start, by stamps; default: no end", **MOMENT)
+    start_s: float = parameter(doc="begin, after the start, by stamps", **TIME)
+    end_s: float = parameter(_TO_THE_END_S, doc="end, after the start, by stamps; default: no end", **TIME)
     share: float = parameter(1.0, doc="share of that time's messages, drawn, that are affected", minimum=0.0, maximum=1)
     delay_s: float = parameter(0.0, doc="delay: delay, stamp_late; maximum delay: reorder", **DELAY)
     step_s: float = parameter(0.0, doc="step of the stamps: clock_step", unit="s", minimum=-1e9, maximum=1e9)

@@ -10,7 +10,7 @@ SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 360_000.0}
 CORRELATION: dict[str, Any] = {"unit": "s", "minimum": 0.1, "maximum": 1e7}
 DEFLECTION: dict[str, Any] = {"unit": "arcsec", "minimum": -300.0, "maximum": 300.0}
 RATE: dict[str, Any] = {"unit": "Hz", "minimum": 0.01, "maximum": 1000.0}
-MOMENT: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1e6}
+TIME: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1e6}
 DELAY: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 60.0}
 
 _ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
@@ -24,8 +24,8 @@ _LENGTH: dict[str, Any] = {"doc": "hull length that averages the slope", "unit":
 class Outage:
     """A time span without data, in seconds after the start."""
 
-    start_s: float = parameter(doc="begin, after the start", **MOMENT)
-    end_s: float = parameter(doc="end, after the start", **MOMENT)
+    start_s: float = parameter(doc="begin, after the start", **TIME)
+    end_s: float = parameter(doc="end, after the start", **TIME)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from ship_simulation.scenario.motion_scenario import (
     CORRELATION,
     DEFLECTION,
     DELAY,
-    MOMENT,
+    TIME,
     RATE,
     SIGMA,
     CarrierMotion,
@@ -34,7 +34,7 @@ from ship_simulation.scenario.motion_scenario import (
 )
 from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Target, Theodolite
 
-_MOMENT = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
+_START_PATTERN = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 
 _FIELD_POINTS = 21
 _OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
@@ -109,7 +109,7 @@ class StarImaging:
     """
 
     rate_hz: float = parameter(5.0, doc="exposures per second", **RATE)
-    phase_s: float = parameter(0.0, doc="first exposure after the start", **MOMENT)
+    phase_s: float = parameter(0.0, doc="first exposure after the start", **TIME)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     outages: dict[str, Outage] = mapping_of("times without stars, by name")
@@ -201,7 +201,7 @@ class Reference:
     """Another attitude system."""
 
     rate_hz: float = parameter(1.0, doc="samples per second", **RATE)
-    phase_s: float = parameter(0.0, doc="first sample after the start", **MOMENT)
+    phase_s: float = parameter(0.0, doc="first sample after the start", **TIME)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     heading_deg: float = parameter(0.0, doc="mean of its heading minus that of the INS", **ANGLE)
@@ -225,7 +225,7 @@ class FusedAttitude:
 
     written: bool = parameter(False, doc="whether the bag contains it")
     rate_hz: float = parameter(20.0, doc="messages per second", **RATE)
-    phase_s: float = parameter(0.0, doc="first message after the start", **MOMENT)
+    phase_s: float = parameter(0.0, doc="first message after the start", **TIME)
     latency_s: float = parameter(0.005, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     tilt_sigma_arcsec: float = parameter(1.45, doc="correlated error in tilt, each axis", **SIGMA)
@@ -350,7 +350,7 @@ def start_of(start_utc: str) -> int:
     Raises:
         ValueError: it is not such a time.
     """
-    found = _MOMENT.fullmatch(start_utc)
+    found = _START_PATTERN.fullmatch(start_utc)
     if found is None:
         raise ValueError("expected YYYY-MM-DDThh:mm:ss, at most nine decimals, and the letter Z")
     whole = datetime.fromisoformat(found[1]).replace(tzinfo=timezone.utc)

@@ -9,7 +9,7 @@ from typing import Any
 
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
-from ship_simulation.scenario.motion_scenario import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA, Outage
+from ship_simulation.scenario.motion_scenario import ANGLE, CORRELATION, DELAY, TIME, RATE, SIGMA, Outage
 
 _AXIS_ERROR: dict[str, Any] = {"unit": "arcsec", "minimum": -3600.0, "maximum": 3600.0}
 _AXIS_SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 3600.0}
@@ -50,7 +50,7 @@ class Encoder:
     """The encoders of the two axes."""
 
     rate_hz: float = parameter(100.0, doc="readings per second", **RATE)
-    phase_s: float = parameter(0.0, doc="first reading after the start", **MOMENT)
+    phase_s: float = parameter(0.0, doc="first reading after the start", **TIME)
     latency_s: float = parameter(0.002, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     sigma_arcsec: float = parameter(1.0, doc="noise of a reading, each axis", **SIGMA)
@@ -90,7 +90,7 @@ class Telescope:
     """The calibration telescope, its detector, and its parallelism to the main axis."""
 
     rate_hz: float = parameter(10.0, doc="exposures per second", **RATE)
-    phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **MOMENT)
+    phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **TIME)
     latency_s: float = parameter(0.05, doc="from stamp (middle of the exposure) to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     exposure_s: float = parameter(
@@ -129,7 +129,7 @@ class MainDetector:
     """The detector in the main tube, which images targets; there is none if its focal length is 0."""
 
     rate_hz: float = parameter(10.0, doc="exposures per second", **RATE)
-    phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **MOMENT)
+    phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **TIME)
     latency_s: float = parameter(0.05, doc="from stamp (middle of the exposure) to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     exposure_s: float = parameter(
@@ -247,7 +247,7 @@ class Orbit:
 class Waypoint:
     """A point where a drone on straight legs stops for an instant."""
 
-    time_s: float = parameter(doc="time after the start", **MOMENT)
+    time_s: float = parameter(doc="time after the start", **TIME)
     azimuth_deg: float = parameter(doc="azimuth from North", **ANGLE)
     elevation_deg: float = parameter(doc="elevation above the horizon", **_ELEVATION)
     distance_m: float = parameter(doc="distance from the theodolite", **_DISTANCE)
@@ -282,7 +282,7 @@ class Rtk:
     """Satellite positioning between two antennas."""
 
     rate_hz: float = parameter(10.0, doc="solutions per second", **RATE)
-    phase_s: float = parameter(0.0, doc="first solution after the start", **MOMENT)
+    phase_s: float = parameter(0.0, doc="first solution after the start", **TIME)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     sigma_m: float = parameter(
@@ -318,7 +318,7 @@ class DroneImu:
     """Attitude published by the drone."""
 
     rate_hz: float = parameter(20.0, doc="samples per second", **RATE)
-    phase_s: float = parameter(0.0, doc="first sample after the start", **MOMENT)
+    phase_s: float = parameter(0.0, doc="first sample after the start", **TIME)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     tilt_sigma_deg: float = parameter(0.3, doc="correlated error in tilt, each axis", **_SIGMA_DEG)
@@ -332,7 +332,7 @@ class Beacon:
     """A drone with a light."""
 
     flight: Flight = section(Flight)
-    leaves_s: float = parameter(1e6, doc="time when it leaves, with its light and its messages", **MOMENT)
+    leaves_s: float = parameter(1e6, doc="time when it leaves, with its light and its messages", **TIME)
     hidden: dict[str, Outage] = mapping_of("times in which its light is hidden, by name")
     light: Lever = section(Lever)
     rtk: Rtk = section(Rtk)
@@ -344,7 +344,7 @@ class Target:
     """A body observed by the main tube."""
 
     course: Course = section(Course)
-    leaves_s: float = parameter(1e6, doc="time when it leaves", **MOMENT)
+    leaves_s: float = parameter(1e6, doc="time when it leaves", **TIME)
     hidden: dict[str, Outage] = mapping_of("times in which it is hidden, by name")
     range_sigma_m: float = parameter(
         0.0, doc="noise of the range stated in its images; 0: no range", unit="m", minimum=0.0, maximum=1e4

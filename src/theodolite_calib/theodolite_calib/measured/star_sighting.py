@@ -57,7 +57,7 @@ def star_sighting(
     if exposure.length is None or nodes is None:
         return StarSighting(camera_id, exposure, ship, encoder)
     axes = AxisErrors.from_vector(config.axes.values)
-    turned_nm = tracks.main_axis_at([moment_ns for moment_ns, _ in nodes.moments(time_ns)], axes)
+    turned_nm = tracks.main_axis_at([moment_ns for moment_ns, _ in nodes.times_and_weights(time_ns)], axes)
     if turned_nm is None:
         length_s = exposure.length.exposure_s
         text = f"no encoder readings or attitudes of the ship over its whole exposure of {length_s:g} s"

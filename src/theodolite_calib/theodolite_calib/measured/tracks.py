@@ -208,7 +208,7 @@ class MeasuredTracks:
         assert isinstance(sample, ShipSample)
         gain = attitude.noise_gain
         if over is not None:
-            gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self.ship_shift_ns))
+            gain = self.ship.noise_gain_of_mean(over.times_and_weights(time_ns - self.ship_shift_ns))
         noise = gain * self._ship_noise + float(attitude.error_covariance_d.trace())
         # Between two attitudes the worse status applies: the source may have jumped there.
         after = attitude.next_sample
@@ -224,19 +224,19 @@ class MeasuredTracks:
         if angles is None or sample is None:
             return None
         azimuth, elevation = angles.vector.tolist()
-        gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.moments(time_ns))
+        gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.times_and_weights(time_ns))
         noise = gain * sample.sigma**2 + float(angles.error_covariance.trace())
         return EncoderAt(azimuth, elevation, noise)
 
-    def main_axis_at(self, moments_ns: list[int], axes: AxisErrors) -> FloatArray | None:
+    def main_axis_at(self, times_ns: list[int], axes: AxisErrors) -> FloatArray | None:
         """Return horizon from main frame at m times by given axis errors, shape (m, 3, 3); None in a gap."""
-        ships, encoders = map(self.ship_at, moments_ns), map(self.encoder_at, moments_ns)
+        ships, encoders = map(self.ship_at, times_ns), map(self.encoder_at, times_ns)
         turned = [
             ship.rotation_nd @ main_axis_rotation(axes, encoder.azimuth, encoder.elevation)
             for ship, encoder in zip(ships, encoders, strict=True)
             if ship is not None and encoder is not None
         ]
-        return np.array(turned) if len(turned) == len(moments_ns) else None
+        return np.array(turned) if len(turned) == len(times_ns) else None
 
     def streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
         """Return the consistency of the encoder and ship streams between two times; None if that is too long ago."""

@@ -123,9 +123,9 @@ class OpticalAxisCore:
             decided=self._tell_watches,
             on_commit=closed,
         )
-        self._shell: EstimatorShell[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
+        self._estimator: EstimatorShell[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
         reach_ns = MeasuredTracks(config).reach_ns
-        self._shell = EstimatorShell(model, self.filter.initial_state(), config.lag_s, reach_ns)
+        self._estimator = EstimatorShell(model, self.filter.initial_state(), config.lag_s, reach_ns)
         self.reset()
 
     def start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
@@ -143,7 +143,7 @@ class OpticalAxisCore:
         remarks: list[str] = []
         if self._start is not None:
             initial, remarks = state_from_prior(self.filter, self.config, *self._start)
-        self._shell.reset(initial, clock_jumped)
+        self._estimator.reset(initial, clock_jumped)
         if self._sky is not None:
             self._sky.reset()
         self._start_without_samples()
@@ -156,7 +156,7 @@ class OpticalAxisCore:
             step_ns: step, ns.
             state: state before it.
         """
-        self._shell.step_time_base(with_shifted_stamps(state, step_ns), step_ns)
+        self._estimator.step_time_base(with_shifted_stamps(state, step_ns), step_ns)
         if self._sky is not None:
             self._sky.step_time_base(step_ns)
         self._start_without_samples()
@@ -199,7 +199,7 @@ class OpticalAxisCore:
             arrival_ns: time of reception, in the waiting time base; None if each reading arrives at its stamp.
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
-        track, shell = self._tracks.encoder, self._shell
+        track, shell = self._tracks.encoder, self._estimator
         result = self._encoder_check.check(sample, track, shell.window.late(sample.time_ns))
         outcome = PointingOutcome(result.rejection)
         self._note_own_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
@@ -222,13 +222,13 @@ class OpticalAxisCore:
 
     def add_ship(self, sample: ShipSample, arrival_ns: int | None = None) -> PointingOutcome:
         """Add an attitude of the ship; for the arrival see :meth:`add_encoder`."""
-        outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late(sample.time_ns))
         if outcome.rejection is None:
             outcome.rejection, sample = self._check_ship(sample, outcome)
         source, track = self.config.ship.source, self._tracks.ship
         if outcome.rejection is not None:
-            self._shell.add_rejected(source, track, sample)
-        elif self._shell.add_sample(source, track, sample, outcome):
+            self._estimator.add_rejected(source, track, sample)
+        elif self._estimator.add_sample(source, track, sample, outcome):
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
             self._ship_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         if outcome.rejection is not None:
@@ -261,24 +261,24 @@ class OpticalAxisCore:
         changed_after_ns = surroundings.insert(given)
         if changed_after_ns is not None:
             changed_ns: int = changed_after_ns
-            self._shell.rewind_where(
+            self._estimator.rewind_where(
                 lambda decision: isinstance(decision.measurement, StarExposure)
                 and decision.measurement.time_ns > changed_ns
             )
-        self._shell.apply(outcome)
+        self._estimator.apply(outcome)
         return outcome
 
     def add_exposure(self, exposure: Exposure) -> PointingOutcome:
         """Add beacons on the detector, one or more."""
-        outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late(exposure.time_ns))
         if outcome.rejection is None:
-            self._shell.add(exposure, outcome)
+            self._estimator.add(exposure, outcome)
         return outcome
 
     def add_stars(self, exposure: StarExposure, arrival_ns: int | None = None) -> PointingOutcome:
         """Add stars in a camera; for the arrival see :meth:`add_encoder`."""
-        outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
-        if outcome.rejection is None and self._shell.add(exposure, outcome):
+        outcome = PointingOutcome(self._estimator.window.late(exposure.time_ns))
+        if outcome.rejection is None and self._estimator.add(exposure, outcome):
             arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
             self._newest_stars = exposure, arrival_ns
             self._point_by_stars(outcome, arrival_ns)
@@ -289,7 +289,7 @@ class OpticalAxisCore:
 
         An image changes neither the state nor the window: all pointings are as without it.
         """
-        outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late(sample.time_ns))
         if outcome.rejection is None:
             waiting_ns = sample.time_ns if arrival_ns is None else arrival_ns
             self._targets.add(sample, waiting_ns, outcome)
@@ -298,8 +298,8 @@ class OpticalAxisCore:
 
     def contest(self, source: str, text: str) -> None:
         """Set that two publishers send on one source; an empty text ends it."""
-        contradictions = self._of_targets if source == TargetSample.source else self._shell.contradictions
-        contradictions.contest(source, self._shell.window.newest_ns, text)
+        contradictions = self._of_targets if source == TargetSample.source else self._estimator.contradictions
+        contradictions.contest(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
         """Report INVALID once a second while no pointing has been published for a second.
@@ -310,11 +310,11 @@ class OpticalAxisCore:
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = PointingOutcome()
-        self._shell.tick(now_ns, outcome)
+        self._estimator.tick(now_ns, outcome)
         self._point_by_stars(outcome, waiting_ns)
         is_timed_out = _is_timed_out(self._encoder_arrival_ns, waiting_ns)
         missing = "no usable reading of the encoders" if is_timed_out else f"no attitude on {self.config.ship.source}"
-        self._shell.say_invalid(outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing))
+        self._estimator.say_invalid(outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing))
         self._answer_targets(outcome, waiting_ns)
         return outcome
 
@@ -354,7 +354,7 @@ class OpticalAxisCore:
     @property
     def state(self) -> CalibrationState:
         """State of the filter after the last exposure applied."""
-        return self._shell.state
+        return self._estimator.state
 
     # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
 
@@ -366,7 +366,7 @@ class OpticalAxisCore:
     @property
     def is_undisputed(self) -> bool:
         """True if the state rests on beacons or stars, and no source is excluded, contradictory or unconfirmed."""
-        now_ns = self._shell.window.newest_ns
+        now_ns = self._estimator.window.newest_ns
         unconfirmed_reason = self._encoder_check.unconfirmed_reason or self._ship_check.unconfirmed_reason(now_ns) or self._contradiction(now_ns)
         return is_undisputed(self.state) and not unconfirmed_reason
 
@@ -386,7 +386,7 @@ class OpticalAxisCore:
         if memory is None:
             second.reset()
             return second
-        second._shell.reset(start_from_memory(second.filter, memory))
+        second._estimator.reset(start_from_memory(second.filter, memory))
         second._start_without_samples()
         return second
 
@@ -398,7 +398,7 @@ class OpticalAxisCore:
 
     def propagate_memory(self, memory: CalibrationState, jumps: Sequence[OwnJump]) -> CalibrationState:
         """Return a remembered state propagated to the oldest time that measurements may still have."""
-        return propagate_memory(self.filter, memory, jumps, self._shell.window.oldest_ns)
+        return propagate_memory(self.filter, memory, jumps, self._estimator.window.oldest_ns)
 
     def memory_residuals(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, MemoryResidual]:
         """Return the residuals of the last evaluated beacons against a remembered state, by source."""
@@ -419,14 +419,14 @@ class OpticalAxisCore:
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was accepted recently."""
-        means, since_ns = self.state.fault_state.innovation_means, self._shell.window.newest_ns - MAX_MEASUREMENT_AGE_NS
+        means, since_ns = self.state.fault_state.innovation_means, self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS
         used = (means.last_measured_ns >= since_ns) & (means.rejection_counts[0] == 0)
         lights = [BEACON + id_ for id_ in self.filter.subfilters.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
     def take_over_outputs(self, live: "OpticalAxisCore") -> None:
         """Continue the outputs of another estimator that ends and has none pending."""
-        self._shell.continue_outputs(live._shell)
+        self._estimator.continue_outputs(live._estimator)
         self._of_targets = live._of_targets
         self._targets.continue_answers(live._targets)
         self.pending = None if live.pending is None else []
@@ -452,23 +452,23 @@ class OpticalAxisCore:
         return Escort(self.config, self.filter, self._tracks)
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
-        outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late(sample.time_ns))
         if outcome.rejection is None:
-            self._shell.add_sample(source, track, sample, outcome)
+            self._estimator.add_sample(source, track, sample, outcome)
         return outcome
 
     def _check_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Rejection | None, ShipSample]:
         """Check an attitude of the ship; return its rejection or None, and the attitude as it may be used."""
-        result = self._ship_check.check(sample, self._shell.window.oldest_ns)
+        result = self._ship_check.check(sample, self._estimator.window.oldest_ns)
         if result.rates_wrong_after_ns is not None:
             # Exposures compared with these rates are compared again without them.
             changed_after_ns = self._tracks.ship.forget_rates(result.rates_wrong_after_ns)
             if changed_after_ns is not None:
-                self._shell.data_changed(changed_after_ns + self._tracks.ship_shift_ns)
-                self._shell.apply(outcome)
+                self._estimator.data_changed(changed_after_ns + self._tracks.ship_shift_ns)
+                self._estimator.apply(outcome)
         if result.noise is not None:
-            self._shell.data_changed(self._tracks.ship.add_noise(result.noise) + self._tracks.ship_shift_ns)
-            self._shell.apply(outcome)
+            self._estimator.data_changed(self._tracks.ship.add_noise(result.noise) + self._tracks.ship_shift_ns)
+            self._estimator.apply(outcome)
         for jump in result.jumps:
             self._note_own_fault(SHIP, jump.time_ns, None, jumped=True)
             changed_after_ns = self._tracks.ship.cut(jump.time_ns)
@@ -477,7 +477,7 @@ class OpticalAxisCore:
                 changed_after_ns += self._tracks.ship_shift_ns
             jump = replace(jump, time_ns=time_ns)
             self._own_jumps.append(OwnJump(jump))
-            self._shell.add_jump(time_ns, "ins", jump, changed_after_ns)
+            self._estimator.add_jump(time_ns, "ins", jump, changed_after_ns)
         assert isinstance(result.sample, ShipSample)
         # With the INS alone the pointing uses its attitudes only, so that no wrong rate can affect it.
         by_ins = self.config.ship.source == "ins/imu"
@@ -572,32 +572,32 @@ class OpticalAxisCore:
         self._answer_targets(outcome)
 
     def _answer_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
-        self._targets.answer(outcome, waiting_ns, self._shell.window.oldest_ns, lambda: self._shell.state_now)
+        self._targets.answer(outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now)
 
     def _publish_waiting(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        covered_ns, too_old_ns = self._ship_covered_until_ns, self._shell.window.oldest_ns - 1
+        covered_ns, too_old_ns = self._ship_covered_until_ns, self._estimator.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
             sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting.popleft()
             unconfirmed_reason = unconfirmed_reason or self._ship_check.unconfirmed_reason(sample.time_ns) or self._contradiction(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
-                pending = PendingPointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._shell.state_now)
+                pending = PendingPointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._estimator.state_now)
                 self._put_out(outcome, pending, waiting_ns)
 
     def _put_out(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
         """Publish a pointing at once, or queue it if pointings are computed on request."""
         if self.pending is None:
-            follows = self._shell.follows(pending.time_ns)
-            self._shell.put_out(outcome, pending.time_ns, waiting_ns, lambda _state: self._pointing.estimate(pending))
-            if not (follows and not self._shell.follows(pending.time_ns)):
+            follows = self._estimator.follows(pending.time_ns)
+            self._estimator.put_out(outcome, pending.time_ns, waiting_ns, lambda _state: self._pointing.estimate(pending))
+            if not (follows and not self._estimator.follows(pending.time_ns)):
                 return
-        elif self._shell.follows(pending.time_ns):
+        elif self._estimator.follows(pending.time_ns):
             self.pending.append(pending)
-            self._shell.was_put_out(pending.time_ns, waiting_ns)
+            self._estimator.was_put_out(pending.time_ns, waiting_ns)
         else:
             return
-        self._targets.was_put_out(pending, self._shell.window.oldest_ns)
+        self._targets.was_put_out(pending, self._estimator.window.oldest_ns)
 
     def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         """Publish the pointing from the newest stars if ship or encoders have timed out and the stars are recent."""
@@ -614,24 +614,24 @@ class OpticalAxisCore:
             assert self._sky is not None
             return pointing_by_stars(exposure, self._sky, self.config, self.filter, state, text)
 
-        self._shell.put_out(outcome, exposure.time_ns, waiting_ns, by_stars)
+        self._estimator.put_out(outcome, exposure.time_ns, waiting_ns, by_stars)
 
     def _check_repeated_time(self) -> None:
         """Compare beacons again if rejections show that encoders and ship repeat a time."""
         before = self._told_twice
-        together = self._shell.contradictions.together({ENCODER, self.config.ship.source})
+        together = self._estimator.contradictions.together({ENCODER, self.config.ship.source})
         if together is None:
             return
         first_ns = together[0] - self._tracks.reach_ns
         self._told_twice = first_ns, together[1]
         if before is None or before[0] != first_ns:
-            self._shell.data_changed(first_ns if before is None else min(before[0], first_ns))
+            self._estimator.data_changed(first_ns if before is None else min(before[0], first_ns))
         elif together[1] > before[1]:
-            self._shell.data_changed(before[1])
+            self._estimator.data_changed(before[1])
 
     def _contradiction(self, time_ns: int) -> str:
         """Return the text of a source that contradicted itself at a time; empty if none did."""
-        return self._shell.contradictions.text(self._shell.contradictions.at(time_ns))
+        return self._estimator.contradictions.text(self._estimator.contradictions.at(time_ns))
 
 
 def _is_timed_out(arrival_ns: int | None, waiting_ns: int) -> bool:

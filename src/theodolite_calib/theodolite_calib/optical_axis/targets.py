@@ -135,8 +135,8 @@ class TargetAnswers:
             return Rejection(Reason.GAP, "no pointing was published on both sides of it")
         point_m = sample.point_m
         if nodes is not None:
-            moments_ns = [time_ns for time_ns, _ in nodes.moments(sample.time_ns)]
-            turned_nm = self._tracks.main_axis_at(moments_ns, self._axes)
+            times_ns = [time_ns for time_ns, _ in nodes.times_and_weights(sample.time_ns)]
+            turned_nm = self._tracks.main_axis_at(times_ns, self._axes)
             if turned_nm is None:
                 text = f"no encoder readings or attitudes of the ship over its exposure of {sample.exposure_s:g} s"
                 return Rejection(Reason.GAP, text)

@@ -76,16 +76,16 @@ class Between:
                 cross[:, SHIP, SHIP] += shared_n * onward[:, None, SHIP]
         return known, cross
 
-    def _means(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
+    def _means(self, anchor: AxisAnchor, times_ns: StampArray) -> FloatArray:
         """Return the expected states at N times, before any step of the ship's error, shape (N, r)."""
-        mean, decay = anchor.known.mean, self._decay(_since_ns(anchor, moments_ns))
+        mean, decay = anchor.known.mean, self._decay(_since_ns(anchor, times_ns))
         means: FloatArray = (decay * mean)[:, self.rows]
         means[:, SHIP] = self._ship.propagate(mean[SHIP], decay[:, SHIP])
         return means
 
-    def _cross_covariance(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
+    def _cross_covariance(self, anchor: AxisAnchor, times_ns: StampArray) -> FloatArray:
         """Return the covariance of the predicted states with all states at N times, before any step, (N, r, n)."""
-        since_s = _since_ns(anchor, moments_ns).astype(float) * 1e-9
+        since_s = _since_ns(anchor, times_ns).astype(float) * 1e-9
         decay, noise = self._model.transition(since_s)
         wide: FloatArray = decay[:, self.rows, None] * anchor.known.covariance[self.rows] * decay[:, None, :]
         wide[:, np.arange(len(self.rows)), self.rows] += noise[:, self.rows]
@@ -114,11 +114,11 @@ class Between:
         return kept
 
 
-def _since_ns(anchor: AxisAnchor, moments_ns: StampArray) -> StampArray:
+def _since_ns(anchor: AxisAnchor, times_ns: StampArray) -> StampArray:
     """Return the time since the anchor; zero before the first sighting, where the errors have their prior."""
     if anchor.time_ns is None:
-        return np.zeros_like(moments_ns)
-    since_ns: StampArray = np.maximum(moments_ns - anchor.time_ns, 0)
+        return np.zeros_like(times_ns)
+    since_ns: StampArray = np.maximum(times_ns - anchor.time_ns, 0)
     return since_ns
 
 

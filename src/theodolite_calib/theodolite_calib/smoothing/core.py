@@ -76,7 +76,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         super()._start_without_samples()
         self._told: deque[_ToldAtOnce] = deque()
         self._stated_n: dict[int, FloatArray] = {}
-        oldest = self._shell.oldest_state
+        oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
         self._chain: Chain[FloatArray | None] = Chain(self._between(), oldest)
 
@@ -96,14 +96,14 @@ class SmoothingAxisCore(OpticalAxisCore):
 
         Pointings that are not smoothed are as in real time.
         """
-        self._take(self._shell.states_in_window())
+        self._take(self._estimator.states_in_window())
         output = _SmoothedOutput(self.filter, self._between().rows)
         while self._told:
             batch = [self._told.popleft() for _ in range(min(len(self._told), _AT_ONCE))]
             known = {
-                moment_ns: Known(mean, covariance)
-                for moments_ns, (means, covariances) in self._chain.take_until(batch[-1].estimate.time_ns)
-                for moment_ns, mean, covariance in zip(moments_ns, means, covariances, strict=True)
+                time_ns: Known(mean, covariance)
+                for times_ns, (means, covariances) in self._chain.take_until(batch[-1].estimate.time_ns)
+                for time_ns, mean, covariance in zip(times_ns, means, covariances, strict=True)
             }
             for estimate, rests_on in batch:
                 found = known.get(estimate.time_ns)
