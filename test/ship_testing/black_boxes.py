@@ -33,7 +33,7 @@ Record = Schema | Channel | Message | Attachment | Metadata
 
 
 @dataclass(frozen=True)
-class BoxedNode:
+class RecordedNode:
     """Node that is recorded in a box.
 
     Attributes:
@@ -51,8 +51,8 @@ class BoxedNode:
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
-SHIP_ATTITUDE = BoxedNode(ShipAttitudeAdapter, BAGS / "demo.mcap", "alignment_file", {"ins.white_sigma_arcsec": 2.0})
-OPTICAL_AXIS = BoxedNode(
+SHIP_ATTITUDE = RecordedNode(ShipAttitudeAdapter, BAGS / "demo.mcap", "alignment_file", {"ins.white_sigma_arcsec": 2.0})
+OPTICAL_AXIS = RecordedNode(
     OpticalAxisAdapter,
     BAGS / "theodolite.mcap",
     "calibration_file",
@@ -72,7 +72,7 @@ def make_box(
     path: Path,
     saved_path: Path,
     close: bool = True,
-    node: BoxedNode = SHIP_ATTITUDE,
+    node: RecordedNode = SHIP_ATTITUDE,
     node_ns: Callable[[int], int] = lambda ns: ns,
     lost: Callable[[int], bool] = lambda ns: False,
     autosave_s: float = 0.0,
@@ -147,7 +147,7 @@ def _wait_for(path: Path) -> None:
         time.sleep(0.02)
 
 
-def _plan(calls: AdapterCalls, node: BoxedNode) -> list[tuple[int, Callable[[int], Any]]]:
+def _plan(calls: AdapterCalls, node: RecordedNode) -> list[tuple[int, Callable[[int], Any]]]:
     second = 1_000_000_000
 
     def refused(now_ns: int) -> None:

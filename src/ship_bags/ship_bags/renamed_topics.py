@@ -20,7 +20,7 @@ from ship_geometry.input_error import InputError
 TOPICS_PARAMETER = "topics"
 """Group of parameters, the same in each node: the suite's name of an input → the ship's."""
 
-BOX_METADATA = "black_box"
+BLACK_BOX_METADATA = "black_box"
 """Name of the metadata record of a node's black box, in which topics have the suite's names."""
 
 _MOST_ADVISED = 3

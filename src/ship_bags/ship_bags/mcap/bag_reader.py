@@ -19,14 +19,14 @@ from rosbags.typesys.store import Typestore
 from ship_bags.errors import BadInput, one_line
 from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.mcap.box_parts import further_box_files
+from ship_bags.mcap.box_parts import further_black_box_files
 from ship_bags.mcap.file_content import BagFile
 from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
 from ship_bags.mcap.latched import repeated_times
 from ship_bags.mcap.records import ChunkPlace
 from ship_bags.message_store import BagTypes, message_store, store_with_definitions
 from ship_bags.progress import with_progress
-from ship_bags.renamed_topics import BOX_METADATA, current_names
+from ship_bags.renamed_topics import BLACK_BOX_METADATA, current_names
 from ship_bags.stamps import utc_text
 from ship_bags.topic_names import relative_topic
 
@@ -350,7 +350,7 @@ def open_files(path: Path) -> list[BagFile]:
         else:
             for part in _mcap_files(path):
                 files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
-            files += further_box_files(files[0])
+            files += further_black_box_files(files[0])
         _rename_topics(path, files)
     except BadInput:
         for file in files:
@@ -362,7 +362,7 @@ def open_files(path: Path) -> list[BagFile]:
 def _rename_topics(path: Path, files: list[BagFile]) -> None:
     """Apply the command's topic names; a topic that already had such a name is not read."""
     names = current_names()
-    if any(BOX_METADATA in file.metadata for file in files):
+    if any(BLACK_BOX_METADATA in file.metadata for file in files):
         names = replace(names, is_by_suite=False)  # the node has used the suite's names already
     topics = {channel.topic for file in files for channel in file.channels.values()}
     attached = [file.attachments[SUITE_ATTACHMENT] for file in files if SUITE_ATTACHMENT in file.attachments]

@@ -5,17 +5,17 @@ import re
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.file_content import BagFile
-from ship_bags.renamed_topics import BOX_METADATA
+from ship_bags.renamed_topics import BLACK_BOX_METADATA
 
 _FIRST = "1"
 
 
-def further_box_files(first: BagFile) -> list[BagFile]:
+def further_black_box_files(first: BagFile) -> list[BagFile]:
     """Return the files that continue the first one of a black box, in order; none for any other file.
 
     A missing or unreadable file becomes a line in the problems of the first one.
     """
-    entries = first.metadata.get(BOX_METADATA, {})
+    entries = first.metadata.get(BLACK_BOX_METADATA, {})
     if entries.get("part") != _FIRST:
         return []
     found: dict[int, BagFile] = {}
@@ -27,7 +27,7 @@ def further_box_files(first: BagFile) -> list[BagFile]:
             first.note(str(problem))
             continue
         # The header of the black box is that of the first file.
-        of_part = file.metadata.pop(BOX_METADATA, {})
+        of_part = file.metadata.pop(BLACK_BOX_METADATA, {})
         number = of_part.get("part", "")
         if of_part.get("box") == entries.get("box") and number.isascii() and number.isdecimal():
             found[int(number)] = file

@@ -25,7 +25,7 @@ from ship_node.black_box.black_box_format import (
     FileUsed,
     event_text,
 )
-from ship_node.black_box.box_files import BoxFiles, BoxHead
+from ship_node.black_box.box_files import BlackBoxFiles, BlackBoxHeader
 from ship_node.black_box.versions import versions
 from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter
@@ -96,8 +96,8 @@ class BlackBox:
         topics += [*(OutputTopic(topic.topic, topic.type_name) for topic in adapter.inputs), *outputs]
         package = type(adapter).__module__.partition(".")[0]
         used = versions(package, {topic.type_name: type_hash(topic.type_name) for topic in topics})
-        head = BoxHead(node, namespace, parameter_text(node, config), json.dumps(used, indent=1), topics)
-        self._files = BoxFiles(path, head, part_bytes)
+        head = BlackBoxHeader(node, namespace, parameter_text(node, config), json.dumps(used, indent=1), topics)
+        self._files = BlackBoxFiles(path, head, part_bytes)
         self.path = self._files.path
         self._queue: deque[_Message | _Attachment] = deque()
         self._bytes_put = self._bytes_written = 0

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_bags.renamed_topics import BOX_METADATA
+from ship_bags.renamed_topics import BLACK_BOX_METADATA
 from ship_node.edge.overload import Overload
 
 FORMAT = "2"
@@ -19,7 +19,7 @@ FORMAT = "2"
 
 EVENTS_TOPIC = "black_box/events"
 EVENTS_TYPE = "std_msgs/msg/String"
-METADATA = BOX_METADATA
+METADATA = BLACK_BOX_METADATA
 """Name of the metadata record with the entries ``format``, ``node``, ``namespace``, ``box`` (the same in all files of a
 black box), ``part`` (from 1) and ``first`` (name of the first file). The last three may be missing in a black box of
 one file."""

@@ -18,7 +18,7 @@ from ship_node.black_box.black_box_format import FORMAT, METADATA, VERSIONS_ATTA
 from ship_node.edge.topics import OutputTopic
 
 
-class BoxHead(NamedTuple):
+class BlackBoxHeader(NamedTuple):
     """Header of each file of a black box: names, parameters and versions as texts, and all topics."""
 
     node: str
@@ -28,7 +28,7 @@ class BoxHead(NamedTuple):
     topics: Sequence[OutputTopic]
 
 
-class BoxFiles:
+class BlackBoxFiles:
     """Files of one black box, of which the last is being written.
 
     Attributes:
@@ -45,7 +45,7 @@ class BoxFiles:
         BadInput: the first file cannot be made.
     """
 
-    def __init__(self, path: str, head: BoxHead, part_bytes: int) -> None:
+    def __init__(self, path: str, head: BlackBoxHeader, part_bytes: int) -> None:
         self.count = 0
         self._head, self._part_bytes = head, part_bytes
         self._types = {topic.topic: topic.type_name for topic in head.topics}

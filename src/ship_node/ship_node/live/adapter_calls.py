@@ -47,13 +47,13 @@ class AdapterCalls:
         adapter: Adapter,
         publishers: Mapping[str, Publisher],
         files: NotedFiles,
-        box: "BlackBox | None",
+        black_box: "BlackBox | None",
         status_log: StatusLog | None = None,
     ) -> None:
         self._adapter = adapter
         self._publishers = publishers
         self._files = files
-        self._box = box
+        self._black_box = black_box
         self._status_log = status_log
         self._note_files(0)
 
@@ -63,9 +63,9 @@ class AdapterCalls:
         try:
             published = self._adapter.handle(topic, message, now_ns, waiting_ns)
         finally:
-            if self._box is not None:
+            if self._black_box is not None:
                 self._note_files(now_ns)
-                self._box.put(topic, data, now_ns, waiting_ns)
+                self._black_box.put(topic, data, now_ns, waiting_ns)
         self.publish(published, now_ns)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> None:
@@ -143,22 +143,22 @@ class AdapterCalls:
     def publish(self, published: list[Published], now_ns: int) -> None:
         """Publish messages; each is serialised once, for the subscribers and for the black box."""
         outputs = [(topic, message_bytes(message)) for topic, message in published]
-        if self._box is not None:
+        if self._black_box is not None:
             for topic, data in outputs:
-                self._box.put(topic, data, now_ns)
+                self._black_box.put(topic, data, now_ns)
         for topic, data in outputs:
             self._publishers[topic].publish(data)
 
     def _note(self, event: Event, now_ns: int, waiting_ns: int | None = None) -> None:
-        if self._box is not None:
+        if self._black_box is not None:
             self._note_files(now_ns)
-            self._box.put_event(event, now_ns, waiting_ns)
+            self._black_box.put_event(event, now_ns, waiting_ns)
 
     def _note_files(self, now_ns: int) -> None:
         """Record the files that the last call, or the construction of the adapter, has used."""
         for use in self._files.uses:
-            if self._box is not None:
-                self._box.put_file(use, now_ns)
+            if self._black_box is not None:
+                self._black_box.put_file(use, now_ns)
         self._files.uses.clear()
 
 

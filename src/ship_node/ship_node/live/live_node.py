@@ -91,11 +91,11 @@ class LiveNode:
             self._contested: dict[str, str] = {}
             self._subscriptions = {i.topic: self._create_subscription(i, qos) for i, qos in wanted.items()}
             self._readers = {i.topic: CdrReader(i.type_name, self._factory.definition) for i in self.adapter.inputs}
-            self._box = self._open_box()
+            self._black_box = self._open_black_box()
         except InputError as error:
             self.node.destroy_node()
             raise placed(error, parameter_files, self._full_name) from error
-        self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box, StatusLog(self._log))
+        self._calls = AdapterCalls(self.adapter, self._publishers, files, self._black_box, StatusLog(self._log))
         self._parameters.give_changes_to(self._calls, self._clock.now_ns, self._handle_all)
         self._grid = TickGrid()
         self._last_node_ns = self._last_ns = self._stepped_ns = 0
@@ -130,8 +130,8 @@ class LiveNode:
 
     def close(self) -> None:
         """Finish the black box and release all resources of the middleware."""
-        if self._box is not None:
-            self._box.close()
+        if self._black_box is not None:
+            self._black_box.close()
         self._jump_handle.unregister()
         self._events.close()
         self.node.destroy_node()
@@ -164,7 +164,7 @@ class LiveNode:
         subscription._callback_type = Subscription.CallbackType.WithMessageInfo
         return subscription
 
-    def _open_box(self) -> "BlackBox | None":
+    def _open_black_box(self) -> "BlackBox | None":
         path, config = self._parameters.black_box, self._parameters.config
         if not path:
             return None
@@ -335,8 +335,8 @@ class LiveNode:
         statuses = [self._clock.status(), name_status(self.node), self._events.status()]
         self._status_log.see([*statuses, stamps_status(self.adapter.health)])
         statuses += [self._guard.status(), self._parameters.status()]
-        if self._box is not None:
-            statuses.append(self._box.status())
+        if self._black_box is not None:
+            statuses.append(self._black_box.status())
         now_ns = self._clock.now_ns()
         message = diagnostic_array(now_ns, self.node.get_name(), statuses, self._full_name)
         self._calls.publish([(DIAGNOSTICS_TOPIC, message)], now_ns)

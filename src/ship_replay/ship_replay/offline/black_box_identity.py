@@ -32,7 +32,7 @@ def is_black_box(bag: Bag) -> bool:
     return METADATA in bag.metadata or EVENTS_TOPIC in bag.topics
 
 
-def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
+def black_box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
     """Return the adapter of the node that wrote a black box.
 
     Raises:
@@ -60,7 +60,7 @@ def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
     return known[entries["node"]]
 
 
-def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> Any:
+def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> Any:
     """Return the configuration to replay a black box with: its own, or that of a file, which is noted in ``notes``.
 
     Raises:

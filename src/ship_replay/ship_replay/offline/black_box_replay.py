@@ -36,8 +36,8 @@ from ship_node.edge.overload import Overload
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.offline.black_box_identity import (
-    box_adapter,
-    box_config,
+    black_box_adapter,
+    black_box_config,
     check_definitions,
     check_topics,
     older_message_converters,
@@ -128,10 +128,10 @@ def replay_black_box(
     Raises:
         BadInput: the black box cannot be replayed; the text states why.
     """
-    adapter_class = box_adapter(bag, adapters)
+    adapter_class = black_box_adapter(bag, adapters)
     check_definitions(bag)
     result = Verification()
-    config = box_config(bag, adapter_class, config_path, result.notes)
+    config = black_box_config(bag, adapter_class, config_path, result.notes)
     files = RecordedFiles()
 
     def make_adapter() -> Adapter:
@@ -140,16 +140,16 @@ def replay_black_box(
         return adapter
 
     if out_path is None:
-        _BoxReplay(bag, make_adapter, files, result, None).run(watch)
+        _BlackBoxReplay(bag, make_adapter, files, result, None).run(watch)
     else:
         with BagWriter(out_path) as writer:
             writer.add_attachment(SUITE_ATTACHMENT, suite_text(bag, config_path))
-            _BoxReplay(bag, make_adapter, files, result, writer).run(watch)
+            _BlackBoxReplay(bag, make_adapter, files, result, writer).run(watch)
     result.notes += bag.problems
     return result
 
 
-class _BoxReplay:
+class _BlackBoxReplay:
     """Replay of a black box, entry by entry, with comparison of the outputs."""
 
     def __init__(
