@@ -29,7 +29,7 @@ BLACK_BOX_PART_PARAMETER = "black_box_part_mb"
 RELIABLE_INPUTS_PARAMETER = "reliable_inputs"
 """Parameter of every node: send messages lost on the way to its inputs again."""
 
-SHELL_PARAMETERS = (
+RUNTIME_PARAMETERS = (
     "use_sim_time",
     "qos_overrides",
     "start_type_description_service",
@@ -102,9 +102,9 @@ class ParameterFile:
         )
 
 
-def is_shell_parameter(name: str) -> bool:
+def is_runtime_parameter(name: str) -> bool:
     """Return True if a dotted name belongs to rclpy or the node runtime."""
-    return name.split(".")[0] in SHELL_PARAMETERS
+    return name.split(".")[0] in RUNTIME_PARAMETERS
 
 
 def full_name(node_name: str, namespace: str = "") -> str:
@@ -158,7 +158,7 @@ def merged(name: str, sections: Sequence[Section]) -> ParameterFile:
     for section in sections:
         for parameter, (value, line) in section.parameters.items():
             _put_line(file.lines, parameter, line)
-            if not is_shell_parameter(parameter):
+            if not is_runtime_parameter(parameter):
                 _put_value(file, parameter, value)
     return file
 

@@ -19,7 +19,7 @@ from rclpy.task import Future
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ship_bags.mcap.bag_writer import qos_text
-from ship_bags.parameter_yaml import full_name, is_shell_parameter, sections_text
+from ship_bags.parameter_yaml import full_name, is_runtime_parameter, sections_text
 from ship_bags.renamed_topics import is_topic_parameter
 
 DEPTH = 1000
@@ -186,7 +186,7 @@ class ParameterCollector:
         if not asked.names:
             # Parameters of the node runtime (clock, black box) do not change the results and are left out.
             names = answer.result.names[:MOST_PARAMETERS]
-            asked.names = [name for name in names if is_topic_parameter(name) or not is_shell_parameter(name)]
+            asked.names = [name for name in names if is_topic_parameter(name) or not is_runtime_parameter(name)]
             if not asked.names:
                 return True
             asked.answer = by_value.call_async(GetParameters.Request(names=asked.names))

@@ -45,22 +45,22 @@ class NmeaIn:
         InputError: no source can be opened: a port is in use, or a device cannot be read.
     """
 
-    def __init__(self, shell: NmeaNode) -> None:
-        config: NmeaInConfig = shell.config
-        self._guard = shell.guard
+    def __init__(self, runtime: NmeaNode) -> None:
+        config: NmeaInConfig = runtime.config
+        self._guard = runtime.guard
         self._lines_came, self._stop = threading.Event(), threading.Event()
         self._sources: dict[str, list[Source]] = {}
         self._publishers = {}
         for id_, source_config in config.sources.items():
-            source = Source(id_, source_config, config.role(id_), shell.factory, time.monotonic_ns())
+            source = Source(id_, source_config, config.role(id_), runtime.factory, time.monotonic_ns())
             self._sources.setdefault(source_config.place, []).append(source)
             for topic, type_name in source.topics.items():
-                self._publishers[topic] = shell.publisher(OutputTopic(topic, type_name))
+                self._publishers[topic] = runtime.publisher(OutputTopic(topic, type_name))
         self._readers = {
-            place: LinkReader(link_of(sources[0].config), shell.clock.now_ns, self._lines_came.set)
+            place: LinkReader(link_of(sources[0].config), runtime.clock.now_ns, self._lines_came.set)
             for place, sources in self._sources.items()
         }
-        shell.require_one_open(list(self._refusals()), len(self._readers))
+        runtime.require_one_open(list(self._refusals()), len(self._readers))
         for reader in self._readers.values():
             reader.start()
         self._publishing = threading.Thread(target=self._publish, daemon=True)

@@ -48,9 +48,9 @@ class BridgeAlerts:
         shell: of the node.
     """
 
-    def __init__(self, shell: NmeaNode) -> None:
-        self._shell = shell
-        self._config: NmeaOutConfig = shell.config
+    def __init__(self, runtime: NmeaNode) -> None:
+        self._runtime = runtime
+        self._config: NmeaOutConfig = runtime.config
         self._sinks: Mapping[str, Sink] = {}
         self._received: deque[tuple[str, str, str]] = deque(maxlen=_MAX_RECEIVED)
         self._asked: deque[_Asked] = deque()
@@ -62,10 +62,10 @@ class BridgeAlerts:
         """Start sending to the ``sinks`` of the node, by name."""
         self._sinks = sinks
         if self.are_told:
-            self._acknowledger = self._shell.node.create_client(AcknowledgeAlert, ACKNOWLEDGE_SERVICE)
-            self._shell.subscribe(ALERTS, self._take, latched=True)
-            self._shell.every(self._config.alerts_period_s, "alert list", self._tell_list)
-            self._shell.every(_COMMANDS_PERIOD_S, "commands", self._answer_commands)
+            self._acknowledger = self._runtime.node.create_client(AcknowledgeAlert, ACKNOWLEDGE_SERVICE)
+            self._runtime.subscribe(ALERTS, self._take, latched=True)
+            self._runtime.every(self._config.alerts_period_s, "alert list", self._tell_list)
+            self._runtime.every(_COMMANDS_PERIOD_S, "commands", self._answer_commands)
 
     @property
     def are_told(self) -> bool:
@@ -81,7 +81,7 @@ class BridgeAlerts:
     def status(self) -> DiagnosticStatus:
         """Return what was sent, and what was not."""
         values = {name: str(count) for name, count in sorted(self._counts.items())}
-        if is_played(self._shell):
+        if is_played(self._runtime):
             return DiagnosticStatus("alerts", Level.WARN, f"no alert is sent, heartbeat status V: {PLAYED}", values)
         if not self._is_kept():
             text = f"no publisher of {ALERTS.topic}: no list is sent, heartbeat status V"
@@ -93,9 +93,9 @@ class BridgeAlerts:
         return DiagnosticStatus("alerts", Level.OK, text, values)
 
     def _take(self, message: Any) -> None:
-        if is_played(self._shell):
+        if is_played(self._runtime):
             return
-        for alert in self._ledger.take(message.alerts, utc_ns(self._shell)):
+        for alert in self._ledger.take(message.alerts, utc_ns(self._runtime)):
             self._tell_alert(alert, self._with(ALF))
 
     def _tell_alert(self, alert: AlertToTell, sinks: Iterable[Sink]) -> None:
@@ -105,7 +105,7 @@ class BridgeAlerts:
 
     def _tell_list(self) -> None:
         """Send the list if live alerts are published; an empty list would report that there is no alert."""
-        is_kept = self._is_kept() and not is_played(self._shell)
+        is_kept = self._is_kept() and not is_played(self._runtime)
         sentences = alc(self._ledger.told, self._config.talker, self._config.manufacturer, self._next(ALC))
         for sentence in sentences if is_kept else ():
             _put(sentence, self._with(ALC))
@@ -132,7 +132,7 @@ class BridgeAlerts:
             command = alert_command(text, self._config.manufacturer)
         except ValueError as problem:
             self._counts["unreadable"] += 1
-            self._shell.node.get_logger().warning(
+            self._runtime.node.get_logger().warning(
                 f"{sink.name}: {text[:100]!r}: {problem}", throttle_duration_sec=1.0
             )
             return
@@ -141,7 +141,7 @@ class BridgeAlerts:
         elif not sink.config.takes_commands_of(address):
             # No ARC: the bridge would receive it, too, and gave no such command.
             self._counts["not allowed"] += 1
-            self._shell.node.get_logger().warning(
+            self._runtime.node.get_logger().warning(
                 f"{sink.name}: command {command.command} about alert {command.identifier} of {address} not executed: "
                 f"add this address to sinks.{sink.name}.from, if it is the bridge's",
                 throttle_duration_sec=1.0,
@@ -172,18 +172,18 @@ class BridgeAlerts:
             self._refuse(asked.sink, asked.command, why)
             return
         self._counts["acknowledged"] += 1
-        self._shell.node.get_logger().info(f"{asked.sink.name}: acknowledged: {response.message}")
+        self._runtime.node.get_logger().info(f"{asked.sink.name}: acknowledged: {response.message}")
 
     def _refuse(self, sink: Sink, command: AlertCommand, why: str) -> None:
         self._counts["refused"] += 1
-        sink.put(arc(command, self._config.talker, self._config.manufacturer, utc_ns(self._shell)).render())
-        self._shell.node.get_logger().warning(
+        sink.put(arc(command, self._config.talker, self._config.manufacturer, utc_ns(self._runtime)).render())
+        self._runtime.node.get_logger().warning(
             f"{sink.name}: command {command.command} about alert {command.identifier} refused: {why}",
             throttle_duration_sec=1.0,
         )
 
     def _is_kept(self) -> bool:
-        return bool(self._shell.node.count_publishers(ALERTS.topic) > 0)
+        return bool(self._runtime.node.count_publishers(ALERTS.topic) > 0)
 
     def _with(self, name: str) -> list[Sink]:
         return [sink for sink in self._sinks.values() if name in sink.config.sentences]

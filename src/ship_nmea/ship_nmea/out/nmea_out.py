@@ -68,36 +68,36 @@ class NmeaOut:
         BadInput: no sink can be opened, and trying again would not help.
     """
 
-    def __init__(self, shell: NmeaNode) -> None:
-        self._shell = shell
-        self._config: NmeaOutConfig = shell.config
+    def __init__(self, runtime: NmeaNode) -> None:
+        self._runtime = runtime
+        self._config: NmeaOutConfig = runtime.config
         self._longest_ns = round(self._config.longest_age_s * NS_PER_S)
         self._attitude: Any = None
         self._came_ns = 0
-        self._alerts = BridgeAlerts(shell)
+        self._alerts = BridgeAlerts(runtime)
         self._sinks = [
             Sink(name, config, partial(self._alerts.receive_line, name)) for name, config in self._config.sinks.items()
         ]
         try:
-            shell.require_one_open([sink.refusal for sink in self._sinks if sink.refusal], len(self._sinks))
+            runtime.require_one_open([sink.refusal for sink in self._sinks if sink.refusal], len(self._sinks))
         except ValueError:
             self.close()
             raise
         self._paces = [(sink, Pace(sink.config.rate_hz)) for sink in self._sinks]
-        shell.subscribe(ATTITUDE, self._take_attitude)
-        shell.every(_VOID_PERIOD_S, "void sentences", self._tell_void)
+        runtime.subscribe(ATTITUDE, self._take_attitude)
+        runtime.every(_VOID_PERIOD_S, "void sentences", self._tell_void)
         self._alerts.begin({sink.name: sink for sink in self._sinks})
         for sink in self._sinks:
             sink.start()
         told = [f"{sink.name}: {', '.join(sink.config.sentences)} to {sink.place}" for sink in self._sinks]
-        shell.node.get_logger().info("; ".join(told))
+        runtime.node.get_logger().info("; ".join(told))
 
     def statuses(self) -> Iterable[DiagnosticStatus]:
         """See :class:`ship_nmea.nmea_node.Work`."""
         yield from (sink.status() for sink in self._sinks)
-        reason = self._why_void(*self._shell.clock.times())
+        reason = self._why_void(*self._runtime.clock.times())
         text = f"void: {reason}" if reason else ""
-        if not text and is_played(self._shell):
+        if not text and is_played(self._runtime):
             text = f"void except {', '.join(SAY_SIMULATED)}: {PLAYED}"
         yield DiagnosticStatus("attitude", Level.WARN if text else Level.OK, text or "sent")
         if self._alerts.are_told:
@@ -109,12 +109,12 @@ class NmeaOut:
             sink.close()
 
     def _take_attitude(self, message: Any) -> None:
-        now_ns, waiting_ns = self._shell.clock.times()
+        now_ns, waiting_ns = self._runtime.clock.times()
         self._attitude, self._came_ns = message, waiting_ns
         self._tell_attitude(self._why_void(now_ns, waiting_ns))
 
     def _tell_void(self) -> None:
-        if reason := self._why_void(*self._shell.clock.times()):
+        if reason := self._why_void(*self._runtime.clock.times()):
             self._tell_attitude(reason)
 
     def _tell_attitude(self, why_void: str) -> None:
@@ -122,8 +122,8 @@ class NmeaOut:
         due = [sink for sink, pace in self._paces if pace.is_due(steady_ns)]
         if not due:
             return
-        attitude = AttitudeToTell(utc_ns(self._shell)) if why_void else self._told(self._attitude)
-        as_if_live = not is_played(self._shell)
+        attitude = AttitudeToTell(utc_ns(self._runtime)) if why_void else self._told(self._attitude)
+        as_if_live = not is_played(self._runtime)
         for sink in due:
             for name in sink.config.sentences:
                 if make := ATTITUDE_SENTENCES.get(name):
@@ -149,7 +149,7 @@ class NmeaOut:
         return ""
 
     def _told(self, message: Any) -> AttitudeToTell:
-        worth = Worth.SIMULATED if self._shell.clock.is_simulated() else _WORTHS[message.status]
+        worth = Worth.SIMULATED if self._runtime.clock.is_simulated() else _WORTHS[message.status]
         variances = [float(message.covariance[index]) for index in (0, 4, 8)]
         sigma_heading, sigma_pitch, sigma_roll = (math.sqrt(v) if v >= 0.0 else math.nan for v in variances)
         rate = message.angular_velocity

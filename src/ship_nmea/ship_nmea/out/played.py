@@ -7,11 +7,11 @@ from ship_nmea.node_shell import NmeaNode
 PLAYED = "this node follows /clock, and tell_simulated is false"
 
 
-def is_played(shell: NmeaNode) -> bool:
+def is_played(runtime: NmeaNode) -> bool:
     """True if the data is played or simulated, and ``tell_simulated`` is not set."""
-    return shell.clock.is_simulated() and not shell.config.tell_simulated
+    return runtime.clock.is_simulated() and not runtime.config.tell_simulated
 
 
-def utc_ns(shell: NmeaNode) -> int:
+def utc_ns(runtime: NmeaNode) -> int:
     """Return the node's time, POSIX UTC; the machine's before the first /clock."""
-    return shell.clock.now_ns() or time.time_ns()
+    return runtime.clock.now_ns() or time.time_ns()

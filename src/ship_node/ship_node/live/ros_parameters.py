@@ -16,7 +16,7 @@ from ship_bags.parameter_yaml import (
     BLACK_BOX_PARAMETER,
     BLACK_BOX_PART_PARAMETER,
     RELIABLE_INPUTS_PARAMETER,
-    is_shell_parameter,
+    is_runtime_parameter,
 )
 from ship_bags.renamed_topics import TOPICS_PARAMETER, topic_map
 from ship_estimation.parameters import (
@@ -140,7 +140,7 @@ class NodeParameters:
                     USE_SIM_TIME,
                 )
             # The suite's own check comes first: its text contains the unit.
-            changed(self.config, {name: value for name, value in asked.items() if not self._is_of_the_shell(name)})
+            changed(self.config, {name: value for name, value in asked.items() if not self._is_runtime_parameter(name)})
             result = take(parameters)
         except (ParameterError, ParameterNotDeclaredException) as error:
             result = SetParametersResult(successful=False, reason=str(error))
@@ -160,7 +160,7 @@ class NodeParameters:
         kind = _LISTS.get(typing.get_args(description.kind)[:1])
         return parameter if kind is None else Parameter(parameter.name, kind, [])
 
-    def _is_of_the_shell(self, name: str) -> bool:
+    def _is_runtime_parameter(self, name: str) -> bool:
         return name not in self._descriptions and self._node.has_parameter(name)
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -188,7 +188,7 @@ def _overrides(node: Node) -> dict[str, Any]:
 
     For an empty list, as ``ros2 param dump`` writes it, rcl keeps the name and no value.
     """
-    given = {name: p for name, p in node._parameter_overrides.items() if not is_shell_parameter(name)}
+    given = {name: p for name, p in node._parameter_overrides.items() if not is_runtime_parameter(name)}
     return {name: [] if p.value is None else _plain(p.value) for name, p in given.items()}
 
 

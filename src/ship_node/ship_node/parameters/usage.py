@@ -11,7 +11,7 @@ from ship_estimation.parameters import ParameterDescription, build, describe, ne
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import InputTopic
 
-_SHELL_ROWS = (
+_RUNTIME_ROWS = (
     (
         BLACK_BOX_PARAMETER,
         "-",
@@ -68,7 +68,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             "services (std_srvs/srv/Trigger):",
             *in_columns([(f"~/{service}",) for service in adapter_class.services]),
             "parameters (* may be changed while the node runs):",
-            *in_lines([*map(parameter_row, describe(adapter_class.config_type)), *_SHELL_ROWS]),
+            *in_lines([*map(parameter_row, describe(adapter_class.config_type)), *_RUNTIME_ROWS]),
             "",
             "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (with one line of reason)",
             "",
