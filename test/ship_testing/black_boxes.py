@@ -168,7 +168,7 @@ def _plan(calls: AdapterCalls, node: RecordedNode) -> list[tuple[int, Callable[[
     ]
 
 
-def changed_copy(
+def write_changed_copy(
     box: Path,
     path: Path,
     change: Callable[[Record, Mapping[int, str]], Record | list[Record] | None],

@@ -136,7 +136,7 @@ class RelayAdapter:
         self.health.restart()
         return ServiceResult(True, "reset")
 
-    def contest(self, topic: str, text: str) -> None:
+    def set_duplicate_publishers(self, topic: str, text: str) -> None:
         self.health.contested(topic, text)
         self.contested.append((topic, text))
 

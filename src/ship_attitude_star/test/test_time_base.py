@@ -297,11 +297,11 @@ def test_a_contested_sensor_stays_contested_after_a_step() -> None:
     off_ns = clock((10.0, -300.0))
     adapter = new_adapter()
     sailed(adapter, [a for a in voyage(15.0) if a.receive_ns < START_NS + 5 * SECOND_NS], off_ns)
-    adapter.contest(FORE, "two publishers send")
+    adapter.set_duplicate_publishers(FORE, "two publishers send")
     run = sailed(adapter, [a for a in voyage(15.0) if a.receive_ns >= START_NS + 5 * SECOND_NS], off_ns)
     assert {m.status for since_s, m in attitudes(run) if since_s > 6.0} == {Status.DEGRADED}
     assert steps(run) != []
-    adapter.contest(FORE, "")
+    adapter.set_duplicate_publishers(FORE, "")
     assert not_valid_s(run, 15.0) == 0.0
 
 

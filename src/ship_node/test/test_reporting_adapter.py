@@ -63,7 +63,7 @@ class TinyCore:
     def reset(self, clock_jumped: bool) -> None:
         self.calls.append(("reset", clock_jumped))
 
-    def contest(self, source: str, text: str) -> None:
+    def set_duplicate_publishers(self, source: str, text: str) -> None:
         self.calls.append(("contest", source, text))
 
     def reconfigure(self, config: TinyConfig) -> None:
@@ -340,7 +340,7 @@ def test_cut_messages_cause_no_timeout(adapter: TinyAdapter) -> None:
 
 
 def test_duplicate_publishers_reach_core_and_health_unless_the_source_is_off(adapter: TinyAdapter) -> None:
-    adapter.contest(JUDGED, "two publishers send")
+    adapter.set_duplicate_publishers(JUDGED, "two publishers send")
     assert adapter.core.calls == [("contest", "camera", "two publishers send")]
     (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]
     assert (status.level, status.message) == (Level.ERROR, "two publishers send")
@@ -348,7 +348,7 @@ def test_duplicate_publishers_reach_core_and_health_unless_the_source_is_off(ada
     assert adapter.core.calls[-1] == ("contest", "camera", "")
     adapter.set_parameters({"sources_off": []})
     assert adapter.core.calls[-1] == ("contest", "camera", "two publishers send")
-    adapter.contest(JUDGED, "")
+    adapter.set_duplicate_publishers(JUDGED, "")
     assert adapter.core.calls[-1] == ("contest", "camera", "")
     (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]
     assert status.level is Level.OK

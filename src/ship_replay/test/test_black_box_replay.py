@@ -21,7 +21,7 @@ from ship_node.edge.messages_out import INTEGRITY_TYPE
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main
 from ship_simulation.inject_command import main as inject
-from ship_testing.black_boxes import BOX_FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, changed_copy, make_box
+from ship_testing.black_boxes import BOX_FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, write_changed_copy, make_box
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ATTITUDE = "ship_msgs/msg/ShipAttitude"
@@ -144,7 +144,7 @@ def test_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
     def without_waiting(record, topics):
         return replace(record, publish_time=record.log_time) if isinstance(record, Message) else record
 
-    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", without_waiting))
+    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", without_waiting))
     assert code == 1
     assert f"first difference: {topic}" in out
 
@@ -243,7 +243,7 @@ def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tm
 
     is_time = SavedStart.is_autosave_time
     monkeypatch.setattr(SavedStart, "is_time", lambda self, ns, period_s: is_time(self, ns, period_s / 60.0))
-    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "old.mcap", without_the_parameter))
+    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "old.mcap", without_the_parameter))
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
     suite = tmp_path / "suite.yaml"
@@ -311,7 +311,7 @@ def test_a_box_of_before_orientations_were_refused_is_replayed_as_recorded(tmp_p
             return replace(record, data=bytes(store.serialize_cdr(imu, kind)))
         return record
 
-    old = changed_copy(box, tmp_path / "old.mcap", as_then)
+    old = write_changed_copy(box, tmp_path / "old.mcap", as_then)
     code, out, _ = verify(capsys, old, "--out", tmp_path / "replayed.mcap")
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
@@ -364,7 +364,7 @@ def test_one_bit_of_one_field_is_found_and_named(box, tmp_path, capsys):
     with read_bag(box) as bag:
         attitude = [r for r in bag.records_in_file_order() if r.topic == "ship/attitude"][99].decode()
     stamp = attitude.header.stamp.sec * 10**9 + attitude.header.stamp.nanosec
-    other = changed_copy(box, tmp_path / "b.mcap", nth("ship/attitude", 100, with_last_bit_flipped("pitch")))
+    other = write_changed_copy(box, tmp_path / "b.mcap", nth("ship/attitude", 100, with_last_bit_flipped("pitch")))
     code, out, _ = verify(capsys, other)
     assert code == 1
     line = next(line for line in out.splitlines() if line.startswith("first difference: "))
@@ -380,20 +380,20 @@ def test_an_input_changed_by_one_bit_shows_in_the_output_that_follows(box, tmp_p
         imu.orientation.x += 1e-9
         return replace(message, data=bytes(store.serialize_cdr(imu, "sensor_msgs/msg/Imu")))
 
-    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 50, change)))
+    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 50, change)))
     assert code == 1
     assert "first difference: ship/attitude, stamp" in out
 
 
 def test_an_output_too_many_is_a_difference(box, tmp_path, capsys):
-    copy = changed_copy(box, tmp_path / "b.mcap", nth("ship/attitude", 30, lambda m: [m, m]), renumber=True)
+    copy = write_changed_copy(box, tmp_path / "b.mcap", nth("ship/attitude", 30, lambda m: [m, m]), renumber=True)
     code, out, _ = verify(capsys, copy)
     assert code == 1
     assert "recorded a message, replayed a message on ship/imu" in out
 
 
 def test_an_output_too_few_is_a_difference(box, tmp_path, capsys):
-    copy = changed_copy(box, tmp_path / "b.mcap", nth("/tf", 30, lambda message: None), renumber=True)
+    copy = write_changed_copy(box, tmp_path / "b.mcap", nth("/tf", 30, lambda message: None), renumber=True)
     code, out, _ = verify(capsys, copy)
     assert code == 1
     assert "first difference: /tf, " in out
@@ -406,14 +406,14 @@ def test_another_saved_file_is_a_difference(box, tmp_path, capsys):
             return replace(record, data=record.data.replace(b"version: 1", b"version: 9"))
         return record
 
-    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
     assert code == 1
     assert "alignment.yaml, stamp" in out
     assert "field line 2: recorded 'version: 9', replayed 'version: 1'" in out
 
 
 def test_missing_entries_end_the_verification_and_are_reported(box, tmp_path, capsys):
-    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 400, lambda message: None)))
+    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 400, lambda message: None)))
     assert code == 1
     assert "verified up to this point: entries are missing before 2014-07-09T11:50:11.79" in out
     assert "first difference" not in out
@@ -451,7 +451,7 @@ class TestRefused:
                 return replace(record, metadata=record.metadata | {"format": "0"})
             return record
 
-        line = error_text(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        line = error_text(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
         assert f"b.mcap: version 0 of the black box: expected {BOX_FORMAT}" in line
 
     def test_of_another_node(self, box, tmp_path, capsys):
@@ -460,12 +460,12 @@ class TestRefused:
                 return replace(record, metadata=record.metadata | {"node": "gyro"})
             return record
 
-        line = error_text(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        line = error_text(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
         assert "black box of node 'gyro': expected one of " in line
         assert "ship_attitude" in line.partition("expected one of")[2]
 
     def test_without_its_head(self, box, tmp_path, capsys):
-        copy = changed_copy(box, tmp_path / "b.mcap", lambda r, topics: None if isinstance(r, Metadata) else r)
+        copy = write_changed_copy(box, tmp_path / "b.mcap", lambda r, topics: None if isinstance(r, Metadata) else r)
         assert "metadata record 'black_box' is missing" in error_text(capsys, copy)
 
     def test_with_a_message_definition_that_has_changed(self, box, tmp_path, capsys):
@@ -474,23 +474,23 @@ class TestRefused:
                 return replace(record, data=record.data.replace(b"float64 pitch", b"float64 trim"))
             return record
 
-        line = error_text(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        line = error_text(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
         assert "topic 'ship/attitude': the message definition has changed" in line
         assert "ship_msgs/msg/ShipAttitude.pitch is missing in the bag" in line
 
     def test_with_the_content_of_a_file_missing(self, box, tmp_path, capsys):
         name = "files/0002/alignment.yaml"
-        copy = changed_copy(box, tmp_path / "b.mcap", without(name))
+        copy = write_changed_copy(box, tmp_path / "b.mcap", without(name))
         line = error_text(capsys, copy)
         assert f"attachment {name} is missing: the content of {box.with_name('alignment.yaml')}" in line
 
     def test_with_parameters_that_this_node_does_not_know(self, box, tmp_path, capsys):
-        copy = changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace("lag_s", "delay_s")))
+        copy = write_changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace("lag_s", "delay_s")))
         assert "attachment suite.yaml" in (line := error_text(capsys, copy))
         assert "'delay_s' is unknown" in line
 
     def test_with_the_parameters_of_other_devices(self, box, tmp_path, capsys):
-        copy = changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"')))
+        copy = write_changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"')))
         line = error_text(capsys, copy)
         assert "'star/starboard/horizon_attitude' (ship_msgs/msg/StarHorizonAttitude) is no topic of" in line
 
@@ -523,7 +523,7 @@ def suite(box, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["suite.yaml", "versions.json"])
 def test_a_missing_attachment_is_refused_or_replaced_by_config(box, suite, tmp_path, capsys, name):
-    copy = changed_copy(box, tmp_path / "b.mcap", without(name))
+    copy = write_changed_copy(box, tmp_path / "b.mcap", without(name))
     line = error_text(capsys, copy)
     assert name in line
     assert "--config" in line
@@ -540,7 +540,7 @@ def test_another_version_of_the_suite_is_refused_or_replayed_with_config(box, su
             return replace(record, data=json.dumps(found).encode())
         return record
 
-    copy = changed_copy(box, tmp_path / "b.mcap", change)
+    copy = write_changed_copy(box, tmp_path / "b.mcap", change)
     assert "another version of the suite (ship_attitude_star 0.0.1 there, 0.1.0 here)" in error_text(capsys, copy)
     code, out, _ = verify(capsys, copy, "--config", suite)
     assert code == 0

@@ -191,7 +191,7 @@ def test_a_place_by_directions_of_two_publishers_is_degraded_while_both_send() -
     adapter, published = adapter_of(2), []
     topic, text = next(iter(adapter.feeds)), "two publishers send on it: /a and /b; end all but one"
     for index in range(6):
-        adapter.contest(topic, text if index in (2, 3) else "")
+        adapter.set_duplicate_publishers(topic, text if index in (2, 3) else "")
         for number in range(2):
             published += give(adapter, number, seen(number, START_NS + index * PERIOD_NS))
     statuses = [place.status for place in places(published)]

@@ -320,7 +320,7 @@ class ShipAttitudeCore:
         self._estimator.apply(outcome)
         return outcome
 
-    def contest(self, source: str, text: str) -> None:
+    def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Record that two publishers send as a source; an empty text ends it."""
         self._estimator.contradictions.contest(source, self._estimator.window.newest_ns, text)
 

@@ -247,7 +247,7 @@ class StarCore:
         self._advance(outcome)
         return outcome
 
-    def contest(self, source: str, text: str) -> None:
+    def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Record that two publishers send as a source; an empty text ends it."""
         contradictions = self._of_ins if source == INS else self._contradictions
         contradictions.contest(source, self._arrivals.newest_ns, text)

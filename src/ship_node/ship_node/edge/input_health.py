@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import duration_text
 from ship_estimation.refusals import Reason
-from ship_node.edge.input_record import LATE_EDGES_S, MAX_AGE_S, InputRecord, InputRecords
+from ship_node.edge.input_record import DELAY_BIN_EDGES_S, MAX_AGE_S, InputRecord, InputRecords
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 
@@ -31,7 +31,7 @@ FUTURE_ERROR = 10
 _EXPECTED_REASONS = (Reason.GATE, Reason.REVISED)
 """Rejections that also good data meet occasionally: only several in a row are a warning."""
 
-_EDGES = (*(f"up to {edge:g} s" for edge in LATE_EDGES_S), f"above {LATE_EDGES_S[-1]:g} s")
+_EDGES = (*(f"up to {edge:g} s" for edge in DELAY_BIN_EDGES_S), f"above {DELAY_BIN_EDGES_S[-1]:g} s")
 
 _Issue = tuple[Level, str]
 

@@ -22,7 +22,7 @@ WINDOW = 50
 MAX_AGE_S = 10.0
 """Maximum age of a stamp, s: an older one belongs to another time."""
 
-LATE_EDGES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
+DELAY_BIN_EDGES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 """Upper edges of the histogram of the delays of late messages, s."""
 
 _MOST_FAILURES = 20
@@ -51,7 +51,7 @@ class InputRecord:
         self.received = self.accepted = self.rejected = 0
         self.reasons: Counter[Reason] = Counter()
         self.noted: Counter[Reason] = Counter()
-        self.late_delays = [0] * (len(LATE_EDGES_S) + 1)
+        self.late_delays = [0] * (len(DELAY_BIN_EDGES_S) + 1)
         self.reset_times()
 
     def reset_times(self) -> None:
@@ -124,7 +124,7 @@ class InputRecord:
         self.last_rejection_ns, self.last_rejection = waiting_ns, rejection
         if rejection.reason is Reason.LATE and stamp_ns is not None:
             delay_s = (receive_ns - stamp_ns) * 1e-9
-            self.late_delays[sum(delay_s > edge for edge in LATE_EDGES_S)] += 1
+            self.late_delays[sum(delay_s > edge for edge in DELAY_BIN_EDGES_S)] += 1
 
     def add_overflow(self, count: int, why: str, waiting_ns: int) -> None:
         """Count messages that were cut unread because of a bound; a run of rejections neither grows nor ends."""

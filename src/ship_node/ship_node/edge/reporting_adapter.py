@@ -267,7 +267,7 @@ class ReportingAdapter(ABC):
         if self._contested.see(topic, reading.value.time_ns, reading.value):
             self._pass_on_contested(topic)
 
-    def contest(self, topic: str, text: str) -> None:
+    def set_duplicate_publishers(self, topic: str, text: str) -> None:
         """See :class:`ship_node.edge.adapter.Adapter`."""
         self._contested.name(topic, text)
         self._pass_on_contested(topic)

@@ -90,7 +90,7 @@ class AdapterCalls:
             self._note(change, now_ns, waiting_ns)
         self.publish(published, now_ns)
 
-    def contest(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
+    def set_duplicate_publishers(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
         """Report to the adapter that two publishers send on a topic; an empty text: no longer."""
         try:
             self._adapter.contest(topic, text)

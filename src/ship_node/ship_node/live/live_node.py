@@ -240,7 +240,7 @@ class LiveNode:
         else:
             del self._contested[topic]
             self._log.info(f"one publisher sends on {topic}")
-        self._calls.contest(topic, text, now_ns, waiting_ns)
+        self._calls.set_duplicate_publishers(topic, text, now_ns, waiting_ns)
 
     def _work(self) -> None:
         """Give the adapter the next message at its receive time, or the current time if none waits."""

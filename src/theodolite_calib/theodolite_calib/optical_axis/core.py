@@ -296,7 +296,7 @@ class OpticalAxisCore:
             self._answer_targets(outcome)
         return outcome
 
-    def contest(self, source: str, text: str) -> None:
+    def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Set that two publishers send on one source; an empty text ends it."""
         contradictions = self._of_targets if source == TargetSample.source else self._estimator.contradictions
         contradictions.contest(source, self._estimator.window.newest_ns, text)

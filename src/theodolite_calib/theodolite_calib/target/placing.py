@@ -153,7 +153,7 @@ class TriangulationCore:
             self._answer(sample.target_id, target, waiting_ns, outcome)
         return outcome
 
-    def contest(self, source: str, text: str) -> None:
+    def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Set that two publishers send on one source; an empty text ends it."""
         self._contradictions.contest(source, 0, text)
 
