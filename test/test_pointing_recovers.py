@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
@@ -196,7 +196,7 @@ def test_pointings_above_the_alert_limit_are_no_trouble(session):
 
 
 class _Smoothing(OpticalAxisAdapter):
-    def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> SmoothingAxisCore:
+    def make_core(self, config: OpticalAxisConfig, watch: SkyModel | None) -> SmoothingAxisCore:
         return SmoothingAxisCore(config, watch)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
@@ -305,7 +305,7 @@ def test_later_stars_improve_earlier_pointings() -> None:
     for seed in range(SEEDS // 2):
         rng = np.random.default_rng(seed)
         night = MountSession(settings, drawn_errors(settings, rng), mount_sky(settings), rng)
-        core, told, true_nm = SmoothingAxisCore(settings, installed_sky(settings.sky)), [], []
+        core, told, true_nm = SmoothingAxisCore(settings, load_sky_model(settings.sky)), [], []
         for given in at_anchor():
             core.add_surroundings(given)
         for number in range(80):

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
@@ -29,7 +29,7 @@ LARGE = {"field_spatial_sigma_px": 0.3, "pixel_spatial_sigma_px": 0.2}
 def solved(run: SimulatedRun):
     """Return the attitude of the sensor by the first exposure of a run, and the true one (horizon from sensor)."""
     config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
-    watch = installed_sky(config.sky)
+    watch = load_sky_model(config.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
             watch.surroundings.insert(sky_input(run, source, index))

@@ -11,7 +11,7 @@ import pytest
 
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars
@@ -38,16 +38,16 @@ def one_epoch(**changes) -> Scenario:
     return replace(short, **changes)
 
 
-def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyWatch:
+def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyModel:
     """Return the sky by the fixes and the weather station."""
-    watch = installed_sky(configuration.sky)
+    watch = load_sky_model(configuration.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
             watch.surroundings.insert(sky_input(run, source, index))
     return watch
 
 
-def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: ShipAttitudeConfig) -> SightedStars:
+def sighted(exposures: dict[str, StarExposure], watch: SkyModel, configuration: ShipAttitudeConfig) -> SightedStars:
     """Return all stars of several sensors in the deck."""
     parts, mounting_b, field_b, field_sources = [], [], [], ()
     for index, (id_, exposure) in enumerate(exposures.items()):

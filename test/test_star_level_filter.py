@@ -15,7 +15,7 @@ import pytest
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.catalogue import hipparcos
-from ship_attitude_star.sky.sky_watch import ApparentStars, LocalSky, SkyWatch
+from ship_attitude_star.sky.sky_watch import ApparentStars, LocalSky, SkyModel
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
@@ -53,14 +53,14 @@ def runs() -> list[SimulatedRun]:
 
 
 def final_nees(
-    run: SimulatedRun, watch: type[SkyWatch] = SkyWatch, table: EarthOrientationTable | None = None
+    run: SimulatedRun, watch: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
 ) -> float:
     """Return NEES of the fused attitude at the end, by an estimator with another sky if given."""
     return normalised(run, final(run, watch, table)[1])
 
 
 def final(
-    run: SimulatedRun, watch: type[SkyWatch] = SkyWatch, table: EarthOrientationTable | None = None
+    run: SimulatedRun, watch: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
 ) -> tuple[ShipAttitudeCore, AttitudeEstimate]:
     """Return the estimator at the end, and its last attitude."""
     config = core_for(run.scenario).config
@@ -195,7 +195,7 @@ class _Airless(LocalSky):
         return replace(seen, direction_n=lifted(seen.direction_n, -angle))
 
 
-class SkyWithoutRefraction(SkyWatch):
+class SkyWithoutRefraction(SkyModel):
     """Sky without refraction."""
 
     def at(self, time_ns: int) -> LocalSky | Rejection:
@@ -218,7 +218,7 @@ class _Still(RefreshedSky):
         return celestial @ self.rotation_horizon_from_icrs(time_ns, observer.position).T
 
 
-class SkyWithoutAberration(SkyWatch):
+class SkyWithoutAberration(SkyModel):
     """Apparent places for an observer at rest; without proper motion, 0.3″ since 2000 for most."""
 
     def __init__(self, config, table, catalogue) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from bench_rows import Row, by_turns, median_ratio, median_us
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_estimation.parameters import build
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing
 from ship_replay.trials.one_estimate import SightingStepWithoutSubfilters, ShipFilterWithoutSubfilters
@@ -119,7 +119,7 @@ def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[fl
 def _theodolite_star_steps_us(run: SimulatedRun) -> list[float]:
     """Return the time of each step by an exposure of stars over a session, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
-    core = OpticalAxisCore(config, watch=installed_sky(config.sky))
+    core = OpticalAxisCore(config, sky=load_sky_model(config.sky))
     core._step_to_stars, times_us = _timed(core._step_to_stars)  # type: ignore[arg-type]
     feed_pointing(core, run)
     return times_us

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from bench_filter import ship_steps_us
 from bench_rows import Row, by_turns, median_ratio, median_us, own_cpu_s
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck, solve_exposure
 from ship_attitude_star.stars.solution import SolutionStatus
@@ -43,7 +43,7 @@ def star_solution() -> list[Row]:
     scenario = dataclasses.replace(load_scenario(SCENARIO), duration_s=1.0)
     run = simulate(scenario, seed=1)
     config = build(StarAttitudeConfig, star_attitude_configuration(scenario))
-    watch = installed_sky(config.sky)
+    watch = load_sky_model(config.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
             watch.surroundings.insert(sky_input(run, source, index))

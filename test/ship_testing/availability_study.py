@@ -17,7 +17,7 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 from scipy.stats import chi2, norm
 
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck, solve_exposure
 from ship_attitude_star.stars.exposure import StarExposure
@@ -79,7 +79,7 @@ class Scene:
 
     exposures: dict[str, StarExposure]
     config: StarAttitudeConfig
-    watch: SkyWatch
+    sky_model: SkyModel
     told: ErfaSky
     rotation_nd: FloatArray
     ins: StarPrior
@@ -107,7 +107,7 @@ def draw_scene(seed: int) -> Scene:
     scenario = _scenario(rng)
     run = simulate(scenario, seed)
     config = build(StarAttitudeConfig, star_attitude_configuration(scenario))
-    watch = installed_sky(config.sky)
+    watch = load_sky_model(config.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
             watch.surroundings.insert(sky_input(run, source, index))
@@ -121,7 +121,7 @@ def draw_scene(seed: int) -> Scene:
     return Scene(
         exposures=exposures,
         config=config,
-        watch=watch,
+        sky_model=watch,
         told=ErfaSky(run.start_ns, run.fixes.position(0), weather),
         rotation_nd=rotation_nd,
         ins=StarPrior(ins_nd, np.diag(_INS_SIGMA**2)),
@@ -206,7 +206,7 @@ def joint_solution(scene: Scene, rows: Mapping[str, np.ndarray], with_ins: bool)
             rotation_ns = scene.ins.rotation_nb @ sensors[id_].rotation_ds
             mounting_n = rotation_ns * sensors[id_].installation_sigma_s
             prior = StarPrior(rotation_ns, scene.ins.covariance_n + mounting_n @ mounting_n.T)
-        placed, _ = solve_exposure(exposure[rows[id_]], (), prior, scene.watch)
+        placed, _ = solve_exposure(exposure[rows[id_]], (), prior, scene.sky_model)
         group.append(Mounted(placed, sensors[id_].rotation_ds))
     at_once = np.zeros((len(group), 3, len(group), 3))
     return solve_deck(group[0].placed.time_ns, group, at_once, sensors, scene.ins if with_ins else None).solution

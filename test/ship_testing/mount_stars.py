@@ -10,7 +10,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix
 from ship_attitude_star.sky.catalogue import julian_year
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.optics_errors import OpticsErrors
@@ -47,12 +47,12 @@ def mount_config(parallelism_sigma_arcsec: float = 0.2, **changes) -> OpticalAxi
     return config(**{**own, **quiet, **changes})
 
 
-def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int = 60) -> SkyWatch:
+def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int = 60) -> SkyModel:
     """Return the sky of a ship at anchor with measured weather, for this many seconds."""
-    watch = installed_sky(settings.sky)
+    sky_model = load_sky_model(settings.sky)
     for given in at_anchor(start_ns, seconds):
-        watch.surroundings.insert(given)
-    return watch
+        sky_model.surroundings.insert(given)
+    return sky_model
 
 
 def at_anchor(start_ns: int = TIME_NS, seconds: int = 60) -> Iterator[PositionFix | AirReading]:
@@ -94,7 +94,7 @@ def drawn_errors(settings: OpticalAxisConfig, rng: np.random.Generator) -> Mount
 
 
 def stars_seen(
-    watch: SkyWatch,
+    sky_model: SkyModel,
     rotation_ns: FloatArray,
     sky: FloatArray,
     count: int,
@@ -121,7 +121,7 @@ def stars_seen(
         lens: true optics of the camera; None where they are those configured.
         optics: model of the errors of its lens.
     """
-    sky_at_time, catalogue = watch.at(time_ns), watch.catalogue
+    sky_at_time, catalogue = sky_model.at(time_ns), sky_model.catalogue
     rows = sky_at_time.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
     apparent = sky_at_time.apparent(catalogue.at_j2000[rows])
     seen_s = (apparent.direction_n + apparent.shared_n @ sky) @ rotation_ns
@@ -168,11 +168,11 @@ class MountSession:
         self,
         settings: OpticalAxisConfig,
         errors: MountErrors,
-        watch: SkyWatch,
+        sky_model: SkyModel,
         rng: np.random.Generator,
         detector: DetectorErrors | None = None,
     ) -> None:
-        self.settings, self.errors, self.watch, self.rng = settings, errors, watch, rng
+        self.settings, self.errors, self.sky_model, self.rng = settings, errors, sky_model, rng
         self.detector = detector
 
     def main_axis(self, encoder: FloatArray) -> FloatArray:
@@ -200,7 +200,7 @@ class MountSession:
         optics = camera.camera.optics_errors(camera.camera.camera(CAMERA_ID))
         spatial = camera.camera.spatial_errors(camera.camera.camera(CAMERA_ID))
         return stars_seen(
-            self.watch,
+            self.sky_model,
             rotation_ns,
             self.errors.sky,
             count,

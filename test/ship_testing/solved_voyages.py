@@ -7,7 +7,7 @@ from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.stars.config import JOINT
@@ -30,7 +30,7 @@ def core_for_solutions(run: SimulatedRun) -> ShipAttitudeCore:
     for sensor in suite["star_sensors"].values():
         sensor["input"] = "solution"
     config = build(ShipAttitudeConfig, suite)
-    return ShipAttitudeCore(config, installed_sky(config.sky))
+    return ShipAttitudeCore(config, load_sky_model(config.sky))
 
 
 def outcomes_by_solutions(
@@ -38,7 +38,7 @@ def outcomes_by_solutions(
 ) -> Iterator[AttitudeOutcome]:
     """Return the core's outcome of each input; attitudes are computed only at the wanted samples of the INS."""
     star_config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
-    solver = StarCore(star_config, installed_sky(star_config.sky))
+    solver = StarCore(star_config, load_sky_model(star_config.sky))
     for _, source, index in run.arrivals():
         solved = []
         if source == "ins":

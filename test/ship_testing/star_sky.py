@@ -7,7 +7,7 @@ import numpy as np
 from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.sky.catalogue import julian_year
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -34,9 +34,9 @@ def configuration(**ship) -> ShipAttitudeConfig:
     return build(ShipAttitudeConfig, {"star_sensors": sensors, **ship})
 
 
-def told_sky(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyWatch:
+def told_sky(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyModel:
     """Return the sky of a ship at anchor with continuous fixes."""
-    watch = installed_sky(config.sky)
+    watch = load_sky_model(config.sky)
     for second in range(-2, 60):
         watch.surroundings.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2))
     return watch
@@ -52,7 +52,7 @@ def ins_track(time_ns: int = TIME_NS, error_n: FloatArray | None = None) -> Atti
 
 
 def exposure_of(
-    watch: SkyWatch,
+    sky_model: SkyModel,
     id_: str,
     count: int,
     rng: np.random.Generator | None = None,
@@ -60,9 +60,9 @@ def exposure_of(
     installation_s: FloatArray | None = None,
 ) -> StarExposure:
     """Return the brightest stars in a sensor's field, with noise if ``rng`` is given."""
-    catalogue = watch.catalogue
+    catalogue = sky_model.catalogue
     rows = catalogue.rows_brighter_than(MAGNITUDE_LIMIT)
-    apparent = watch.at(time_ns).apparent(catalogue.at_j2000[rows])
+    apparent = sky_model.at(time_ns).apparent(catalogue.at_j2000[rows])
     angles = SENSORS[id_]
     rotation_ns = ROTATION_ND @ rotation_from_angles(*np.deg2rad([angles["azimuth_deg"], angles["elevation_deg"], 0.0]))
     if installation_s is not None:

@@ -233,7 +233,7 @@ def test_fixes_in_any_order_end_in_the_same_state():
 
     def end(order):
         core = ShipAttitudeCore(config, told_sky(config))
-        core._watch.reset()
+        core._sky_model.reset()
         for item in order:
             if isinstance(item, PositionFix):
                 core.add_sky_input(item)

@@ -8,7 +8,7 @@ from scipy.stats import poisson
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.identification import candidates
@@ -36,7 +36,7 @@ ROTATION_NS = ROTATION_ND @ ROTATION_DS
 
 
 @pytest.fixture(scope="module")
-def watch() -> SkyWatch:
+def watch() -> SkyModel:
     return told_sky(configuration())
 
 
@@ -50,7 +50,7 @@ def wide(heading_arcsec: float, tilt_arcsec: float = 10.0, **changes) -> ShipAtt
     return configuration(ins=ins, **changes)
 
 
-def false_exposure(watch: SkyWatch, count: int, rng: np.random.Generator) -> StarExposure:
+def false_exposure(watch: SkyModel, count: int, rng: np.random.Generator) -> StarExposure:
     """Return false detections anywhere in the field, of any magnitude."""
     directions_s = np.column_stack([np.ones(count), np.tan(np.deg2rad(rng.uniform(-5.0, 5.0, (count, 2))))])
     directions_s /= np.linalg.norm(directions_s, axis=-1, keepdims=True)
@@ -59,7 +59,7 @@ def false_exposure(watch: SkyWatch, count: int, rng: np.random.Generator) -> Sta
 
 
 @pytest.mark.parametrize("prior", [(72.0, 10.0), (DEGREE, 10.0), (3.0 * DEGREE, 10.0)], ids=str)
-def test_the_number_of_false_matches_is_the_expected_one(watch: SkyWatch, prior: tuple[float, float]) -> None:
+def test_the_number_of_false_matches_is_the_expected_one(watch: SkyModel, prior: tuple[float, float]) -> None:
     """Stars anywhere in the sky, drawn and counted; the bound is that of a Poisson number with the expected mean."""
     known, rng, fitting, told = prior_of(*prior), np.random.default_rng(1), 0, 0.0
     for _ in range(60):
@@ -83,7 +83,7 @@ def test_the_number_of_false_matches_is_the_expected_one(watch: SkyWatch, prior:
 @pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("prior", [(DEGREE, 10.0), (3.0 * DEGREE, 10.0), (3.0 * DEGREE, 3.0 * DEGREE)], ids=str)
 def test_false_detections_alone_never_give_an_attitude(
-    watch: SkyWatch, prior: tuple[float, float], count: int
+    watch: SkyModel, prior: tuple[float, float], count: int
 ) -> None:
     """Without the limit, 13 of 240 such exposures gave a VALID attitude with an error of degrees."""
     ship_filter = ShipFilter(wide(*prior))
@@ -95,7 +95,7 @@ def test_false_detections_alone_never_give_an_attitude(
 
 
 @pytest.mark.parametrize("off_deg", [-9.0, -3.0, 0.5, 3.0, 6.0])
-def test_stars_without_identity_are_identified_with_a_wide_heading(watch: SkyWatch, off_deg: float) -> None:
+def test_stars_without_identity_are_identified_with_a_wide_heading(watch: SkyModel, off_deg: float) -> None:
     """The gate is curved: a star rotated by 3° about the vertical is 283″ off its tangent."""
     ship_filter = ShipFilter(wide(3.0 * DEGREE))
     exposure = exposure_of(watch, "fore", 8, np.random.default_rng(3))
@@ -123,7 +123,7 @@ def test_stars_without_identity_are_identified_with_a_wide_heading(watch: SkyWat
     ],
 )
 def test_a_single_star_is_accepted_if_the_prior_leaves_no_rival(
-    watch: SkyWatch, heading: float, tilt: float, named: bool, used: bool
+    watch: SkyModel, heading: float, tilt: float, named: bool, used: bool
 ) -> None:
     ship_filter = ShipFilter(wide(heading, tilt))
     exposure = exposure_of(watch, "fore", 1)
@@ -135,7 +135,7 @@ def test_a_single_star_is_accepted_if_the_prior_leaves_no_rival(
         assert not state.used_ns
 
 
-def test_each_further_star_reduces_false_matches(watch: SkyWatch) -> None:
+def test_each_further_star_reduces_false_matches(watch: SkyModel) -> None:
     prior = prior_of(3.0 * DEGREE, 3.0 * DEGREE)
     _, stars, _ = visible_stars(exposure_of(watch, "fore", 6), watch, prior)
     basis, numbers = across(stars.reference_n), []
@@ -147,7 +147,7 @@ def test_each_further_star_reduces_false_matches(watch: SkyWatch) -> None:
     assert select(stars, prior).members.all()
 
 
-def test_the_solver_of_solutions_has_the_same_limit(watch: SkyWatch) -> None:
+def test_the_solver_of_solutions_has_the_same_limit(watch: SkyModel) -> None:
     """Two stars with identities are verified by a prior of 3° in all axes, not by one of 30°."""
     for sigma, status in ((3.0 * DEGREE, SolutionStatus.VALID), (30.0 * DEGREE, SolutionStatus.INVALID)):
         prior = prior_of(sigma, sigma)
@@ -157,7 +157,7 @@ def test_the_solver_of_solutions_has_the_same_limit(watch: SkyWatch) -> None:
     assert solution.rejection.reason is Reason.UNIDENTIFIED
 
 
-def test_successive_unidentified_exposures_inflate_the_covariance(watch: SkyWatch) -> None:
+def test_successive_unidentified_exposures_inflate_the_covariance(watch: SkyModel) -> None:
     """INS error 6′, stated sigma 10″: no star is identified until rejections inflate the covariance."""
     ship_filter = ShipFilter(wide(10.0, gate={"reopen_after": 3, "reopen_factor": 400.0}))
     state, error_n, reasons = ship_filter.initial_state(), np.deg2rad([0.0, 0.1, 0.0]), []

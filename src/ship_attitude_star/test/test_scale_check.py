@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.exposure import StarExposure
@@ -27,11 +27,11 @@ TEXT = re.compile(
 
 
 @pytest.fixture(scope="module")
-def watch() -> SkyWatch:
+def watch() -> SkyModel:
     return told_sky(configuration())
 
 
-def exposure(watch: SkyWatch, scale: float, rng: np.random.Generator, count: int = STARS) -> StarExposure:
+def exposure(watch: SkyModel, scale: float, rng: np.random.Generator, count: int = STARS) -> StarExposure:
     """Return stars with noise of 3″ by a camera whose true focal length is longer by the ratio ``scale``."""
     seen = exposure_of(watch, "fore", count, rng)
     true = replace(CAMERA, focal_length_m=CAMERA.focal_length_m * (1.0 + scale))

@@ -5,7 +5,7 @@ import pytest
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.sky_watch import SHARED_TERMS, LocalSky, SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SHARED_TERMS, LocalSky, SkyModel, load_sky_model
 from ship_estimation.refusals import Reason
 from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
 from ship_geometry.rotations import ARCSEC
@@ -15,8 +15,8 @@ PRESSURE_SIGMA_HPA = 5.0
 NORTH_SIGMA_M, EAST_SIGMA_M = 300.0, 500.0
 
 
-def told(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) -> SkyWatch:
-    watch = installed_sky(SkyConfig(temperature_sigma_k=0.0))
+def told(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) -> SkyModel:
+    watch = load_sky_model(SkyConfig(temperature_sigma_k=0.0))
     watch.surroundings.insert(PositionFix(TIME_NS, position, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])))
     watch.surroundings.insert(AirReading("pressure", TIME_NS, pressure_hpa, PRESSURE_SIGMA_HPA))
     return watch
@@ -36,7 +36,7 @@ def stars():
 
 
 def test_without_position_or_earth_orientation_the_sky_is_rejected_with_a_reason() -> None:
-    watch = installed_sky(SkyConfig())
+    watch = load_sky_model(SkyConfig())
     assert watch.at(TIME_NS).reason is Reason.NO_FIX
     assert told().at(TIME_NS + 40 * 365 * 86_400 * 1_000_000_000).reason is Reason.NO_EARTH_ORIENTATION
     watch = told()

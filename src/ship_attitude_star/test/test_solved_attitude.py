@@ -18,7 +18,7 @@ from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
 from ship_attitude_star.stars.exposure import StarExposure
@@ -73,8 +73,8 @@ def ship(known: Knowledge, **sensor: Any) -> ShipAttitudeConfig:
     return replace(built, star_sensors={id_: replace(star, **sensor) for id_, star in built.star_sensors.items()})
 
 
-def sky(config: ShipAttitudeConfig, position: GeodeticPosition, sigma_m: float) -> SkyWatch:
-    watch = installed_sky(config.sky)
+def sky(config: ShipAttitudeConfig, position: GeodeticPosition, sigma_m: float) -> SkyModel:
+    watch = load_sky_model(config.sky)
     for second in range(-2, EPOCHS + 2):
         fix = PositionFix(TIME_NS + second * SECOND_NS, position, np.eye(3) * sigma_m**2)
         watch.surroundings.insert(fix)
@@ -82,11 +82,11 @@ def sky(config: ShipAttitudeConfig, position: GeodeticPosition, sigma_m: float) 
 
 
 @functools.cache
-def told(known: Knowledge) -> SkyWatch:
+def told(known: Knowledge) -> SkyModel:
     return sky(ship(known), POSITION, known.fix_m)
 
 
-def true_sky(known: Knowledge, rng: np.random.Generator) -> SkyWatch:
+def true_sky(known: Knowledge, rng: np.random.Generator) -> SkyModel:
     """Return a sky whose position and air differ from the known ones by their sigmas."""
     north_m, east_m = known.fix_m * rng.standard_normal(2)
     place = GeodeticPosition(
@@ -319,7 +319,7 @@ def test_below_the_refraction_model_the_stated_covariance_is_used(elevation_deg:
 
 
 def test_without_a_fix_shared_errors_cannot_be_separated() -> None:
-    refusal = in_horizon(read(one_solution()), installed_sky(ship(POOR_FIX).sky))
+    refusal = in_horizon(read(one_solution()), load_sky_model(ship(POOR_FIX).sky))
     assert isinstance(refusal, Rejection)
     assert refusal.reason is Reason.NO_FIX
 

@@ -8,7 +8,7 @@ import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.sky.masks import MaskConfig, deck_masks
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.stars.exposure import StarExposure, identified
 from ship_attitude_star.stars.identification import candidates
@@ -24,7 +24,7 @@ ROTATION_NS = ROTATION_ND @ ROTATION_DS
 
 
 @pytest.fixture(scope="module")
-def watch() -> SkyWatch:
+def watch() -> SkyModel:
     return told_sky(CONFIG)
 
 
@@ -55,7 +55,7 @@ def halved(exposure: StarExposure) -> float:
     return float(azimuths[middle - 1 : middle + 1].mean())
 
 
-def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_identities(watch: SkyWatch) -> None:
+def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_identities(watch: SkyModel) -> None:
     exposure = exposure_of(watch, "fore", 8)
     edge_deg = halved(exposure)
     hidden = deck_places_deg(exposure.directions_s)[:, 0] < edge_deg
@@ -69,7 +69,7 @@ def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_identities(
     assert not none
 
 
-def test_a_lamp_behind_a_mask_matches_no_star(watch: SkyWatch) -> None:
+def test_a_lamp_behind_a_mask_matches_no_star(watch: SkyModel) -> None:
     """A star at the edge and a lamp next to it, both within the gate: without the mask neither gets the identity."""
     exposure = exposure_of(watch, "fore", 4)
     at_edge = int(np.argmin(deck_places_deg(exposure.directions_s)[:, 0]))
@@ -90,7 +90,7 @@ def test_a_lamp_behind_a_mask_matches_no_star(watch: SkyWatch) -> None:
 
 @pytest.mark.parametrize("sigma_arcsec", [10.0, 600.0])
 def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
-    watch: SkyWatch, sigma_arcsec: float
+    watch: SkyModel, sigma_arcsec: float
 ) -> None:
     """Stars to port of the edge by more than five sigmas and the step of the edge are out, others are in."""
     exposure, moment = without_identity(exposure_of(watch, "fore", 8)), watch.at(TIME_NS)

@@ -15,7 +15,7 @@ from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, solve_with_fallback, solve_stars
@@ -56,7 +56,7 @@ class Width:
 class Sky:
     """Exposures without errors by sensor and stamp, and how errors that stars share displace their stars."""
 
-    watch: SkyWatch
+    watch: SkyModel
     fields: dict[tuple[str, int], tuple[StarExposure, FloatArray, FloatArray]]
 
     def seen(self, id_: str, time_ns: int, count: int, mounted_s: FloatArray, shared: FloatArray, rng: Any):
@@ -79,7 +79,7 @@ def sky() -> Sky:
     return Sky(told_sky(configuration()), {})
 
 
-def solved(exposure: StarExposure, watch: SkyWatch) -> AttitudeMeasurement:
+def solved(exposure: StarExposure, watch: SkyModel) -> AttitudeMeasurement:
     """The attitude of the sensor by these stars alone."""
     _, stars, _ = visible_stars(exposure, watch, None)
     solution = solve_stars(stars)

@@ -54,18 +54,18 @@ FORWARD, UP, RIGHT = range(3)
 
 
 @pytest.fixture(scope="module", name="watch")
-def _watch():
+def _sky():
     return mount_sky(SETTINGS, START_NS, 310)
 
 
 def swept(
-    seed: int, watch, distance_m=None, settings=SETTINGS, lens_error_m=PER_AXIS_M
+    seed: int, sky_model, distance_m=None, settings=SETTINGS, lens_error_m=PER_AXIS_M
 ) -> tuple[CalibrationFilter, CalibrationState, Session]:
     """Return the filter's state after the sweep, and the truth; without ``watch`` by beacons alone."""
     drawn = session(settings, seed, TIMES_S, ENCODER, lens_error_m=np.full(3, lens_error_m), distance_m=distance_m)
     filter_, rng = CalibrationFilter(settings), np.random.default_rng(1000 + seed)
     by_lights, sky = SightingStep(settings, filter_), rng.standard_normal(4)
-    by_stars = None if watch is None else StarStep(settings, filter_, watch)
+    by_stars = None if sky_model is None else StarStep(settings, filter_, sky_model)
     ((camera_id, camera),) = settings.telescopes.items()
     known, parallelism, lens = settings.star_camera(camera_id), drawn.parallelism, None
     optics = known.optics_errors(known.camera(camera_id))
@@ -80,7 +80,7 @@ def swept(
             state, decision = by_lights(state, sighting, Exposure(time_ns, ()))
         elif by_stars is not None:
             rotation_ns = drawn.rotation_nm[number] @ rotation_sm.T
-            seen = stars_seen(watch, rotation_ns, sky, 5, rng, time_ns, camera_id, lens=lens, optics=optics)
+            seen = stars_seen(sky_model, rotation_ns, sky, 5, rng, time_ns, camera_id, lens=lens, optics=optics)
             state, decision = by_stars(state, StarSighting(camera_id, seen, sighting.ship, sighting.encoder))
         assert decision.accepted, decision.text
     return filter_, state, drawn

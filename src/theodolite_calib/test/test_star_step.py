@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import ExposureLength, at_middle
 from ship_attitude_star.stars.fit import square_roots
 from ship_attitude_star.stars.selection import StarPrior
@@ -45,7 +45,7 @@ SECOND_NS = 1_000_000_000
 
 
 @pytest.fixture(scope="module", name="watch")
-def _watch() -> SkyWatch:
+def _sky() -> SkyModel:
     return mount_sky(SETTINGS)
 
 
@@ -56,9 +56,9 @@ def unit(vectors: FloatArray) -> FloatArray:
 class Mount:
     """A filter with its step and its output."""
 
-    def __init__(self, settings: OpticalAxisConfig, watch: SkyWatch) -> None:
-        self.settings, self.watch, self.filter = settings, watch, CalibrationFilter(settings)
-        self.step, self._output = StarStep(settings, self.filter, watch), PointingOutput(settings, self.filter)
+    def __init__(self, settings: OpticalAxisConfig, sky_model: SkyModel) -> None:
+        self.settings, self.watch, self.filter = settings, sky_model, CalibrationFilter(settings)
+        self.step, self._output = StarStep(settings, self.filter, sky_model), PointingOutput(settings, self.filter)
 
     def run(self, seed: int) -> tuple[MountSession, np.random.Generator]:
         rng = np.random.default_rng(seed)
@@ -227,7 +227,7 @@ def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> No
 def state_after_shift(night: MountSession) -> MountSession:
     """Return the state after a shift of camera or encoders by 100″, which stars cannot distinguish."""
     errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
-    return MountSession(night.settings, errors, night.watch, night.rng)
+    return MountSession(night.settings, errors, night.sky_model, night.rng)
 
 
 def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None:

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
@@ -55,7 +55,7 @@ def through(camera_id: str) -> OpticalAxisConfig:
 
 
 @cache
-def watch() -> SkyWatch:
+def sky_model() -> SkyModel:
     return mount_sky(through(CAMERA_ID), START_NS, 60)
 
 
@@ -103,7 +103,7 @@ def voyage(seed: int, camera_id: str, ratio: float, lights: bool = False, named:
     camera, known, parallelism = settings.telescopes[camera_id], settings.star_camera(camera_id), drawn.parallelism
     if not shared:
         parallelism = camera.parallelism + camera.parallelism_sigma * rng.standard_normal(3)
-    by_lights, by_stars = SightingStep(settings, filter_), StarStep(settings, filter_, watch())
+    by_lights, by_stars = SightingStep(settings, filter_), StarStep(settings, filter_, sky_model())
     rotation_sm, state = rotation_from_angles(*parallelism), filter_.initial_state()
     told, valid, in_sigmas, of_level, texts = known.optics_errors(known.camera("camera")), [], [], [], []
     for number, sighting in enumerate(drawn.sightings):
@@ -123,7 +123,7 @@ def voyage(seed: int, camera_id: str, ratio: float, lights: bool = False, named:
             state, decision = by_lights(state, sighting, Exposure(time_ns, ()))
         else:
             true_ns = true_nm @ rotation_sm.T
-            seen = stars_seen(watch(), true_ns, sky, STARS, rng, time_ns, camera_id, lens=optics, optics=told)
+            seen = stars_seen(sky_model(), true_ns, sky, STARS, rng, time_ns, camera_id, lens=optics, optics=told)
             seen = seen if named else without_identity(seen)
             state, decision = by_stars(state, StarSighting(camera_id, seen, sighting.ship, encoder))
         texts.append((estimate.text, decision.text))
@@ -188,7 +188,7 @@ def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
     known = settings.star_camera(TELESCOPE)
     exact = TrueOptics(StarCamera(**CAMERA), np.eye(3))
     optics = known.optics_errors(known.camera("camera"))
-    seen = stars_seen(watch(), rotation_ns, np.zeros(4), STARS, rng, START_NS, TELESCOPE, lens=exact, optics=optics)
+    seen = stars_seen(sky_model(), rotation_ns, np.zeros(4), STARS, rng, START_NS, TELESCOPE, lens=exact, optics=optics)
     pixels = StarCamera(**CAMERA).pixels(seen.directions_s)
 
     def residual(focal_length_m: float) -> tuple[FloatArray, FloatArray]:
@@ -198,7 +198,7 @@ def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
         mean = filter_.initial_state().mean
         attitude = filter_.stars.predict(mean, at)
         prior = StarPrior(attitude.rotation_ns, (300.0 * ARCSEC) ** 2 * np.eye(3))
-        found = filter_.stars.residuals(attitude, mean, at, prior, watch())
+        found = filter_.stars.residuals(attitude, mean, at, prior, sky_model())
         return found.residual, found.jacobian[:, filter_.model.slices["focal_length"]][:, 0]
 
     ahead, behind = residual(LENGTH_M + step_m)[0], residual(LENGTH_M - step_m)[0]
@@ -212,12 +212,12 @@ def test_false_stars_are_not_taken_for_a_wrong_focal_length() -> None:
     camera, known = settings.telescopes[CAMERA_ID], settings.star_camera(CAMERA_ID)
     optics, rotation_sm = known.optics_errors(known.camera("camera")), rotation_from_angles(*camera.parallelism)
     filter_ = CalibrationFilter(settings)
-    step = StarStep(settings, filter_, watch())
+    step = StarStep(settings, filter_, sky_model())
     accepted = 0
     for seed in range(SEEDS):
         drawn, rng = session(settings, seed, TIMES_S[:1], ENCODER[:1]), np.random.default_rng(seed)
         rotation_ns, (sighting,) = drawn.rotation_nm[0] @ rotation_sm.T, drawn.sightings
-        seen = stars_seen(watch(), rotation_ns, np.zeros(4), 8, rng, START_NS, CAMERA_ID, optics=optics)
+        seen = stars_seen(sky_model(), rotation_ns, np.zeros(4), 8, rng, START_NS, CAMERA_ID, optics=optics)
         directions_s = seen.directions_s.copy()
         directions_s[:2] += 3e-4 * rng.standard_normal((2, 3))
         directions_s /= np.linalg.norm(directions_s, axis=-1, keepdims=True)

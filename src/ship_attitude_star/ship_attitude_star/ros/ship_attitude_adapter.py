@@ -31,7 +31,7 @@ from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfi
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.cdr_template import CdrRows
@@ -144,13 +144,13 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
         looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
-        self._watch = installed_sky(config.sky) if looks_at_sky else None
+        self._sky_model = load_sky_model(config.sky) if looks_at_sky else None
         self._cameras = {
             id_: star.camera.camera(f"star_sensors.{id_}.camera")
             for id_, star in config.star_sensors.items()
             if star.input == "observations"
         }
-        core = self.make_core(config, self._watch)
+        core = self.make_core(config, self._sky_model)
         saved = SavedStart(
             ALIGNMENT_FILE,
             config.alignment_file,
@@ -181,11 +181,11 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         """Configured noise of the angular rate of the INS, each axis, rad/s."""
         return float(self.config.ins.rate_sigma_arcsec_per_s * ARCSEC)
 
-    def make_core(self, config: ShipAttitudeConfig, watch: SkyWatch | None) -> ShipAttitudeCore:
+    def make_core(self, config: ShipAttitudeConfig, sky_model: SkyModel | None) -> ShipAttitudeCore:
         """Return the estimator, with smoothing if configured."""
         if config.smoothing_lag_s:
-            return SmoothingCore(config, watch, config.smoothing_lag_s)
-        return ShipAttitudeCore(config, watch)
+            return SmoothingCore(config, sky_model, config.smoothing_lag_s)
+        return ShipAttitudeCore(config, sky_model)
 
     def takes_blocks(self, topic: str) -> bool:
         """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
@@ -225,7 +225,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, named=True)
             read_baseline = functools.partial(messages_in.baseline, config=config.ship_baseline)
             yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, has_decision=True)
-        if self._watch is not None:
+        if self._sky_model is not None:
             yield from surroundings_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
         elif config.follows_vertical:
             yield surroundings_in.place_feed(config.sky, untimed(core.add_sky_input))
@@ -250,7 +250,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
         """Return the reader of a star sensor's messages, and that of blocks of them, None for single stars."""
         if star.input == "observations":
-            assert self._watch is not None
+            assert self._sky_model is not None
             exposure = functools.partial(
                 star_messages_in.star_exposure,
                 sensor_id=id_,
@@ -258,7 +258,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 camera=self._cameras[id_],
                 camera_config=star.camera,
                 masks=star.sensor_masks,
-                catalogue=self._watch.catalogue,
+                catalogue=self._sky_model.catalogue,
             )
             return exposure, None
         if star.input == "inertial_attitude":

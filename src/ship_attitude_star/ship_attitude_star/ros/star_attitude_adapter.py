@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.ros.surroundings_in import surroundings_feeds
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.star_attitude.exposure_solver import RejectedStar, Solved, StarOutcome
@@ -88,7 +88,7 @@ class StarAttitudeAdapter(BatchAdapter):
     quiet_ticks: ClassVar[bool] = False
 
     def __init__(self, config: StarAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
-        self._watch = installed_sky(config.sky)
+        self._sky_model = load_sky_model(config.sky)
         self._cameras = {
             id_: sensor.camera.camera(f"star_sensors.{id_}.camera") for id_, sensor in config.star_sensors.items()
         }
@@ -101,7 +101,7 @@ class StarAttitudeAdapter(BatchAdapter):
         if not config.star_sensors:
             self.start_warnings = ("no star_sensors are configured: no attitude will be published",)
         self._solved: dict[str, tuple[Solved, int]] = {}
-        super().__init__(config, StarCore(config, self._watch), factory)
+        super().__init__(config, StarCore(config, self._sky_model), factory)
 
     def table(self, config: StarAttitudeConfig, core: StarCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that take them."""
@@ -114,7 +114,7 @@ class StarAttitudeAdapter(BatchAdapter):
                 camera=self._cameras[id_],
                 camera_config=sensor.camera,
                 masks=sensor.sensor_masks,
-                catalogue=self._watch.catalogue,
+                catalogue=self._sky_model.catalogue,
             )
             yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, has_decision=True)
         yield from surroundings_feeds(

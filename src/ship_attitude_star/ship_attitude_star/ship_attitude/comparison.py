@@ -11,7 +11,7 @@ import numpy as np
 from ship_attitude_star.measurements.baseline import BASELINE_COMPONENTS, BaselineMeasurement
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.residuals import star_residuals
@@ -121,7 +121,7 @@ def compare(
     model: ShipStateModel,
     mean: FloatArray,
     covariance: FloatArray,
-    watch: SkyWatch | None,
+    sky_model: SkyModel | None,
     expected: PredictedAttitude | None = None,
 ) -> Compared | Rejection:
     """Compare a measurement with the attitude predicted for its device.
@@ -154,15 +154,15 @@ def compare(
         )
     if isinstance(measurement, BaselineMeasurement):
         return _baseline_compared(measurement, device, predicted, model)
-    assert watch is not None
+    assert sky_model is not None
     assert isinstance(measurement, StarExposure)
     stars = star_residuals(
         measurement,
         predicted.rotation_nv,
         predicted.jacobian_v,
         (expected or predicted).prior(covariance),
-        watch,
-        model.sky_rows,
+        sky_model,
+        model.sky_slice,
         mean,
         None if expected is None else predicted.rotation_nv,
         camera_state_indices(model.slices, device.name),
@@ -231,7 +231,7 @@ def _attitude_residual(
     """
     rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
     if measurement.shared_n is not None:
-        rows = model.shared_rows[measurement.shared_by]
+        rows = model.shared_slices[measurement.shared_by]
         rotation = -measurement.shared_n @ mean[rows]
         rotation_nv = exp_rotation(rotation) @ rotation_nv
         jacobian_v = jacobian_v.copy()

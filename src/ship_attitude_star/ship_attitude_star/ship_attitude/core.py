@@ -49,7 +49,7 @@ from ship_attitude_star.ship_attitude.observability import ToldStates, learnt
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_compared, with_utc_step
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
 from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
@@ -86,11 +86,11 @@ class ShipAttitudeCore:
     def __init__(
         self,
         config: ShipAttitudeConfig,
-        watch: SkyWatch | None = None,
+        sky_model: SkyModel | None = None,
         closed: Callable[[Sequence[FilterState]], None] | None = None,
     ) -> None:
         self.config = config
-        self._watch = watch
+        self._sky_model = sky_model
         self.vertical: VerticalTrack | None = None
         if config.follows_vertical:
             self.vertical = VerticalTrack(config.gravity, config.sky)
@@ -133,8 +133,8 @@ class ShipAttitudeCore:
         """Discard all measurements. After a jump of the clock, outputs may start again at earlier times."""
         initial, _ = self._initial()
         self._estimator.reset(initial, clock_jumped)
-        if self._watch is not None:
-            self._watch.reset()
+        if self._sky_model is not None:
+            self._sky_model.reset()
         if self.vertical is not None:
             self.vertical.reset()
         self._begin(initial)
@@ -152,8 +152,8 @@ class ShipAttitudeCore:
             state = self.filter.fault_detector.restart_subfilters(state)
         state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
         self._estimator.step_time_base(state, step_ns)
-        if self._watch is not None:
-            self._watch.step_time_base(step_ns)
+        if self._sky_model is not None:
+            self._sky_model.step_time_base(step_ns)
         if self.vertical is not None:
             self.vertical.step_time_base(step_ns)
         self._begin(state)
@@ -297,14 +297,14 @@ class ShipAttitudeCore:
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
         """Add a position fix or an air reading; affected measurements are evaluated again."""
         outcome = AttitudeOutcome()
-        if self._watch is not None:
-            outcome.rejection = self._watch.surroundings.rejection(sky_input)
+        if self._sky_model is not None:
+            outcome.rejection = self._sky_model.surroundings.rejection(sky_input)
             self._estimator.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
-            changed_after_ns = self._watch.surroundings.insert(sky_input)
+            unchanged_until_ns = self._sky_model.surroundings.insert(sky_input)
             # A plain AttitudeMeasurement does not depend on the sky model; its subclass SolvedAttitude does.
-            self._reevaluate(changed_after_ns, lambda used: type(used) is not AttitudeMeasurement)
+            self._reevaluate(unchanged_until_ns, lambda used: type(used) is not AttitudeMeasurement)
         if self.vertical is not None and isinstance(sky_input, PositionFix):
-            if self._watch is None:
+            if self._sky_model is None:
                 outcome.rejection = self.vertical.rejection(sky_input)
                 self._estimator.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
             self._reevaluate(self.vertical.insert(sky_input), lambda _used: True)
@@ -367,7 +367,7 @@ class ShipAttitudeCore:
         """
         state = self.state
         # The state contains the measurement already, so no correlation with other measurements is considered.
-        found = self.filter.linearisation.of(measurement, state.mean, state.covariance, {}, self._track, self._watch)
+        found = self.filter.linearisation.of(measurement, state.mean, state.covariance, {}, self._track, self._sky_model)
         return found if isinstance(found, Linearised) else None
 
     def alignment(self) -> Alignment:
@@ -430,22 +430,22 @@ class ShipAttitudeCore:
 
         With a stored state it also starts with the current position and air data.
         """
-        second = self._another(None if self._watch is None else self._watch.twin(memory is not None))
+        second = self._another(None if self._sky_model is None else self._sky_model.twin(memory is not None))
         second._start = self._start
         if memory is None:
             second.reset()
             return second
         if self.vertical is not None:
-            second.vertical = self.vertical.twin()
+            second.vertical = self.vertical.clone()
             second.filter = second.filter_class(second.config, second.vertical)
         state = start_from_memory(second.filter, memory, self.state)
         second._estimator.reset(state)
         second._begin(state)
         return second
 
-    def _another(self, watch: SkyWatch | None) -> "ShipAttitudeCore":
+    def _another(self, sky_model: SkyModel | None) -> "ShipAttitudeCore":
         """Return an estimator of the same class and configuration."""
-        return type(self)(self.config, watch)
+        return type(self)(self.config, sky_model)
 
     def take_jumps(self) -> list[InsJump]:
         """Return the INS jumps that were detected from its rates since the last call."""
@@ -462,7 +462,7 @@ class ShipAttitudeCore:
         measurement = decision.measurement
         if not self.filter.devices[measurement.source].is_star:
             return {}
-        residual = memory_residual(self.filter, memory, measurement, self._track, self._watch)
+        residual = memory_residual(self.filter, memory, measurement, self._track, self._sky_model)
         return {} if residual is None else {measurement.source: residual}
 
     def departure_sigmas(self, state: FilterState, memory: FilterState, is_later: bool = False) -> float:
@@ -493,14 +493,14 @@ class ShipAttitudeCore:
     def _step(
         self, state: FilterState, measurement: Measurement, may_wait: bool
     ) -> tuple[FilterState, AttitudeDecision] | None:
-        found = self.filter.step(state, measurement, self._track, self._watch, may_wait)
+        found = self.filter.step(state, measurement, self._track, self._sky_model, may_wait)
         if state.utc is None or found is None or not self.filter.devices[measurement.source].is_star:
             return found
         predicted = self.filter.propagate(state, measurement.time_ns)
         compared = with_utc_compared(state, predicted, self.filter.model, *found)
         if compared[0].utc is None:
             # UTC is verified, or cannot be verified any more: the measurement is used.
-            return self.filter.step(compared[0], measurement, self._track, self._watch, may_wait)
+            return self.filter.step(compared[0], measurement, self._track, self._sky_model, may_wait)
         return compared
 
     def _apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
@@ -519,8 +519,8 @@ class ShipAttitudeCore:
         """Discard data that no measurement at or after a stamp needs."""
         asked_since_ns = self._asked_since_ns(time_ns)
         self._track.drop_before(asked_since_ns - self._stamp_reach_ns)
-        if self._watch is not None:
-            self._watch.surroundings.drop_before(time_ns)
+        if self._sky_model is not None:
+            self._sky_model.surroundings.drop_before(time_ns)
         if self.vertical is not None:
             state_ns = self._estimator.oldest_state.time_ns
             self.vertical.drop_before(time_ns, asked_since_ns if state_ns is None else min(asked_since_ns, state_ns))
@@ -583,7 +583,7 @@ class ShipAttitudeCore:
 
         def by_star(_state: FilterState) -> AttitudeEstimate | None:
             untold = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
-            attitude = attitude_alone(measurement, self._watch, float(untold))
+            attitude = attitude_alone(measurement, self._sky_model, float(untold))
             return None if attitude is None else estimate_from_star(
                 self.filter, self.state, attitude, self.config.horizon
             )

@@ -21,7 +21,7 @@ from ship_attitude_star.ship_attitude.model import (
 from ship_attitude_star.ship_attitude.row_table import INS
 from ship_attitude_star.ship_attitude.state import NO_STAYS, FilterState, changed, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_attitude_star.stars.scale_check import learned_contradiction
@@ -176,7 +176,7 @@ class ShipFilter:
         state: FilterState,
         measurement: Measurement,
         track: AttitudeTrack,
-        watch: SkyWatch | None,
+        sky_model: SkyModel | None,
         may_wait: bool = False,
     ) -> tuple[FilterState, AttitudeDecision] | None:
         """Propagate the state to the measurement, evaluate the measurement, and update the state if it is accepted.
@@ -198,12 +198,12 @@ class ShipFilter:
         Returns:
             The next state and the decision; None if the measurement needs INS samples that may still arrive.
         """
-        result = self._step(state, measurement, track, watch, may_wait)
+        result = self._step(state, measurement, track, sky_model, may_wait)
         optics = self.model.slices.get(f"{measurement.source}.optics")
         if result is None or optics is None or not isinstance(measurement, StarExposure):
             return result
         if result[1].reason in _AGAINST_PREDICTION:
-            again = self._step(self._with_inflated_optics(state, optics), measurement, track, watch)
+            again = self._step(self._with_inflated_optics(state, optics), measurement, track, sky_model)
             if again is not None and again[1].reason not in _AGAINST_PREDICTION:
                 result = again
             elif again is not None and not again[1].components:
@@ -220,7 +220,7 @@ class ShipFilter:
         state: FilterState,
         measurement: Measurement,
         track: AttitudeTrack,
-        watch: SkyWatch | None,
+        sky_model: SkyModel | None,
         may_wait: bool = False,
     ) -> tuple[FilterState, AttitudeDecision] | None:
         """Evaluate a measurement with the optics as estimated so far; see :meth:`step`."""
@@ -233,7 +233,7 @@ class ShipFilter:
         if isinstance(measurement, StarExposure):
             compared = measurement.after(state.stays.get(measurement.source))
         found = self.linearisation.of(
-            compared, predicted.mean, predicted.covariance, state.used_ns, track, watch, may_wait
+            compared, predicted.mean, predicted.covariance, state.used_ns, track, sky_model, may_wait
         )
         if found is None:
             return None

@@ -17,7 +17,7 @@ from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, AttitudeMeasurement, SolvedAttitude
 from ship_attitude_star.ship_attitude.comparison import Compared, PredictedAttitude, compare, predict_attitude
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, at_middle, visible_stars
 from ship_attitude_star.stars.selection import LINEAR_RANGE
@@ -114,7 +114,7 @@ class _Task(NamedTuple):
     covariance: FloatArray
     used_ns: Mapping[str, int]
     track: AttitudeTrack
-    watch: SkyWatch | None
+    sky_model: SkyModel | None
     may_wait: bool
     offset_sigma_s: float
 
@@ -196,7 +196,7 @@ class Linearisation:
         covariance: FloatArray,
         used_ns: Mapping[str, int],
         track: AttitudeTrack,
-        watch: SkyWatch | None,
+        sky_model: SkyModel | None,
         may_wait: bool = False,
     ) -> Linearised | NotCompared | None:
         """Linearise a measurement at the estimate that it leads to.
@@ -219,7 +219,7 @@ class Linearisation:
         # An inflated covariance does not make a clock less known than configured.
         offset_variance = compiled_steps.variance_along(by_offset, covariance)
         offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._told_sigma_s[source])
-        task = _Task(measurement, device, mean, covariance, used_ns, track, watch, may_wait, offset_sigma_s)
+        task = _Task(measurement, device, mean, covariance, used_ns, track, sky_model, may_wait, offset_sigma_s)
         paired = self._paired(task, mean)
         if not isinstance(paired, _Paired):
             return paired
@@ -227,7 +227,7 @@ class Linearisation:
         turn_variance = compiled_steps.spread(predicted.jacobian_v, covariance, by_offset)
         if offset_sigma_s > _KNOWN_CLOCK_S or turn_variance > LINEAR_RANGE**2:
             return self._settled(task, paired, predicted)
-        compared = compare(paired.measurement, device, predicted, self._model, mean, covariance, watch)
+        compared = compare(paired.measurement, device, predicted, self._model, mean, covariance, sky_model)
         if isinstance(compared, Rejection):
             return NotCompared(compared, paired.ins_time_ns)
         return Linearised(paired.measurement, compared, paired.ins, paired.paired_ns, paired.ins_time_ns)
@@ -251,8 +251,8 @@ class Linearisation:
             return NotCompared(Rejection(Reason.GAP, text), ins_time_ns)
         shared_count = task.count_between(ins)
         if isinstance(measurement, _AGAINST_SKY):
-            assert task.watch is not None
-            turned = in_horizon(measurement, task.watch)
+            assert task.sky_model is not None
+            turned = in_horizon(measurement, task.sky_model)
             if isinstance(turned, Rejection):
                 return NotCompared(turned, ins_time_ns)
             measurement = turned
@@ -300,7 +300,7 @@ class Linearisation:
             until_ns = max(until_ns, found.ins_time_ns)
             predicted = predict_attitude(task.device, model, mean, found.ins)
             there = compare(
-                found.measurement, task.device, predicted, model, mean, task.covariance, task.watch, expected
+                found.measurement, task.device, predicted, model, mean, task.covariance, task.sky_model, expected
             )
             if isinstance(there, Rejection):
                 return NotCompared(there, until_ns)
@@ -321,9 +321,9 @@ class Linearisation:
         correction, exposure = np.zeros_like(task.mean), paired.measurement
         if not isinstance(exposure, StarExposure):
             return correction
-        assert task.watch is not None
+        assert task.sky_model is not None
         prior = expected.prior(task.covariance)
-        visible = visible_stars(exposure, task.watch, prior)
+        visible = visible_stars(exposure, task.sky_model, prior)
         if isinstance(visible, Rejection) or not len(visible[1]):
             return correction
         turn_ns = likely_attitude(visible[1], prior) @ expected.rotation_nv.T

@@ -11,7 +11,7 @@ from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.linearised import NotCompared
 from ship_attitude_star.ship_attitude.state import FilterState, changed
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Measurement
 from ship_estimation.recovery.displacement import MemoryResidual
@@ -51,14 +51,14 @@ def propagate_memory(filter_: ShipFilter, memory: FilterState, jumps: Sequence[I
 
 
 def memory_residual(
-    filter_: ShipFilter, memory: FilterState, measurement: Measurement, track: AttitudeTrack, watch: SkyWatch | None
+    filter_: ShipFilter, memory: FilterState, measurement: Measurement, track: AttitudeTrack, sky_model: SkyModel | None
 ) -> MemoryResidual | None:
     """Return the residual of a measurement against a stored state, as a rotation about North, Up and East.
 
     None if the measurement cannot be evaluated or does not observe the full rotation of its device.
     """
     state = filter_.propagate(memory, measurement.time_ns)
-    found = filter_.linearisation.of(measurement, state.mean, state.covariance, {}, track, watch)
+    found = filter_.linearisation.of(measurement, state.mean, state.covariance, {}, track, sky_model)
     if found is None or isinstance(found, NotCompared):
         return None
     linear, rotation_jacobian = found.compared.linear, found.compared.rotation_jacobian

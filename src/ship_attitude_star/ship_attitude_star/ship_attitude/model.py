@@ -190,14 +190,14 @@ class ShipStateModel(StateModel):
             noise_sources.append(SOURCE_BASELINE_NOISE)
         noise_sources.append(SOURCE_SAVED_ALIGNMENT)
         super().__init__(blocks, noise_sources)
-        self.sky_rows = slice(0, 0)
+        self.sky_slice = slice(0, 0)
         if looks_at_sky:
-            self.sky_rows = sky_slice(self.slices, config.sky)
+            self.sky_slice = sky_slice(self.slices, config.sky)
         process_blocks = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
         self.process_rows = np.concatenate([self.state_indices(name) for name in process_blocks])
         self.chains = {name: self._chain(device) for name, device in devices(config).items()}
-        self.shared_rows = {
-            SHARED_BY_SKY: self.sky_rows,
+        self.shared_slices = {
+            SHARED_BY_SKY: self.sky_slice,
             SHARED_BY_MESSAGES: self.slices.get("sky.common", slice(0, 0)),
             SHARED_BY_GRAVITY: self.slices.get("gravity.deflection", slice(0, 0)),
         }

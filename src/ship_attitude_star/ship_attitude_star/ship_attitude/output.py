@@ -15,7 +15,7 @@ from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
@@ -26,7 +26,7 @@ from ship_geometry.time_scales import SECOND_NS
 
 
 def attitude_alone(
-    measurement: Measurement, watch: SkyWatch | None, untold_acceleration: float
+    measurement: Measurement, sky_model: SkyModel | None, untold_acceleration: float
 ) -> AttitudeMeasurement | None:
     """Return the attitude of a star sensor from one measurement alone; None if it does not determine one.
 
@@ -38,20 +38,20 @@ def attitude_alone(
     """
     attitude: Measurement | Rejection = measurement
     if isinstance(measurement, InertialAttitude | SolvedAttitude):
-        assert watch is not None
-        attitude = in_horizon(measurement, watch)
+        assert sky_model is not None
+        attitude = in_horizon(measurement, sky_model)
     if isinstance(attitude, Rejection):
         return None
     if isinstance(attitude, AttitudeMeasurement):
         return replace(attitude, common_n=attitude.correlated_n, shared_n=None)
-    assert watch is not None
+    assert sky_model is not None
     assert isinstance(measurement, StarExposure)
-    return _by_stars(measurement, watch, untold_acceleration)
+    return _by_stars(measurement, sky_model, untold_acceleration)
 
 
-def _by_stars(exposure: StarExposure, watch: SkyWatch, untold_acceleration: float) -> AttitudeMeasurement | None:
+def _by_stars(exposure: StarExposure, sky_model: SkyModel, untold_acceleration: float) -> AttitudeMeasurement | None:
     """Return the sensor attitude from one exposure; None if its stars do not determine a verified one."""
-    visible = visible_stars(exposure, watch, None)
+    visible = visible_stars(exposure, sky_model, None)
     if isinstance(visible, Rejection):
         return None
     _, stars, _ = visible

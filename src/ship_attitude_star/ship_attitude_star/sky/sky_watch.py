@@ -130,7 +130,7 @@ class LocalSky:
         without_air = self.refreshed.directions(stars, self.time_ns, self.place.observer)
         air = self.air
         weather_sigma = air.pressure_sigma_hpa, air.temperature_sigma_k
-        seen = seen_through_air(self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.turns())
+        seen = seen_through_air(self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.sky_rotations())
         return ApparentStars(seen.direction_n, seen.shared_n, seen.elevation, np.isfinite(seen.direction_n[:, 1]))
 
     def low_elevation_rejection(self, elevation: float) -> Rejection:
@@ -170,12 +170,12 @@ class LocalSky:
         displacement: FloatArray = seen_n - direction_n
         return displacement
 
-    def turns(self) -> FloatArray:
+    def sky_rotations(self) -> FloatArray:
         """Return the sky's rotation vectors for one sigma of each of SHARED_TERMS except refraction, rad, (n, 3)."""
-        return _turns(self.place, float(self.refreshed.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s)
+        return _sky_rotations(self.place, float(self.refreshed.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s)
 
 
-class SkyWatch:
+class SkyModel:
     """Apparent star directions for any time, from position fixes and readings of the air.
 
     Args:
@@ -206,7 +206,7 @@ class SkyWatch:
         self.surroundings = Surroundings(self._config)
         self._sky_by_time: dict[int, LocalSky] = {}
 
-    def twin(self, with_surroundings: bool) -> "SkyWatch":
+    def twin(self, with_surroundings: bool) -> "SkyModel":
         """Return the same model for another estimator, with a copy of the surroundings or with empty ones."""
         twin = copy.copy(self)
         twin.reset()
@@ -230,7 +230,7 @@ class SkyWatch:
         if isinstance(found, Rejection):
             return found
         place, air = found
-        moment = self._sky_by_time[time_ns] = LocalSky(
+        local_sky = self._sky_by_time[time_ns] = LocalSky(
             time_ns=time_ns,
             place=place,
             air=air,
@@ -242,15 +242,15 @@ class SkyWatch:
         )
         if len(self._sky_by_time) > _MAX_CACHED_TIMES:
             del self._sky_by_time[next(iter(self._sky_by_time))]
-        return moment
+        return local_sky
 
 
-def installed_sky(config: SkyConfig) -> SkyWatch:
+def load_sky_model(config: SkyConfig) -> SkyModel:
     """Load the sky model with the installed catalogue and Earth orientation; this takes a second or two, once."""
-    return SkyWatch(config, earth_orientation_table(), hipparcos())
+    return SkyModel(config, earth_orientation_table(), hipparcos())
 
 
-def _turns(place: Place, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
+def _sky_rotations(place: Place, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
     """Return the sky's rotation in the horizon frame by one sigma of UT1, position and UTC, rad, shape (n, 3).
 
     A ship farther north than assumed sees the sky rotated about East; one farther east sees it rotated about the

@@ -30,7 +30,7 @@ At boresight elevation 45° the ratio is 1.4 for stars 10° lower, at 25° for s
 """
 
 
-def separate_shared_errors(solved: SolvedAttitude, moment: LocalSky) -> AttitudeMeasurement:
+def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> AttitudeMeasurement:
     """Return the attitude with ``shared_n``; its noise and common error no longer contain these errors.
 
     Where the message states noise and total error separately, the shared errors are part of the difference. Where it
@@ -40,9 +40,9 @@ def separate_shared_errors(solved: SolvedAttitude, moment: LocalSky) -> Attitude
         solved: the attitude.
         local_sky: the sky at its time.
     """
-    rotation_ns, turns_n = solved.rotation_nv, moment.turns().T
+    rotation_ns, turns_n = solved.rotation_nv, local_sky.sky_rotations().T
     noise_n = rotation_ns @ solved.noise_v @ rotation_ns.T
-    lift, sigma = _lift(rotation_ns, moment)
+    lift, sigma = _lift(rotation_ns, local_sky)
     if not solved.covariance_known:
         stated_n, lifted_n = np.zeros((3, 3)), (sigma if np.isfinite(sigma) else 0.0) * lift
     elif solved.noise_told:
@@ -61,13 +61,13 @@ def separate_shared_errors(solved: SolvedAttitude, moment: LocalSky) -> Attitude
     )
 
 
-def _lift(rotation_ns: FloatArray, moment: LocalSky) -> tuple[FloatArray, float]:
+def _lift(rotation_ns: FloatArray, local_sky: LocalSky) -> tuple[FloatArray, float]:
     """Return the axis about which refraction rotates the boresight upwards, and the error of refraction there, rad.
 
     The error is NaN below the elevation range of the refraction model.
     """
     forward_n = rotation_ns[:, 0]
-    return lifting_axis(forward_n), moment.refraction_at(float(elevation_of(forward_n)))[1]
+    return lifting_axis(forward_n), local_sky.refraction_at(float(elevation_of(forward_n)))[1]
 
 
 def _left_over(stated_n: FloatArray, turns_n: FloatArray) -> FloatArray:

@@ -169,7 +169,7 @@ class Surroundings:
         else:
             changed_after_ns = self._air[given.quantity].insert(given)
         if changed_after_ns is not None:
-            self._answers = {moment: told for moment, told in self._answers.items() if moment <= changed_after_ns}
+            self._answers = {local_sky: told for local_sky, told in self._answers.items() if local_sky <= changed_after_ns}
         return changed_after_ns
 
     def drop_before(self, time_ns: int) -> None:

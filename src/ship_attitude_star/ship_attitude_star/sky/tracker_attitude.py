@@ -14,7 +14,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
-from ship_attitude_star.sky.sky_watch import LocalSky, SkyWatch
+from ship_attitude_star.sky.sky_watch import LocalSky, SkyModel
 from ship_attitude_star.sky.solved_attitude import separate_shared_errors
 from ship_estimation.refusals import Rejection
 from ship_geometry.refraction import elevation_of, lifting_axis
@@ -26,7 +26,7 @@ _STARS = 5
 _GREATEST_ABERRATION = 20.5 * ARCSEC
 
 
-def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> AttitudeMeasurement | Rejection:
+def in_horizon(attitude: InertialAttitude | SolvedAttitude, sky_model: SkyModel) -> AttitudeMeasurement | Rejection:
     """Return the attitude in the horizon, with the shared errors of refraction, Earth rotation and position.
 
     Args:
@@ -37,27 +37,27 @@ def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> 
         The rejection if no star can be placed at that time, or if the boresight is below the elevation range of the
         refraction model.
     """
-    moment = watch.at(attitude.time_ns)
-    if isinstance(moment, Rejection):
-        return moment
-    return separate_shared_errors(attitude, moment) if isinstance(attitude, SolvedAttitude) else _turned(attitude, moment)
+    local_sky = sky_model.at(attitude.time_ns)
+    if isinstance(local_sky, Rejection):
+        return local_sky
+    return separate_shared_errors(attitude, local_sky) if isinstance(attitude, SolvedAttitude) else _turned(attitude, local_sky)
 
 
-def _turned(inertial: InertialAttitude, moment: LocalSky) -> AttitudeMeasurement | Rejection:
+def _turned(inertial: InertialAttitude, local_sky: LocalSky) -> AttitudeMeasurement | Rejection:
     """Convert an attitude against the ICRS into the horizon."""
     field = inertial.field
-    bare_ns = moment.rotation_horizon_from_icrs() @ inertial.rotation_cs
+    bare_ns = local_sky.rotation_horizon_from_icrs() @ inertial.rotation_cs
     if not field.aberration_removed:
         forward = bare_ns[:, 0]
-        bare_ns = exp_rotation(np.cross(forward, moment.aberration_at(forward))) @ bare_ns
+        bare_ns = exp_rotation(np.cross(forward, local_sky.aberration_at(forward))) @ bare_ns
     forward = bare_ns[:, 0]
     elevation = float(elevation_of(forward))
-    angle, sigma = moment.refraction_at(elevation)
+    angle, sigma = local_sky.refraction_at(elevation)
     if not np.isfinite(angle):
-        return moment.low_elevation_rejection(elevation)
+        return local_sky.low_elevation_rejection(elevation)
     lift = lifting_axis(forward)
-    bent, common_n = _over_the_field(field, moment, elevation, angle, forward)
-    shared_n = np.column_stack([sigma * lift, moment.turns().T])
+    bent, common_n = _over_the_field(field, local_sky, elevation, angle, forward)
+    shared_n = np.column_stack([sigma * lift, local_sky.sky_rotations().T])
     return AttitudeMeasurement(
         inertial.source,
         inertial.time_ns,
@@ -70,7 +70,7 @@ def _turned(inertial: InertialAttitude, moment: LocalSky) -> AttitudeMeasurement
 
 
 def _over_the_field(
-    field: FieldOfView, moment: LocalSky, elevation: float, angle: float, forward: FloatArray
+    field: FieldOfView, local_sky: LocalSky, elevation: float, angle: float, forward: FloatArray
 ) -> tuple[float, FloatArray]:
     """Return the effect of refraction on the attitude in addition to raising the boresight by ``angle``.
 
@@ -84,7 +84,7 @@ def _over_the_field(
     """
     if field.radius == 0.0:
         return 0.0, np.zeros((3, 3))
-    slope, curvature = moment.refraction_slopes_at(elevation)
+    slope, curvature = local_sky.refraction_slopes_at(elevation)
     # ρ tan E; at the zenith it equals the slope.
     towards = angle * np.tan(elevation) if elevation < 0.5 * np.pi - 1e-6 else -slope
     middle = field.radius / (2.0 * np.sqrt(_STARS))

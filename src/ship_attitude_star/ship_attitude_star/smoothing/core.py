@@ -15,7 +15,7 @@ from ship_attitude_star.ship_attitude.config import GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.smoothing.between import Between
 from ship_attitude_star.smoothing.traced_filter import TracedFilter, TracedState
 from ship_attitude_star.vertical.vertical_track import VerticalHere
@@ -61,17 +61,17 @@ class SmoothingCore(ShipAttitudeCore):
 
     filter_class: ClassVar[type[ShipFilter]] = TracedFilter
 
-    def __init__(self, config: ShipAttitudeConfig, watch: SkyWatch | None, lag_s: float | None) -> None:
+    def __init__(self, config: ShipAttitudeConfig, sky_model: SkyModel | None, lag_s: float | None) -> None:
         self._lag_ns = None if lag_s is None else round(lag_s * SECOND_NS)
         self._closed: list[FilterState] = []
         self._closed_ns = 0
         self._told: deque[_ToldAtOnce] = deque()
         self._smooths = True
-        super().__init__(config, watch, self._closed.extend)
+        super().__init__(config, sky_model, self._closed.extend)
 
-    def _another(self, watch: SkyWatch | None) -> ShipAttitudeCore:
+    def _another(self, sky_model: SkyModel | None) -> ShipAttitudeCore:
         """See :meth:`ShipAttitudeCore._new_estimator`; the new one does not smooth before it is adopted."""
-        another = SmoothingCore(self.config, watch, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
+        another = SmoothingCore(self.config, sky_model, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
         another._smooths = False
         return another
 

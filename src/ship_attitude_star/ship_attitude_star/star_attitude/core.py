@@ -14,7 +14,7 @@ import numpy as np
 from ship_attitude_star.guards.stream_guards import PlausibilityChecks
 from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, StampArray
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
     Mounted,
@@ -146,9 +146,9 @@ class StarCore:
         joined_by_ins: True if the INS attitude was known at the time of the last joint solution.
     """
 
-    def __init__(self, config: StarAttitudeConfig, watch: SkyWatch) -> None:
+    def __init__(self, config: StarAttitudeConfig, sky_model: SkyModel) -> None:
         self._config = config
-        self._watch = watch
+        self._sky_model = sky_model
         self._wait_ns = round(config.joint.wait_s * SECOND_NS)
         self._contradictions = Contradictions()
         self._of_ins = Contradictions()
@@ -156,12 +156,12 @@ class StarCore:
 
     def reset(self, clock_jumped: bool = False) -> None:
         """Discard all inputs; outputs may start again at earlier times, also without a jump of the clock."""
-        self._watch.reset()
+        self._sky_model.reset()
         self._begin()
 
     def step_time_base(self, step_ns: int, _state: None = None) -> None:
         """Continue after a step of the time base: position and air data are shifted, exposures are discarded."""
-        self._watch.step_time_base(step_ns)
+        self._sky_model.step_time_base(step_ns)
         self._begin()
 
     def _begin(self) -> None:
@@ -222,8 +222,8 @@ class StarCore:
 
     def add_surroundings(self, given: SkyInput) -> Rejection | None:
         """Add a position fix or an air reading; return why it is not used, else None."""
-        refusal = self._watch.surroundings.rejection(given)
-        self._watch.surroundings.insert(given)
+        refusal = self._sky_model.surroundings.rejection(given)
+        self._sky_model.surroundings.insert(given)
         return refusal
 
     def add_exposure(
@@ -265,7 +265,7 @@ class StarCore:
 
     def not_measured(self) -> list[str]:
         """Return the names of the air quantities that are taken from parameters at the newest time of the data."""
-        return self._watch.surroundings.not_measured(self._arrivals.newest_ns)
+        return self._sky_model.surroundings.not_measured(self._arrivals.newest_ns)
 
     # -- checks ---------------------------------------------------------------------------------------------
 
@@ -300,7 +300,7 @@ class StarCore:
         """Solve pending exposures where possible, and discard data that no later exposure needs."""
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
-        self._watch.surroundings.drop_before(oldest_ns)
+        self._sky_model.surroundings.drop_before(oldest_ns)
         self._taken = {key: exposure for key, exposure in self._taken.items() if exposure.time_ns >= oldest_ns}
         self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
 
@@ -341,7 +341,7 @@ class StarCore:
             # The solution would be compared with the INS, but its errors along the streaks are not known.
             return rejected_exposure(exposure, waiting.rejected_stars, exposure.length.coverage_rejection)
         placed, solved = solve_exposure(
-            exposure, waiting.rejected_stars, prior, self._watch, middle.noise_variance, middle.error_variance
+            exposure, waiting.rejected_stars, prior, self._sky_model, middle.noise_variance, middle.error_variance
         )
         if exposure.length is not None and exposure.smear_s is None and solved.valid:
             text = f"no rotation of the ship from ins/imu during the exposure of {exposure.length.exposure_s:g} s"

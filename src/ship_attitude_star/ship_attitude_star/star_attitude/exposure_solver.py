@@ -6,7 +6,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
 from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.config import JOINT
@@ -132,7 +132,7 @@ def solve_exposure(
     exposure: StarExposure,
     rejected_stars: tuple[RejectedStar, ...],
     prior: StarPrior | None,
-    watch: SkyWatch,
+    sky_model: SkyModel,
     noise_variance: float = 0.0,
     turn_variance: float = 0.0,
 ) -> tuple[PlacedExposure, Solved]:
@@ -149,7 +149,7 @@ def solve_exposure(
     """
     source, time_ns = exposure.source, exposure.time_ns
     sensor_id = source.partition(".")[2]
-    visible = visible_stars(exposure, watch, prior)
+    visible = visible_stars(exposure, sky_model, prior)
     if isinstance(visible, Rejection):
         return rejected_exposure(exposure, rejected_stars, visible)
     detections = exposure
@@ -157,7 +157,7 @@ def solve_exposure(
     if invisible:
         rejected_stars += tuple(RejectedStar(source, time_ns, name, refusal) for name, refusal in invisible)
     solution, against_prior = solve_with_fallback(stars, prior)
-    contradicted = contradicted_scale(detections, watch, prior, solution.star_count)
+    contradicted = contradicted_scale(detections, sky_model, prior, solution.star_count)
     if contradicted is not None:
         return rejected_exposure(detections, rejected_stars, contradicted)
     if noise_variance + turn_variance > 0.0:

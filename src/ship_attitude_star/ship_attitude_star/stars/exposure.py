@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import julian_year
-from ship_attitude_star.sky.sky_watch import LocalSky, SkyWatch
+from ship_attitude_star.sky.sky_watch import LocalSky, SkyModel
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
 from ship_attitude_star.stars.chance import WRONG_NAMES
 from ship_attitude_star.stars.fit import SightedStars
@@ -247,7 +247,7 @@ def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
 
 
 def visible_stars(
-    exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None
+    exposure: StarExposure, sky_model: SkyModel, prior: StarPrior | None
 ) -> tuple[StarExposure, SightedStars, list[tuple[str, Rejection]]] | Rejection:
     """Return the stars of an exposure that have a direction in the sky model.
 
@@ -264,27 +264,27 @@ def visible_stars(
     rejected: list[tuple[str, Rejection]] = []
     known = named = exposure.identified
     detections = len(exposure)
-    moment = watch.at(exposure.time_ns)
-    if isinstance(moment, Rejection):
-        return moment
+    local_sky = sky_model.at(exposure.time_ns)
+    if isinstance(local_sky, Rejection):
+        return local_sky
     if not known.all():
         reasons: dict[int, Rejection] = {}
         if prior is not None:
-            exposure, reasons = identified(exposure, prior, moment)
+            exposure, reasons = identified(exposure, prior, local_sky)
             known = exposure.identified
         nobody = Rejection(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it with")
         rejected += [(exposure.name(row), reasons.get(row, nobody)) for row in np.flatnonzero(~known).tolist()]
         exposure, named = exposure[known], named[known]
-    apparent = moment.apparent(exposure.positions)
+    apparent = local_sky.apparent(exposure.positions)
     direction_n, shared_n, seen = apparent.direction_n, apparent.shared_n, apparent.visible
     if not seen.all():
         for row in np.flatnonzero(~seen).tolist():
-            rejected.append((exposure.name(row), moment.low_elevation_rejection(float(apparent.elevation[row]))))
+            rejected.append((exposure.name(row), local_sky.low_elevation_rejection(float(apparent.elevation[row]))))
         exposure, direction_n, shared_n, named = exposure[seen], direction_n[seen], shared_n[seen], named[seen]
     rivals = None
     # With a narrow prior, a wrong identity of a named star is very improbable.
     if prior is not None and (np.trace(prior.covariance_n) > LINEAR_RANGE**2 or not named.all()):
-        rivals = detections * moment.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
+        rivals = detections * local_sky.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
         rivals *= np.where(named, WRONG_NAMES, 1.0)
     stars = SightedStars(
         measured_b=exposure.directions_s,
@@ -304,7 +304,7 @@ def visible_stars(
 
 
 def identified(
-    exposure: StarExposure, prior: StarPrior, moment: LocalSky
+    exposure: StarExposure, prior: StarPrior, local_sky: LocalSky
 ) -> tuple[StarExposure, dict[int, Rejection]]:
     """Identify the stars of an exposure that have no identity, where possible.
 
@@ -326,12 +326,12 @@ def identified(
         exposure.magnitude[rows],
         smear_s,
         prior,
-        moment,
+        local_sky,
         exposure.masks,
     )
     # A catalogue star that matches two detections is assigned to neither. A catalogue star that is already assigned
     # by its number is not assigned to another detection.
-    hip = moment.bright.catalogue.hip[found.rows]
+    hip = local_sky.bright.catalogue.hip[found.rows]
     claimed_once = (np.count_nonzero(found.fitting, axis=0) == 1) & ~np.isin(hip, exposure.hip)
     chosen = np.full(len(rows), -1)
     reasons: dict[int, Rejection] = {}
@@ -343,7 +343,7 @@ def identified(
             behind = exposure.masks.names(exposure.directions_s[row]) if exposure.masks is not None else ""
             reasons[row] = _identification_rejection(float(found.nearest[number]), len(fitting), behind)
     taken = chosen >= 0
-    return _filled(exposure, rows[taken], chosen[taken], moment), reasons
+    return _filled(exposure, rows[taken], chosen[taken], local_sky), reasons
 
 
 def _identification_rejection(nearest: float, fitting: int, behind: str) -> Rejection:
@@ -366,10 +366,10 @@ def _identification_rejection(nearest: float, fitting: int, behind: str) -> Reje
 
 
 def _filled(
-    exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], moment: LocalSky
+    exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], local_sky: LocalSky
 ) -> StarExposure:
     """Return the exposure with the catalogue stars ``chosen`` in its rows ``rows``."""
-    catalogue = moment.bright.catalogue
+    catalogue = local_sky.bright.catalogue
     hip, position_sigma = exposure.hip.copy(), exposure.position_sigma.copy()
     hip[rows] = catalogue.hip[chosen]
     position_sigma[rows] = catalogue.sigma(chosen, julian_year(exposure.time_ns))

@@ -60,7 +60,7 @@ def candidates(
     magnitude: FloatArray,
     smear_s: FloatArray | None,
     prior: StarPrior,
-    moment: LocalSky,
+    local_sky: LocalSky,
     masks: SensorMasks | None = None,
 ) -> Candidates:
     """Return the catalogue stars within the gates of detections.
@@ -75,8 +75,8 @@ def candidates(
         masks: obstructions on deck in the sensor's view; a star behind one is no candidate, and a detection inside one
             is no star; None if there are none.
     """
-    rows, catalogue = _in_field(directions_s, prior, moment), moment.bright.catalogue
-    apparent = moment.apparent(catalogue.at_j2000[rows])
+    rows, catalogue = _in_field(directions_s, prior, local_sky), local_sky.bright.catalogue
+    apparent = local_sky.apparent(catalogue.at_j2000[rows])
     seen = apparent.visible
     if masks is not None:
         seen = seen & ~_behind(masks, apparent.direction_n, prior)
@@ -85,7 +85,7 @@ def candidates(
     variance = sigma[:, None] ** 2 + catalogue.position_sigma[rows] ** 2
     smear_n = None if smear_s is None else prior.rotation_nb @ smear_s @ prior.rotation_nb.T
     nearest = np.zeros(len(seen_n))
-    if prior.is_wide and _crowd(seen_n, magnitude, prior, moment) > _CROWDED:
+    if prior.is_wide and _crowd(seen_n, magnitude, prior, local_sky) > _CROWDED:
         return Candidates(rows, np.ones((len(seen_n), len(rows)), dtype=bool), nearest + np.inf)
     fitting = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     fitting &= ~(np.abs(magnitude[:, None] - catalogue.magnitude[rows]) > MAGNITUDE_TOLERANCE)
@@ -96,12 +96,12 @@ def candidates(
     return Candidates(rows, fitting, nearest)
 
 
-def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, moment: LocalSky) -> float:
+def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, local_sky: LocalSky) -> float:
     """Return the expected number of catalogue stars in the gate of the detection with the fewest."""
     turned = across(seen_n) @ skew(seen_n)
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
     area = np.pi * chi_square_gate(GATE_PROBABILITY, 2) * np.sqrt(np.maximum(np.linalg.det(covariance), 0.0))
-    return float(np.min(area * moment.bright.density(magnitude, MAGNITUDE_TOLERANCE)))
+    return float(np.min(area * local_sky.bright.density(magnitude, MAGNITUDE_TOLERANCE)))
 
 
 def _behind(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
@@ -109,13 +109,13 @@ def _behind(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> ND
     return masks.hide(reference_n @ prior.rotation_nb, _FAR * float(np.sqrt(np.trace(prior.covariance_n))))
 
 
-def _in_field(directions_s: FloatArray, prior: StarPrior, moment: LocalSky) -> NDArray[np.int64]:
+def _in_field(directions_s: FloatArray, prior: StarPrior, local_sky: LocalSky) -> NDArray[np.int64]:
     """Return the catalogue rows of the bright stars that may be in the field of these detections."""
     centre_s = np.mean(directions_s, axis=0)
     centre_s /= np.linalg.norm(centre_s)
     prior_sigma = np.sqrt(np.trace(prior.covariance_n))
     radius = np.max(angle_between(directions_s, centre_s)) + _FIELD_MARGIN + _FAR * prior_sigma
-    return moment.bright_rows_around(prior.rotation_nb @ centre_s, min(radius, np.pi))
+    return local_sky.bright_rows_around(prior.rotation_nb @ centre_s, min(radius, np.pi))
 
 
 def _mahalanobis(

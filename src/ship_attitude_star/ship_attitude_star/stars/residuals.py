@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import ambiguous_identity_rejection
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
@@ -61,7 +61,7 @@ def star_residuals(
     rotation_ns: FloatArray,
     to_sensor: FloatArray,
     prior: StarPrior,
-    watch: SkyWatch,
+    sky_model: SkyModel,
     sky_slice: slice,
     mean: FloatArray,
     near_ns: FloatArray | None = None,
@@ -84,9 +84,9 @@ def star_residuals(
         The rejection of the whole exposure if no star can be placed in the sky at its time, if none can be used, or if
         the stars contradict the focal length of their camera.
     """
-    found = _compare(exposure, rotation_ns, to_sensor, prior, watch, sky_slice, mean, near_ns, camera_indices)
+    found = _compare(exposure, rotation_ns, to_sensor, prior, sky_model, sky_slice, mean, near_ns, camera_indices)
     used_count = 0 if isinstance(found, Rejection) else len(found.components) // 2
-    return contradicted_scale(exposure, watch, prior, used_count) or found
+    return contradicted_scale(exposure, sky_model, prior, used_count) or found
 
 
 def _compare(
@@ -94,14 +94,14 @@ def _compare(
     rotation_ns: FloatArray,
     to_sensor: FloatArray,
     prior: StarPrior,
-    watch: SkyWatch,
+    sky_model: SkyModel,
     sky_slice: slice,
     mean: FloatArray,
     near_ns: FloatArray | None,
     camera_indices: NDArray[np.intp] | None,
 ) -> StarResiduals | Rejection:
     """Compare the correctly identified stars with the prediction; see :func:`star_residuals`."""
-    visible = visible_stars(exposure, watch, prior)
+    visible = visible_stars(exposure, sky_model, prior)
     if isinstance(visible, Rejection):
         return visible
     seen, stars, rejected = visible

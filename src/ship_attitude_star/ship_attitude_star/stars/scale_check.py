@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.field_scale import estimate_optics, field_information
 from ship_attitude_star.stars.optics_errors import OpticsErrors
@@ -27,7 +27,7 @@ _ENOUGH = 6
 
 
 def contradicted_scale(
-    exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None, used_count: int
+    exposure: StarExposure, sky_model: SkyModel, prior: StarPrior | None, used_count: int
 ) -> Rejection | None:
     """Return the rejection of an exposure whose stars contradict the focal length; None if they do not.
 
@@ -42,7 +42,7 @@ def contradicted_scale(
     if optics is None or used_count >= min(len(exposure), _ENOUGH) or len(exposure) < FEWEST_VERIFIED:
         return None
     free_sigma = max(FREE_FOCAL_SIGMA, optics.focal_sigma)
-    visible = visible_stars(replace(exposure, optics=replace(optics, focal_sigma=free_sigma)), watch, prior)
+    visible = visible_stars(replace(exposure, optics=replace(optics, focal_sigma=free_sigma)), sky_model, prior)
     if isinstance(visible, Rejection):
         return None
     stars = visible[1]

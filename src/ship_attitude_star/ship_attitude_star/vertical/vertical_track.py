@@ -106,12 +106,12 @@ class VerticalTrack:
         self._knots: dict[int, _Knot] = {}
         self._newest_step: int | None = None
 
-    def twin(self) -> "VerticalTrack":
+    def clone(self) -> "VerticalTrack":
         """Return an independent copy for another estimator."""
-        twin = copy.copy(self)
-        twin._place = copy.deepcopy(self._place)
-        twin._messages, twin._stamps, twin._knots = list(self._messages), list(self._stamps), dict(self._knots)
-        return twin
+        clone = copy.copy(self)
+        clone._place = copy.deepcopy(self._place)
+        clone._messages, clone._stamps, clone._knots = list(self._messages), list(self._stamps), dict(self._knots)
+        return clone
 
     def step_time_base(self, step_ns: int) -> None:
         """Shift the stamps of fixes and deflections by a step of the time base; the distance restarts."""

@@ -22,7 +22,7 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
@@ -122,17 +122,17 @@ class _WholeVoyage(ShipAttitudeAdapter):
         self.ended += self.core.smoothed_to_the_end()
         return []
 
-    def make_core(self, config: ShipAttitudeConfig, watch: SkyWatch | None) -> ShipAttitudeCore:
+    def make_core(self, config: ShipAttitudeConfig, sky_model: SkyModel | None) -> ShipAttitudeCore:
         """See :meth:`ShipAttitudeAdapter.make_core`."""
-        return SmoothingCore(config, watch, None)
+        return SmoothingCore(config, sky_model, None)
 
 
 class _WholeSession(OpticalAxisAdapter):
     """Node whose core returns all pointings, smoothed, at the end."""
 
-    def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> OpticalAxisCore:
+    def make_core(self, config: OpticalAxisConfig, sky_model: SkyModel | None) -> OpticalAxisCore:
         """See :meth:`OpticalAxisAdapter.make_core`."""
-        return SmoothingAxisCore(config, watch)
+        return SmoothingAxisCore(config, sky_model)
 
 
 class _AtOnce(NamedTuple):

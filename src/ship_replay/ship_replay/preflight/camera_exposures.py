@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ship_attitude_star.ros.star_messages_in import star_exposure
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import StarExposure, identified
 from ship_attitude_star.stars.selection import StarPrior
@@ -69,7 +69,7 @@ class CameraRecord:
 
 
 def fitted_camera(
-    record: CameraRecord, axes: ImageAxes, watch: SkyWatch
+    record: CameraRecord, axes: ImageAxes, sky_model: SkyModel
 ) -> tuple[CameraConfig | None, list[StarExposure]]:
     """Return the camera whose focal length fits the angles between stars, and the exposures with it.
 
@@ -80,26 +80,26 @@ def fitted_camera(
     for factor in _FIRST_FACTORS:
         fitted = _with_focal_length(camera, factor * camera.focal_length_m)
         for _ in range(_SEARCH_STEPS):
-            exposures = _exposures(record, fitted, axes, watch)
-            scale = _angle_ratio(exposures, watch)
+            exposures = _exposures(record, fitted, axes, sky_model)
+            scale = _angle_ratio(exposures, sky_model)
             if scale is None:
                 break
             if abs(scale - 1.0) < _SETTLED:
                 return fitted, exposures
             fitted = _with_focal_length(fitted, scale * fitted.focal_length_m)
-    return None, _exposures(record, camera, axes, watch)
+    return None, _exposures(record, camera, axes, sky_model)
 
 
-def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, watch: SkyWatch) -> list[StarExposure]:
+def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, sky_model: SkyModel) -> list[StarExposure]:
     """Return the exposures whose time and place are known well enough, with their stars identified if possible."""
     sensor_id, exposures = record.topic.split("/")[1], []
     geometry = camera.camera("camera")
     for message, receive_ns in record.messages:
         try:
-            exposure = star_exposure(message, sensor_id, "", geometry, camera, watch.catalogue, receive_ns).value
+            exposure = star_exposure(message, sensor_id, "", geometry, camera, sky_model.catalogue, receive_ns).value
         except MessageRejected:
             continue
-        sky = watch.at(exposure.time_ns)
+        sky = sky_model.at(exposure.time_ns)
         if isinstance(sky, Rejection):
             continue
         if axes is not AS_EXPECTED:
@@ -120,14 +120,14 @@ def _with_focal_length(camera: CameraConfig, focal_length_m: float) -> CameraCon
     return replace(camera, focal_length_m=float(np.clip(focal_length_m, 0.001, 10.0)))
 
 
-def _angle_ratio(exposures: list[StarExposure], watch: SkyWatch) -> float | None:
+def _angle_ratio(exposures: list[StarExposure], sky_model: SkyModel) -> float | None:
     """Return the median ratio of measured to true angles between stars; None if there are too few pairs."""
     ratios: list[float] = []
     for exposure in exposures:
         named = exposure[exposure.identified]
         if len(named) < 2:
             continue
-        sky = watch.at(named.time_ns)
+        sky = sky_model.at(named.time_ns)
         assert not isinstance(sky, Rejection)
         places_n = sky.apparent(named.positions).direction_n
         first, second = np.triu_indices(len(named), 1)

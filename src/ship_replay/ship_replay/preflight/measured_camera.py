@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_attitude_star.sky.catalogue import UNKNOWN
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.star_attitude.exposure_solver import PlacedExposure, solve_exposure
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.field_scale import OpticsEstimate, estimate_optics, field_information
@@ -98,29 +98,29 @@ class _Reading:
         return float(np.median(angles)) if angles else np.nan
 
 
-def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
+def measure_camera(record: CameraRecord, sky_model: SkyModel) -> MeasuredCamera:
     """Return the parameters of a camera from its stars.
 
     Args:
         record: messages of the camera.
         sky_model: the sky, with place and air.
     """
-    reading = _read(record, AS_EXPECTED, watch)
+    reading = _read(record, AS_EXPECTED, sky_model)
     if reading.used_count < _MOST_OF_THE_STARS * reading.star_count:
-        reading = _mirrored(record, reading, watch)
+        reading = _mirrored(record, reading, sky_model)
     optics = _optics(record.camera, reading)
     return MeasuredCamera(
         axes=reading.axes,
         focal_length_m=_focal_length_m(record.camera, reading, optics),
         optics=optics,
-        magnitudes=_magnitudes(reading, watch),
+        magnitudes=_magnitudes(reading, sky_model),
         attitudes=[(placed.time_ns, solution.rotation_nb) for placed, solution in reading.solved],
     )
 
 
-def _mirrored(record: CameraRecord, expected: _Reading, watch: SkyWatch) -> _Reading:
+def _mirrored(record: CameraRecord, expected: _Reading, sky_model: SkyModel) -> _Reading:
     """Return the hypothesis of mirrored axes that fits the stars; the expected axes if none does."""
-    found = [reading for axes in MIRRORED if _explains(reading := _read(record, axes, watch), expected)]
+    found = [reading for axes in MIRRORED if _explains(reading := _read(record, axes, sky_model), expected)]
     nearest = min(found, key=lambda reading: reading.median_rotation(record), default=expected)
     if found and np.isnan(nearest.median_rotation(record)):
         return replace(nearest, axes=nearest.axes._replace(text=_AMBIGUOUS_AXES))
@@ -133,9 +133,9 @@ def _explains(mirrored: _Reading, expected: _Reading) -> bool:
     return mirrored.used_count >= least
 
 
-def _read(record: CameraRecord, axes: ImageAxes, watch: SkyWatch) -> _Reading:
-    camera, exposures = fitted_camera(record, axes, watch)
-    results = [solve_exposure(exposure, (), None, watch) for exposure in exposures]
+def _read(record: CameraRecord, axes: ImageAxes, sky_model: SkyModel) -> _Reading:
+    camera, exposures = fitted_camera(record, axes, sky_model)
+    results = [solve_exposure(exposure, (), None, sky_model) for exposure in exposures]
     solved = [(placed, result.solution) for placed, result in results]
     return _Reading(
         axes,
@@ -174,15 +174,15 @@ def _focal_length_m(configured: CameraConfig, reading: _Reading, optics: OpticsE
     return None if reading.camera is None else reading.camera.focal_length_m
 
 
-def _magnitudes(reading: _Reading, watch: SkyWatch) -> MagnitudeOffset | None:
+def _magnitudes(reading: _Reading, sky_model: SkyModel) -> MagnitudeOffset | None:
     """Return the magnitude offset of stars consistent with the attitude of their exposure."""
     differences: dict[int, list[float]] = {}
     for placed, solution in reading.verified:
         used = placed.exposure[solution.members]
-        rows = watch.catalogue.rows(used.hip)
+        rows = sky_model.catalogue.rows(used.hip)
         for hip, row, magnitude in zip(used.hip.tolist(), rows.tolist(), used.magnitude.tolist(), strict=True):
             if row != UNKNOWN and np.isfinite(magnitude):
-                differences.setdefault(hip, []).append(magnitude - float(watch.catalogue.magnitude[row]))
+                differences.setdefault(hip, []).append(magnitude - float(sky_model.catalogue.magnitude[row]))
     if len(differences) < _FEWEST_MAGNITUDES:
         return None
     # The colour of a star is the same in all exposures.

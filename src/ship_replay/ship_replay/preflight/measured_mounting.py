@@ -15,7 +15,7 @@ import numpy as np
 from ship_attitude_star.ros.messages_in import inertial_attitude, reference_measurement, star_measurement
 from ship_attitude_star.ros.surroundings_in import SURROUNDINGS, surroundings_reader
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.stars.config import MountingConfig
@@ -76,17 +76,17 @@ def measured_mountings(config: Config, bag: Bag, found: dict[str, str]) -> Itera
         return
     epochs = _sample_stamps(bag, {found[topic]: topic for topic in devices})
     observing = [topic for topic in devices if topic.endswith(("/observations", "/inertial_attitude", "/stars"))]
-    watch = installed_sky(config.sky) if observing else None
+    sky_model = load_sky_model(config.sky) if observing else None
     tracks = AttitudeTracks(config, _ship_topic(config, found))
-    messages = _collected(tracks, bag, found, epochs, watch)
+    messages = _collected(tracks, bag, found, epochs, sky_model)
     for topic, (section, device) in devices.items():
         camera = None
-        if topic.endswith(("/observations", "/stars")) and watch is not None:
+        if topic.endswith(("/observations", "/stars")) and sky_model is not None:
             prior_at = functools.partial(tracks.prior, device)
-            camera = measure_camera(CameraRecord(topic, device.camera, messages[topic], prior_at), watch)
+            camera = measure_camera(CameraRecord(topic, device.camera, messages[topic], prior_at), sky_model)
             attitudes = [] if isinstance(device, StarCameraConfig) else camera.attitudes
         else:
-            attitudes = list(_attitudes(topic, device, messages[topic], watch))
+            attitudes = list(_attitudes(topic, device, messages[topic], sky_model))
         decks = [
             (deck, rotation_nv)
             for time_ns, rotation_nv in attitudes
@@ -129,7 +129,7 @@ def _sample_stamps(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
 
 
 def _collected(
-    tracks: AttitudeTracks, bag: Bag, found: dict[str, str], epochs: dict[str, list[int]], watch: SkyWatch | None
+    tracks: AttitudeTracks, bag: Bag, found: dict[str, str], epochs: dict[str, list[int]], sky_model: SkyModel | None
 ) -> dict[str, list[tuple[Any, int]]]:
     """Return the messages at the stamps, with arrival times; add samples around these times to tracks and sky."""
     wanted = {topic: set(stamps) for topic, stamps in epochs.items()}
@@ -137,7 +137,7 @@ def _collected(
     # Clocks may differ by a second (range of time_offset_s), and interpolation needs samples on both sides.
     reach_ns = round((tracks.config.ins.max_gap_s + 1.0) * NS_PER_S)
     messages: dict[str, list[tuple[Any, int]]] = {topic: [] for topic in epochs}
-    sky_topics = set(SURROUNDINGS) if watch is not None else set()
+    sky_topics = set(SURROUNDINGS) if sky_model is not None else set()
     relative = {found[topic]: topic for topic in (*epochs, *sky_topics, *tracks.topics) if topic in found}
     for record in bag.records(relative):
         topic, stamp_ns = relative[record.topic], stamp_of_bytes(record.data)
@@ -147,11 +147,11 @@ def _collected(
             if stamp_ns in wanted[topic] and (message := _decoded(record)) is not None:
                 messages[topic].append((message, max(record.log_time_ns, stamp_ns)))
         elif topic in sky_topics or _near(all_epochs, stamp_ns, reach_ns):
-            _take(topic, record, stamp_ns, tracks, watch)
+            _take(topic, record, stamp_ns, tracks, sky_model)
     return messages
 
 
-def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, watch: SkyWatch | None) -> None:
+def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, sky_model: SkyModel | None) -> None:
     """Add a message to its track or to the sky, unless a node would reject it."""
     receive_ns, config = max(record.log_time_ns, stamp_ns), tracks.config
     try:
@@ -163,8 +163,8 @@ def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, 
             tracks.ship.insert(replace(ins_sample(message, config.ins, receive_ns).value, rate_d=None))
         elif topic == tracks.ship_topic:
             tracks.ship.insert(replace(mount_messages_in.ship_attitude(message, config, receive_ns).value, rate_d=None))
-        elif watch is not None:
-            watch.surroundings.insert(surroundings_reader(topic, config.sky)(message, receive_ns=receive_ns).value)
+        elif sky_model is not None:
+            sky_model.surroundings.insert(surroundings_reader(topic, config.sky)(message, receive_ns=receive_ns).value)
     except (MessageRejected, BadInput):
         return
 
@@ -182,7 +182,7 @@ def _decoded(record: BagRecord) -> Any:
 
 
 def _attitudes(
-    topic: str, device: Any, messages: list[tuple[Any, int]], watch: SkyWatch | None
+    topic: str, device: Any, messages: list[tuple[Any, int]], sky_model: SkyModel | None
 ) -> Iterator[tuple[int, FloatArray]]:
     """Yield stamps and attitudes (horizon from device) of a device that outputs attitudes."""
     _, id_, kind = topic.split("/")
@@ -192,9 +192,9 @@ def _attitudes(
                 measurement: Any = reference_measurement(message, id_, device, receive_ns).value
             elif kind == "inertial_attitude":
                 inertial = inertial_attitude(message, id_, device, receive_ns).value
-                if watch is None:
+                if sky_model is None:
                     continue
-                measurement = in_horizon(inertial, watch)
+                measurement = in_horizon(inertial, sky_model)
             else:
                 measurement = star_measurement(message, id_, device, receive_ns).value
         except MessageRejected:

@@ -21,7 +21,7 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMe
 from ship_attitude_star.ship_attitude.ahead import InsBatch
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.gates import normalized_error_squared
 from ship_estimation.outcome import Measurement, Status
@@ -103,7 +103,7 @@ def error_at_end(
 def core_for(scenario: Scenario) -> ShipAttitudeCore:
     """Return a core with the configuration of a scenario, and with the sky if a sensor needs it."""
     config = build(ShipAttitudeConfig, suite_configuration(scenario))
-    return ShipAttitudeCore(config, installed_sky(config.sky) if scenario.needs_sky else None)
+    return ShipAttitudeCore(config, load_sky_model(config.sky) if scenario.needs_sky else None)
 
 
 def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEstimate, int]:
@@ -310,7 +310,7 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
 def pointing_core_for(scenario: Scenario) -> OpticalAxisCore:
     """Return a core with the configuration of a scenario, and with the sky if a camera needs it."""
     config = build(OpticalAxisConfig, optical_axis_configuration(scenario))
-    return OpticalAxisCore(config, installed_sky(config.sky) if config.telescopes else None)
+    return OpticalAxisCore(config, load_sky_model(config.sky) if config.telescopes else None)
 
 
 def theodolite_of(run: SimulatedRun) -> TheodoliteRun:

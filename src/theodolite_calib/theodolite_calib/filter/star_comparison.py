@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.sky.shared_states import sky_slice
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
 from ship_attitude_star.stars.scale_check import learned_contradiction
@@ -120,7 +120,7 @@ class StarModel:
         mean: FloatArray,
         sighting: StarSighting,
         prior: StarPrior,
-        watch: SkyWatch,
+        sky: SkyModel,
         near_ns: FloatArray | None = None,
     ) -> StarResiduals | Rejection:
         """Return the residuals of the stars against the camera's attitude; see :func:`star_residuals`."""
@@ -130,7 +130,7 @@ class StarModel:
             camera.rotation_ns,
             to_camera,
             prior,
-            watch,
+            sky,
             self._sky_rows,
             mean * self._in_sigmas,
             near_ns,
@@ -156,7 +156,7 @@ class StarModel:
         return learned_contradiction(optics, in_sigmas * float(mean[rows[0]]), in_sigmas**2 * variance)
 
     def compare(
-        self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, watch: SkyWatch
+        self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, sky: SkyModel
     ) -> StarComparison | Rejection:
         """Compare an exposure with a state propagated to its time, or return the reason why no star of it is usable.
 
@@ -175,7 +175,7 @@ class StarModel:
         camera = self.predict(mean, sighting)
         prior, reached, near_ns = camera.prior(covariance), mean, None
         for _ in range(_STEPS):
-            stars = self.residuals(camera, reached, sighting, prior, watch, near_ns)
+            stars = self.residuals(camera, reached, sighting, prior, sky, near_ns)
             if isinstance(stars, Rejection):
                 return stars
             measurement = self._measurement(camera, stars, reached - mean)

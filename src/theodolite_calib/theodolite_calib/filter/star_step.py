@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from theodolite_calib.config import OpticalAxisConfig
@@ -36,8 +36,8 @@ class StarStep:
         watch: sky model.
     """
 
-    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, watch: SkyWatch) -> None:
-        self._filter, self._gate, self._watch = filter_, config.gate, watch
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, sky: SkyModel) -> None:
+        self._filter, self._gate, self._sky = filter_, config.gate, sky
         threshold = hypothesis_factors(config.integrity, filter_.subfilters.sources).false_exclusion
         self._fault_detector = FaultDetector(config.integrity, config.gate, filter_.subfilters, threshold)
         self._turning = chain_rows(filter_.model)
@@ -53,7 +53,7 @@ class StarStep:
         exposure = sighting.exposure.after(state.stays.get(sighting.exposure.source))
         sighting = replace(sighting, exposure=exposure)
         try:
-            found = self._filter.stars.compare(predicted.mean, predicted.covariance, sighting, self._watch)
+            found = self._filter.stars.compare(predicted.mean, predicted.covariance, sighting, self._sky)
             if not isinstance(found, Rejection):
                 return self._compared(state, predicted, sighting, found)
         except np.linalg.LinAlgError:

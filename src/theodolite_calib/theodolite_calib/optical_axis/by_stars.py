@@ -6,7 +6,7 @@ The main axis follows by the estimated parallelism: R_main = R_camera · R(azimu
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
@@ -25,7 +25,7 @@ parallelism, and its catalogue error is part of the star noise."""
 
 def pointing_by_stars(
     exposure: StarExposure,
-    watch: SkyWatch,
+    sky: SkyModel,
     config: OpticalAxisConfig,
     filter_: CalibrationFilter,
     state: CalibrationState,
@@ -41,7 +41,7 @@ def pointing_by_stars(
         state: state with the camera's parallelism.
         text: reason for a pointing from stars alone.
     """
-    visible = visible_stars(exposure, watch, None)
+    visible = visible_stars(exposure, sky, None)
     if isinstance(visible, Rejection):
         return None
     solution = solve_stars(visible[1])

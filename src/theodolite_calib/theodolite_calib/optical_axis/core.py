@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from ship_attitude_star.measurements.readings import SkyInput
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
@@ -105,11 +105,11 @@ class OpticalAxisCore:
     def __init__(
         self,
         config: OpticalAxisConfig,
-        watch: SkyWatch | None = None,
+        sky: SkyModel | None = None,
         closed: Callable[[Sequence[CalibrationState]], None] | None = None,
     ) -> None:
         self.pending: list[PendingPointing] | None = None
-        self._sky = watch
+        self._sky = sky
         self._of_targets = Contradictions()
         self._start: tuple[CalibrationPrior, int] | None = None
         self._calibration: tuple[CalibrationState, Calibration] | None = None
@@ -437,8 +437,8 @@ class OpticalAxisCore:
         self.config = config
         self.filter = self.filter_class(config)
         self._step_to = SightingStep(config, self.filter, self._streams_since, self._has_ship_drifted, self._stream_faults)
-        watch = self._sky
-        self._step_to_stars = None if watch is None else StarStep(config, self.filter, watch)
+        sky = self._sky
+        self._step_to_stars = None if sky is None else StarStep(config, self.filter, sky)
         self._pointing = PointingOutput(config, self.filter)
         self._calibration = None
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.ros.surroundings_in import surroundings_feeds
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
@@ -136,7 +136,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         self._cameras = {
             id_: camera.camera.camera(f"telescopes.{id_}.camera") for id_, camera in config.telescopes.items()
         }
-        self._sky = installed_sky(config.sky) if config.telescopes else None
+        self._sky = load_sky_model(config.sky) if config.telescopes else None
         core = self.make_core(config, self._sky)
         saved = SavedStart(
             CALIBRATION_FILE,
@@ -160,7 +160,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         core: OpticalAxisCore = self.core
         return core.calibration_to_save()
 
-    def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> OpticalAxisCore:
+    def make_core(self, config: OpticalAxisConfig, watch: SkyModel | None) -> OpticalAxisCore:
         """Return the estimator; a subclass returns one that smooths the pointings."""
         return OpticalAxisCore(config, watch)
 

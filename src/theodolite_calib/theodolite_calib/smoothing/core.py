@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Chain
 from ship_geometry.rotations import FloatArray
@@ -68,8 +68,8 @@ class SmoothingAxisCore(OpticalAxisCore):
 
     filter_class: ClassVar[type[CalibrationFilter]] = TracedFilter
 
-    def __init__(self, config: OpticalAxisConfig, watch: SkyWatch | None = None) -> None:
-        super().__init__(config, watch, self._take)
+    def __init__(self, config: OpticalAxisConfig, sky: SkyModel | None = None) -> None:
+        super().__init__(config, sky, self._take)
 
     def _begin(self) -> None:
         """See :meth:`OpticalAxisCore._start_without_samples`; pointings until then are not published again."""
