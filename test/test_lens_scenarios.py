@@ -20,7 +20,7 @@ from ship_simulation.suite.suite import optical_axis_configuration
 from ship_testing.theodolite_scenes import SCENARIOS, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Camera, Image
-from theodolite_calib.lights.line_of_sight import LeverArm, Lights, Ship, Survey, lines_of_sight
+from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, Ship, Survey, lines_of_sight
 from theodolite_calib.lights.telescope_attitude import solve
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
@@ -112,22 +112,22 @@ def sighting_errors_arcsec(scenario, seed: int) -> FloatArray:
     rows = [np.searchsorted(found.time_ns, images.time_ns) for found in theodolite.baselines.values()]
     found = list(theodolite.baselines.values())
     assert all(np.array_equal(each.time_ns[row], images.time_ns) for each, row in zip(found, rows, strict=True))
-    lights = Lights(
+    lights = BeaconPoses(
         np.stack([each.baseline_n[row] for each, row in zip(found, rows, strict=True)], axis=1),
         np.stack([each.covariance_n[row] for each, row in zip(found, rows, strict=True)], axis=1),
-        np.stack([light.attitude.attitude(since_s) for light in scene.lights.values()], axis=1),
+        np.stack([light.attitude.attitude(since_s) for light in scene.beacons.values()], axis=1),
         np.zeros((3, 3)),
     )
     none = np.zeros(3)
     survey = Survey(
         theodolite_lever=LeverArm(vector(told.lever), none),
         principal_point=LeverArm(vector(told.telescope.lens), none),
-        light_lever=LeverArm(vector(scenario.beacons["a"].light), none),
+        beacon_lever=LeverArm(vector(scenario.beacons["a"].light), none),
         rtk_base_sigma_m=none,
         rtk_bias_sigma_m=none,
         refraction_coefficient=told.air.coefficient,
         refraction_sigma=0.0,
-        refraction_light_sigma=told.air.light_sigma,
+        refraction_beacon_sigma=told.air.light_sigma,
     )
     ship = Ship(mount.rotation_nd, np.zeros((3, 3)), np.swapaxes(mount.rotation_nd, -1, -2) @ mount.rotation_nm)
     points_m = images.point_m.reshape(-1, 2, 2)

@@ -18,7 +18,7 @@ from ship_simulation.suite.suite import optical_axis_configuration
 from ship_simulation.theodolite.devices import points_on_detector
 from ship_testing.theodolite_scenes import replaced, sweeping_over, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import Exposure, Mode, SeenLight
+from theodolite_calib.measured.samples import Exposure, Mode, DetectedBeacon
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 pytestmark = pytest.mark.slow  # what its tests share takes long
@@ -136,7 +136,7 @@ def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s)
     true_m = points_on_detector(telescope, scene, middle_s, scene.mount(middle_s))
     psf_m, sigma_m = telescope.psf_sigma_m, telescope.sigma_m
     for number, time_ns in enumerate(images.time_ns.tolist()):
-        seen = [SeenLight(name, point_m, sigma_m) for name, point_m in images.sightings(number)]
+        seen = [DetectedBeacon(name, point_m, sigma_m) for name, point_m in images.sightings(number)]
         sighting = core.sighting(Exposure(time_ns, tuple(seen), exposure_s))
         off_m = np.array([light.point_m for light in seen]) - true_m[number]
         # 1e-7 m are 0.2" here. What is left is the noise along the streaks, of a nanometre at rest.

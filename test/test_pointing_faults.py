@@ -17,7 +17,7 @@ from ship_testing.pointing_faults import (
     clean_session,
     drift_encoders,
     encoders_slipped,
-    lights_stamped_late,
+    shift_beacon_stamps,
     drift_ship_attitude,
     ship_turned,
     shift_telescope,
@@ -161,7 +161,7 @@ def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_steppe
 @pytest.mark.parametrize("seed", SEEDS)
 def test_late_stamps_of_lights_do_not_exclude_the_ship(seed):
     """A tenth of a second: the image turns with the roll of the ship, which neither encoders nor ship explain."""
-    found = claims(lights_stamped_late(clean_session(seed), 0.1))
+    found = claims(shift_beacon_stamps(clean_session(seed), 0.1))
     assert found.named == {"telescope"}
     assert found.worst(Status.VALID) < 5.0
 

@@ -14,7 +14,7 @@ from ship_testing.pointing_faults import (
     encoders_slipped,
     encoders_stamped_late,
     encoders_stand,
-    lights_stamped_late,
+    shift_beacon_stamps,
     shift_telescope,
 )
 
@@ -30,7 +30,7 @@ FAULTS = {
     "encoders 30 degrees off": lambda run: encoders_slipped(run, 30.0 * DEGREE_ARCSEC, 0.0, END_S),
     "two readings of one stamp": lambda run: encoders_read_twice(run, 20.0, END_S),
     "encoders stamped early": lambda run: encoders_stamped_late(run, -0.1, END_S),
-    "lights stamped early": lambda run: lights_stamped_late(run, -0.1, END_S),
+    "lights stamped early": lambda run: shift_beacon_stamps(run, -0.1, END_S),
     "telescope knocked by a degree": lambda run: shift_telescope(run, DEGREE_ARCSEC, 0.0, END_S),
 }
 

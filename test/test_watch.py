@@ -17,7 +17,7 @@ from ship_testing.watched_voyages import BAGS, MonitoredVoyage, records, replaye
 from ship_watch.alert_conditions import conditions
 from ship_watch.limits import Limits
 from ship_watch.picture import Presence, Safety
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 KNOCK = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 30.0, right_arcsec: 50.0"
 ONE_BY_ONE = (
@@ -160,7 +160,7 @@ def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) ->
 
 def test_a_recording_shows_the_same_as_live(clean: tuple[Path, Path]) -> None:
     """Arrivals by a monotonic clock of another start, updated at intervals: the same state at the end."""
-    recorded, live, shift_ns = Watch(), Watch(), -1_404_906_000_123_456_700_000
+    recorded, live, shift_ns = SuiteMonitor(), SuiteMonitor(), -1_404_906_000_123_456_700_000
     end_ns = 0
     for number, (time_ns, topic, message) in enumerate(records(clean[1])):
         recorded.take(topic, message, time_ns)
@@ -183,7 +183,7 @@ def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> 
     """A replay fills ship/error_arcsec from the same truth as the monitor does for NaN."""
     with read_bag(clean[1]) as bag:
         filled = {ns_from_stamp(m.header.stamp): m for r in bag.records(["ship/error_arcsec"]) if (m := r.decode())}
-    live, nan = Watch(), math.nan
+    live, nan = SuiteMonitor(), math.nan
     for time_ns, topic, message in records(*clean):
         if topic == "ship/error_arcsec":
             message.error_heading, message.error_pitch, message.error_roll = nan, nan, nan
@@ -201,8 +201,8 @@ def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> 
 
 def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
     history = theodolite.watch.history
-    assert set(history.lights) == {"a", "b"}
-    used = [point for point in history.lights["b"] if point.is_used]
+    assert set(history.beacons) == {"a", "b"}
+    used = [point for point in history.beacons["b"] if point.is_used]
     assert len(used) > 300
     assert all(math.isfinite(point.x_residual) for point in used)
     assert all(abs(point.x) < 0.02 and abs(point.z) < 0.02 for point in used)

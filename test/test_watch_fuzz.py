@@ -16,7 +16,7 @@ from ship_testing.garbage import paths, spoil
 from ship_testing.watched_voyages import replayed
 from ship_watch.picture import Safety
 from ship_watch.topics import monitored_topic
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 SECONDS = 20
 COPIES = 3
@@ -50,7 +50,7 @@ def recorded_messages(*bags: Path) -> list[tuple[int, str, Any]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("bag", ["demo", "theodolite"])
 def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None:
-    rng, watch = np.random.default_rng([12, len(bag)]), Watch()
+    rng, watch = np.random.default_rng([12, len(bag)]), SuiteMonitor()
     given, out = replayed(tmp_path, bag)
     voyage = recorded_messages(out, given) if bag == "theodolite" else recorded_messages(out)
     tried = 0
@@ -69,7 +69,7 @@ def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None
     assert tried > 2000
     watch.take("ship/alerts", AlertArray(), voyage[-1][0])  # alerts are what outlives a fresh start
     watch.reset()
-    fresh = Watch()
+    fresh = SuiteMonitor()
     for time_ns, topic, message in voyage:
         watch.take(topic, message, time_ns)
         fresh.take(topic, message, time_ns)

@@ -39,7 +39,7 @@ from ship_testing.watched_voyages import (
 from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.picture import Picture, Presence
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 LIVE_EARLY_S = 0.1
 """So far off may be the time of the data that a picture has live, on its steady clock."""
@@ -100,7 +100,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    watch, keeper, named = Watch(Limits()), AlertKeeper(Limits(), None, start_ns, print), Named(bag, start_ns)
+    watch, keeper, named = SuiteMonitor(Limits()), AlertKeeper(Limits(), None, start_ns, print), Named(bag, start_ns)
     due_ns = start_ns
     for time_ns, topic, message in records(*paths):
         if time_ns > start_ns + END_S[bag] * NS_PER_S:

@@ -29,9 +29,9 @@ FAULT_S, DURATION_S = 40.0, 85.0
 
 
 @functools.cache
-def clean_session(seed: int, lights_leave_s: float = 1e4, duration_s: float = DURATION_S) -> SimulatedRun:
+def clean_session(seed: int, beacons_leave_s: float = 1e4, duration_s: float = DURATION_S) -> SimulatedRun:
     """Return the session without a fault, at low rates."""
-    scenario = with_beacons(bag_scenario(duration_s=duration_s), leaves_s=lights_leave_s, hidden={})
+    scenario = with_beacons(bag_scenario(duration_s=duration_s), leaves_s=beacons_leave_s, hidden={})
     scenario = with_theodolite(scenario, encoder__rate_hz=20.0)
     return simulate(dataclasses.replace(scenario, ins=replaced(scenario.ins, rate_hz=1.0)), seed)
 
@@ -121,7 +121,7 @@ def shift_telescope(
     return replace(run, theodolite=replace(run.theodolite, images=knocked))
 
 
-def lights_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
+def shift_beacon_stamps(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
     """Delay or advance the stamps of the images from FAULT_S on."""
     images = run.theodolite.images
     late_ns = round(delay_s * 1e9) * _is_faulty(run, images.time_ns, until_s)

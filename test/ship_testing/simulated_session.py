@@ -17,13 +17,13 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Image
-from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M, Lights
+from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M, BeaconPoses
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS
-LIGHTS_DEG = {"alpha": (3.0, 2.0), "bravo": (-2.0, -3.0)}
+BEACONS_DEG = {"alpha": (3.0, 2.0), "bravo": (-2.0, -3.0)}
 DISTANCE_M = 2000.0
 AXIS_SIGMA_ARCSEC = 26.5
 """RMS of a size drawn between 10" and 40"."""
@@ -47,7 +47,7 @@ def config(**changes) -> OpticalAxisConfig:
         "air.sigma": 0.0,
         "air.light_sigma": 0.0,
         **axes,
-        **{f"beacons.{name}.rtk.bias_sigma_m": 0.0 for name in LIGHTS_DEG},
+        **{f"beacons.{name}.rtk.bias_sigma_m": 0.0 for name in BEACONS_DEG},
     }
     return build(OpticalAxisConfig, nest({**values, **{name.replace("__", "."): v for name, v in changes.items()}}))
 
@@ -100,7 +100,7 @@ def session(
     ship_sigma_n: FloatArray = SHIP_SIGMA_N,
     swing: float = 1.0,
     lens_error_m: FloatArray | None = None,
-    lights_deg: Mapping[str, tuple[float, float]] = MappingProxyType(LIGHTS_DEG),
+    beacons_deg: Mapping[str, tuple[float, float]] = MappingProxyType(BEACONS_DEG),
     distance_m: FloatArray | None = None,
     focal_length_m: float | None = None,
 ) -> Session:
@@ -119,7 +119,7 @@ def session(
         focal_length_m: true one of the calibration telescope; None for one drawn.
     """
     rng = np.random.default_rng(seed)
-    names, count = list(lights_deg), len(times_s)
+    names, count = list(beacons_deg), len(times_s)
     sigma_axes = settings.axes.sigma
     size = rng.uniform(10.0, 40.0, 7) * rng.choice([-1.0, 1.0], 7) * sigma_axes / AXIS_SIGMA_ARCSEC
     axes = settings.axes.values + size
@@ -154,7 +154,7 @@ def session(
         @ main_axis_rotation(AxisErrors.from_vector(axes), encoder[:, 0], encoder[:, 1])
     )
     rotation_nt = rotation_nm @ rotation_from_angles(*parallelism).T
-    right, up = np.tan(np.deg2rad(np.array(list(lights_deg.values())))).T
+    right, up = np.tan(np.deg2rad(np.array(list(beacons_deg.values())))).T
     around_t = np.stack([np.ones_like(up), up, right], axis=-1)
     around_t /= np.linalg.norm(around_t, axis=-1, keepdims=True)
     direction_n = around_t @ np.swapaxes(rotation_nt, -1, -2)
@@ -178,7 +178,7 @@ def session(
                 START_NS + round(times_s[k] * SECOND_NS),
                 tuple(names),
                 Image(point_m, np.full(len(names), settings.telescope.sigma_m)),
-                Lights(
+                BeaconPoses(
                     measured_n,
                     rtk_noise[:, None, None] ** 2 * np.eye(3),
                     np.broadcast_to(np.eye(3), (len(names), 3, 3)),

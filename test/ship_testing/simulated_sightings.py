@@ -12,7 +12,7 @@ import numpy as np
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.lights.image import Camera, Image
-from theodolite_calib.lights.line_of_sight import LeverArm, Lights, LinesOfSight, Ship, Survey, lines_of_sight
+from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, LinesOfSight, Ship, Survey, lines_of_sight
 
 DISTANCE_M = 2000.0
 FOCAL_LENGTH_M = 0.1
@@ -21,19 +21,19 @@ DETECTION_M = 0.65e-6
 BASELINE_M = 0.027
 REFRACTION = 2.0 * ARCSEC
 EARTH_RADIUS_M = 6_371_000.0
-FOUR_LIGHTS_DEG = np.array([[3.0, 2.0], [-2.0, -3.0], [-3.0, 1.5], [0.5, -1.0]])
-LIGHTS_DEG = FOUR_LIGHTS_DEG[:2]
+FOUR_BEACONS_DEG = np.array([[3.0, 2.0], [-2.0, -3.0], [-3.0, 1.5], [0.5, -1.0]])
+BEACONS_DEG = FOUR_BEACONS_DEG[:2]
 NONE = np.zeros(3)
 
 SURVEY = Survey(
     theodolite_lever=LeverArm(np.array([12.0, 3.0, -2.0]), NONE),
     principal_point=LeverArm(np.array([0.4, 0.3, 0.0]), NONE),
-    light_lever=LeverArm(np.array([0.1, -0.3, 0.05]), NONE),
+    beacon_lever=LeverArm(np.array([0.1, -0.3, 0.05]), NONE),
     rtk_base_sigma_m=NONE,
     rtk_bias_sigma_m=NONE,
     refraction_coefficient=0.13,
     refraction_sigma=0.0,
-    refraction_light_sigma=0.0,
+    refraction_beacon_sigma=0.0,
 )
 CAMERA = Camera(FOCAL_LENGTH_M, FOCAL_LENGTH_SIGMA_M, np.array([2e-4, -3e-4]))
 
@@ -61,30 +61,30 @@ class Epochs:
     focal_length_m: FloatArray
     image: Image
     camera: Camera
-    lights: Lights
+    beacons: BeaconPoses
     ship: Ship
     survey: Survey
 
     def lines(self) -> LinesOfSight:
-        return lines_of_sight(self.lights, self.ship, self.survey)
+        return lines_of_sight(self.beacons, self.ship, self.survey)
 
 
 def truth_of(
     azimuth_deg: FloatArray | float,
     elevation_deg: FloatArray | float,
     rotation_deg: FloatArray | float,
-    lights_deg: FloatArray = LIGHTS_DEG,
+    beacons_deg: FloatArray = BEACONS_DEG,
 ) -> Truth:
     """Return a telescope with this axis, and lights around it that do not rotate with its image."""
     azimuth, elevation, rotation = map(np.deg2rad, np.broadcast_arrays(azimuth_deg, elevation_deg, rotation_deg))
-    right, up = np.tan(np.deg2rad(lights_deg)).T
+    right, up = np.tan(np.deg2rad(beacons_deg)).T
     around = np.stack([np.ones_like(up), up, right], axis=-1)
     around /= np.linalg.norm(around, axis=-1, keepdims=True)
     upright = rotation_from_angles(azimuth, elevation, np.zeros_like(azimuth))
     return Truth(
         rotation_nt=rotation_from_angles(azimuth, elevation, rotation),
         direction_n=around @ np.swapaxes(upright, -1, -2),
-        distance_m=np.full(len(lights_deg), DISTANCE_M),
+        distance_m=np.full(len(beacons_deg), DISTANCE_M),
     )
 
 
@@ -113,9 +113,9 @@ def error_free(truth: Truth, survey: Survey = SURVEY, camera: Camera = CAMERA, s
     baseline_n = (
         truth.distance_m[..., None] * truth.direction_n
         + lens_n[..., None, :]
-        - (rotation_nb @ survey.light_lever.vector_m[..., None])[..., 0]
+        - (rotation_nb @ survey.beacon_lever.vector_m[..., None])[..., 0]
     )
-    lights = Lights(baseline_n, np.zeros((3, 3)), rotation_nb, np.zeros((3, 3)))
+    lights = BeaconPoses(baseline_n, np.zeros((3, 3)), rotation_nb, np.zeros((3, 3)))
     seen_n = raised(truth.direction_n, survey.refraction_coefficient * per_coefficient(truth))
     focal_length_m = np.full(leading, camera.focal_length_m)
     point_m = project(camera, focal_length_m, seen_n @ truth.rotation_nt)
@@ -168,8 +168,8 @@ def paper_epochs(
     point_m = project(epochs.camera, focal_length_m, seen_n @ truth.rotation_nt)
     point_m += DETECTION_M * rng.standard_normal(point_m.shape)
     lights = replace(
-        epochs.lights,
-        baseline_n=epochs.lights.baseline_n + baseline_sigma_m * rng.standard_normal((*leading, count, 3)),
+        epochs.beacons,
+        baseline_n=epochs.beacons.baseline_n + baseline_sigma_m * rng.standard_normal((*leading, count, 3)),
         baseline_covariance_n=np.broadcast_to(baseline_sigma_m**2 * np.eye(3), (*leading, count, 3, 3)),
     )
     image = replace(epochs.image, point_m=point_m)

@@ -29,9 +29,9 @@ ENCODER, SHIP, INS, BEACONS = "theodolite/encoder", "ship/attitude", "ins/imu", 
 BASELINE = {"alpha": "beacon/alpha/baseline", "bravo": "beacon/bravo/baseline"}
 IMU = {"alpha": "beacon/alpha/imu", "bravo": "beacon/bravo/imu"}
 ALL_TOPICS = (ENCODER, SHIP, BEACONS, *BASELINE.values(), *IMU.values())
-LIGHTS_DEG = {"alpha": (3.0, 2.0), "bravo": (-2.0, -3.0)}
+BEACONS_DEG = {"alpha": (3.0, 2.0), "bravo": (-2.0, -3.0)}
 AXES = AxisErrors(*(ARCSEC * np.array([25.0, -15.0, 12.0, -20.0, 18.0, -10.0, 0.0])).tolist())
-LEVER_D, LENS_M, LIGHT_B = np.array([12.0, 3.0, -2.0]), np.array([0.4, 0.3, 0.0]), np.array([0.1, -0.3, 0.05])
+LEVER_D, LENS_M, BEACON_B = np.array([12.0, 3.0, -2.0]), np.array([0.4, 0.3, 0.0]), np.array([0.1, -0.3, 0.05])
 FOCAL_LENGTH_M, DISTANCE_M, K = 0.10005, 2000.0, 0.13
 
 _PERIOD_NS = {ENCODER: 50_000_000, SHIP: 50_000_000, BEACONS: 500_000_000}
@@ -60,7 +60,7 @@ class Run(AdapterRun):
 
 def config(**changes: Any) -> OpticalAxisConfig:
     """Return the configuration of the session, with dotted parameters changed (``__`` for the dot)."""
-    light = dict(zip(("forward_m", "up_m", "right_m"), LIGHT_B.tolist(), strict=True))
+    light = dict(zip(("forward_m", "up_m", "right_m"), BEACON_B.tolist(), strict=True))
     beacon = {"light": light, "rtk": {"bias_sigma_m": 0.0, "sigma_m": _RTK_M}}
     values: dict[str, Any] = {
         "encoder": {"frame_id": "theodolite_base"},
@@ -111,9 +111,9 @@ def drone(t_s: float) -> FloatArray:
     return rotation_from_angles(*np.deg2rad([100.0, 2.0 * np.sin(1.5 * t_s), 2.0 * np.cos(1.3 * t_s)]))
 
 
-def light_n(name: str, t_s: float) -> FloatArray:
+def beacon_n(name: str, t_s: float) -> FloatArray:
     """Return the vector from lens to light, m."""
-    right, up = np.tan(np.deg2rad(LIGHTS_DEG[name]))
+    right, up = np.tan(np.deg2rad(BEACONS_DEG[name]))
     around = np.array([1.0, up, right])
     return line(t_s) @ (DISTANCE_M * around / np.linalg.norm(around))
 
@@ -154,7 +154,7 @@ def ship_message(t_s: float, since_ns: int, noise: FloatArray) -> Any:
 
 def baseline_message(name: str, t_s: float, since_ns: int, noise: FloatArray) -> Any:
     lens_n = deck(t_s) @ LEVER_D + mount(t_s)[2] @ LENS_M
-    baseline_n = light_n(name, t_s) + lens_n - drone(t_s) @ LIGHT_B + noise
+    baseline_n = beacon_n(name, t_s) + lens_n - drone(t_s) @ BEACON_B + noise
     east, north, up = (ENU_FROM_HORIZON @ baseline_n).tolist()
     return FACTORY.make(
         "ship_msgs/msg/RtkBaseline",
@@ -186,13 +186,13 @@ def imu_message(t_s: float, since_ns: int) -> Any:
 
 def image_message(t_s: float, since_ns: int, noise: FloatArray) -> Any:
     camera = Camera(FOCAL_LENGTH_M, 0.0, np.zeros(2))
-    direction_n = np.array([light_n(name, t_s) for name in LIGHTS_DEG]) / DISTANCE_M
+    direction_n = np.array([beacon_n(name, t_s) for name in BEACONS_DEG]) / DISTANCE_M
     horizontal_m = DISTANCE_M * np.hypot(direction_n[:, 0], direction_n[:, 2])
     seen_n = raised(direction_n, K * horizontal_m / (2.0 * EARTH_RADIUS_M))
     point_m = project(camera, np.array(FOCAL_LENGTH_M), seen_n @ mount(t_s)[2]) + noise
     sightings = [
         FACTORY.make("ship_msgs/msg/BeaconSighting", beacon_id=name, x=float(x), z=float(z), sigma=_IMAGE_M)
-        for name, (x, z) in zip(LIGHTS_DEG, point_m, strict=True)
+        for name, (x, z) in zip(BEACONS_DEG, point_m, strict=True)
     ]
     return FACTORY.make(
         "ship_msgs/msg/BeaconImage",
@@ -212,7 +212,7 @@ def session(duration_s: float = 6.0) -> tuple[Arrival, ...]:
         SHIP: lambda t, ns: ship_message(t, ns, ARCSEC * rng.standard_normal(3)),
         BEACONS: lambda t, ns: image_message(t, ns, _IMAGE_M * rng.standard_normal((2, 2))),
     }
-    for name in LIGHTS_DEG:
+    for name in BEACONS_DEG:
         makers[BASELINE[name]] = functools.partial(_baseline, name, rng)
         makers[IMU[name]] = imu_message
     arrivals = []

@@ -16,7 +16,7 @@ from ship_watch.history import (
     ErrorPoint,
     History,
     InnovationPoint,
-    LightPoint,
+    BeaconPoint,
     ParameterShown,
     StarsSeen,
 )
@@ -45,7 +45,7 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
     history.errors["theodolite/error_arcsec"] = deque(_errors(rng, at_s, pointing, has_truth))
     history.budgets["ship/error_budget"] = deque(_budget(at_second) for at_second in at_s)
     for name, x, z in (("a", -5e-3, -4e-3), ("b", 3.6e-3, 5.0e-3)):
-        history.lights[name] = deque(_lights(rng, x, z))
+        history.beacons[name] = deque(_beacon_points(rng, x, z))
     history.stars = {
         "star.fore": _stars(rng, 0.45, 0.92),
         "star.starboard": _stars(rng, 2.17, 0.85, SHIFT_RIGHT_ARCSEC),
@@ -138,13 +138,13 @@ def _budget(at_second: float) -> BudgetPoint:
     return BudgetPoint(NOW_NS + int(at_second * 1e9), variances, total, by_angle)
 
 
-def _lights(rng: np.random.Generator, x: float, z: float) -> list[LightPoint]:
+def _beacon_points(rng: np.random.Generator, x: float, z: float) -> list[BeaconPoint]:
     points = []
     for at_s in np.arange(-90.0, 0.0, 0.5):
         off = rng.normal(0.0, 1.5 * ARCSEC, 2)
         moved = 3e-4 * np.array([np.sin(at_s / 9.0), np.cos(at_s / 9.0)])
         points.append(
-            LightPoint(NOW_NS + int(at_s * 1e9), x + moved[0], z + moved[1], float(off[0]), float(off[1]), True)
+            BeaconPoint(NOW_NS + int(at_s * 1e9), x + moved[0], z + moved[1], float(off[0]), float(off[1]), True)
         )
     return points
 

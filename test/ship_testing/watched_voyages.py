@@ -16,7 +16,7 @@ from ship_replay.commands.replay import main as replay
 from ship_simulation.inject_command import main as inject
 from ship_watch.picture import Event, Picture, Presence
 from ship_watch.topics import monitored_topic
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 BAGS = Path(__file__).parents[2] / "bags"
 STEP_NS = 100_000_000
@@ -72,7 +72,7 @@ class MonitoredVoyage:
         at_s: the suite state of each whole second.
     """
 
-    watch: Watch
+    watch: SuiteMonitor
     start_ns: int
     end_ns: int = 0
     out: dict[str, list[float]] = field(default_factory=dict)
@@ -138,7 +138,7 @@ def watched(*paths: Path) -> MonitoredVoyage:
     due_ns, before = 0, {}
     for time_ns, topic, message in records(*paths):
         if seen is None:
-            seen, due_ns = MonitoredVoyage(Watch(), time_ns), time_ns
+            seen, due_ns = MonitoredVoyage(SuiteMonitor(), time_ns), time_ns
         while due_ns <= time_ns:
             picture = seen.watch.look(due_ns)
             before = _note(seen, picture, before, (due_ns - seen.start_ns) * 1e-9)

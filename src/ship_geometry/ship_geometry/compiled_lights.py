@@ -53,7 +53,7 @@ def _by_turn(row: cython.p_double, vector: cython.p_double, sign: cython.double,
 def sight_lines(
     baselines: cython.const[cython.double][:, :, :],
     drones: cython.const[cython.double][:, :, :, :],
-    light_levers: cython.const[cython.double][:, :, :],
+    beacon_levers: cython.const[cython.double][:, :, :],
     ships: cython.const[cython.double][:, :, :],
     mounts: cython.const[cython.double][:, :, :],
     lever: cython.const[cython.double][:],
@@ -82,9 +82,9 @@ def sight_lines(
     """
     epochs: cython.Py_ssize_t = baselines.shape[0]
     count: cython.Py_ssize_t = baselines.shape[1]
-    check("baselines", baselines.shape[2] == light_levers.shape[2] == 3)
-    check("drones", drones.shape[0] == light_levers.shape[0] == refraction.shape[0] == epochs)
-    check("drones", drones.shape[1] == light_levers.shape[1] == refraction.shape[1] == count)
+    check("baselines", baselines.shape[2] == beacon_levers.shape[2] == 3)
+    check("drones", drones.shape[0] == beacon_levers.shape[0] == refraction.shape[0] == epochs)
+    check("drones", drones.shape[1] == beacon_levers.shape[1] == refraction.shape[1] == count)
     check("drones", drones.shape[2] == drones.shape[3] == 3)
     check("ships", ships.shape[0] == mounts.shape[0] == epochs)
     check("ships", ships.shape[1] == ships.shape[2] == mounts.shape[1] == mounts.shape[2] == 3)
@@ -123,7 +123,7 @@ def sight_lines(
             for i in range(3):
                 light[i] = 0.0
                 for j in range(3):
-                    light[i] += rotation_nb[3 * i + j] * light_levers[e, n, j]
+                    light[i] += rotation_nb[3 * i + j] * beacon_levers[e, n, j]
                 seen[i] = baselines[e, n, i] + light[i] - lens[i]
                 length += seen[i] * seen[i]
             distances[e, n] = sqrt(length)

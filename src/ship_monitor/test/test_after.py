@@ -16,7 +16,7 @@ from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
 from ship_watch.history import KEPT_S
 from ship_watch.limits import Limits
 from ship_watch.picture import Presence
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 LENGTH_S = 900
 
@@ -48,7 +48,7 @@ def whole(pictures):
 
 def monitor_after(suite, since_ns, until_ns):
     """Return a monitor that has processed all messages between two times."""
-    watch = Watch(Limits())
+    watch = SuiteMonitor(Limits())
     for each in suite.messages(since_ns):
         if each.log_time_ns > until_ns:
             break
@@ -166,8 +166,8 @@ class TestPictures:
         """The messages are counted; each update of the ten minutes ends at its deadline."""
         monkeypatch.setattr(recorded_pictures, "LOOK_S", 0.0)
         heard = []
-        original = Watch.take
-        monkeypatch.setattr(Watch, "take", lambda self, *given: heard.append(given) or original(self, *given))
+        original = SuiteMonitor.take
+        monkeypatch.setattr(SuiteMonitor, "take", lambda self, *given: heard.append(given) or original(self, *given))
         pictures.go_to(850.0)
         pictures.look()
         minute = sum(

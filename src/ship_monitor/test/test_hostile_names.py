@@ -43,7 +43,7 @@ def hostile(name):
     stars = history.stars.pop("star.fore")
     history.innovations[f"star.{name}"] = deque(replace(each, part_names=(name,)) for each in points)
     history.stars[f"star.{name}"] = stars
-    history.lights[name] = history.lights.pop("a")
+    history.beacons[name] = history.beacons.pop("a")
     for topic, budget in history.budgets.items():
         history.budgets[topic] = deque(
             replace(

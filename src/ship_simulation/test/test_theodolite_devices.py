@@ -92,7 +92,7 @@ def test_deformation_and_refraction_have_their_sigmas_over_runs():
     moment = np.array([0.7])
     assert_sigma([scene.deformation.at(moment) for scene in scenes], 20.0 * ARCSEC)
     assert_sigma([scene.refraction.at(moment) for scene in scenes], 0.06)
-    own = np.array([[light.refraction.at(moment)[0, 0] for light in scene.lights.values()] for scene in scenes])
+    own = np.array([[light.refraction.at(moment)[0, 0] for light in scene.beacons.values()] for scene in scenes])
     assert_sigma(own, 0.03)
     assert abs(np.corrcoef(own.T)[0, 1]) < 3.3 / np.sqrt(60)
 
@@ -150,7 +150,7 @@ def test_errors_of_drone_and_ship_attitudes_match_their_covariances():
     nees = []
     for seed in range(100):
         run = simulate(scenario, seed)
-        drone, light = run.theodolite.drones["a"], run.theodolite.truth.scene.lights["a"]
+        drone, light = run.theodolite.drones["a"], run.theodolite.truth.scene.beacons["a"]
         assert since_start_s(run, drone).max() < 0.8
         true_nb = light.attitude.attitude(since_start_s(run, drone))
         true_nd = run.theodolite.truth.scene.carrier.attitude(since_start_s(run, run.fused))

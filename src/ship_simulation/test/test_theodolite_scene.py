@@ -24,7 +24,7 @@ from ship_testing.theodolite_scenes import (
 )
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.line_of_sight import LeverArm, Lights, Ship, Survey, lines_of_sight
+from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, Ship, Survey, lines_of_sight
 
 NONE = np.zeros(3)
 
@@ -35,12 +35,12 @@ def survey_of(scenario):
     return Survey(
         theodolite_lever=LeverArm(surveyed(config.lever), NONE),
         principal_point=LeverArm(surveyed(config.telescope.lens), NONE),
-        light_lever=LeverArm(np.array(lights), NONE),
+        beacon_lever=LeverArm(np.array(lights), NONE),
         rtk_base_sigma_m=NONE,
         rtk_bias_sigma_m=NONE,
         refraction_coefficient=config.air.coefficient,
         refraction_sigma=0.0,
-        refraction_light_sigma=0.0,
+        refraction_beacon_sigma=0.0,
     )
 
 
@@ -63,7 +63,7 @@ def test_a_sighting_without_errors_obeys_the_equations():
     beacons = sorted(scenario.beacons)
     baselines = [theodolite.baselines[key] for key in beacons]
     drones = [theodolite.drones[key] for key in beacons]
-    lights = Lights(
+    lights = BeaconPoses(
         np.stack([b.baseline_n[rows_at(b, time_ns)] for b in baselines], axis=1),
         np.zeros((3, 3)),
         np.stack([d.rotation_nb[rows_at(d, time_ns)] for d in drones], axis=1),

@@ -18,7 +18,7 @@ from ship_watch.functions import still
 from ship_watch.limits import Limits
 from ship_watch.picture import AngleShown, Safety
 from ship_watch.states import MARGIN, AngleWord, SafetyHysteresis, words_by_accuracy
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
 """Quantity with its own limit → its angles."""
@@ -85,7 +85,7 @@ class AvailabilityRecord:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         no_limit = {f"{quantity}_arcsec": _NO_LIMIT_ARCSEC for quantity in QUANTITIES}
-        self._watch = Watch(replace(limits, **no_limit))  # type: ignore[arg-type]
+        self._watch = SuiteMonitor(replace(limits, **no_limit))  # type: ignore[arg-type]
         self._next_sample_ns: int | None = None
         self._samples: dict[str, list[_Sample]] = {quantity: [] for quantity in QUANTITIES}
 

@@ -49,12 +49,12 @@ class InnovationPoint:
     axes: tuple[str, ...]
     mean: FloatArray
     sigma: FloatArray
-    parts: FloatArray
+    object_residuals: FloatArray
     nis: float
     gate: float
     is_accepted: bool
     reason: str
-    part_names: tuple[str, ...] = ()
+    object_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class SafetyPoint:
 
 
 @dataclass(frozen=True)
-class LightPoint:
+class BeaconPoint:
     """A light on the detector, m along right and up, and its residual on the sky, rad, NaN if unknown."""
 
     utc_ns: int
@@ -170,7 +170,7 @@ class History:
     errors: dict[str, deque[ErrorPoint]] = field(default_factory=dict)
     budgets: dict[str, deque[BudgetPoint]] = field(default_factory=dict)
     ribbons: deque[SafetyPoint] = field(default_factory=deque)
-    lights: dict[str, deque[LightPoint]] = field(default_factory=dict)
+    beacons: dict[str, deque[BeaconPoint]] = field(default_factory=dict)
     stars: dict[str, StarsSeen] = field(default_factory=dict)
     alignment: tuple[ParameterShown, ...] = ()
     calibration: tuple[ParameterShown, ...] = ()

@@ -27,7 +27,7 @@ from ship_watch.history import (
 from ship_watch.names import LONGEST_NAME, MOST_NAMES, has_room
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from ship_watch.picture import ANGLES, Safety
-from ship_watch.seen import LightsSeenBook, StarsSeenBook
+from ship_watch.seen import BeaconDetections, StarsSeenBook
 from ship_watch.topics import source_of_name, source_of_topic
 
 _TRUTH_GAP_NS = NS_PER_S
@@ -115,7 +115,7 @@ class HistoryKeeper:
         self._errors = {
             orientation.topic: ErrorsBeside(orientation, self.history) for orientation in (SHIP_ATTITUDE, POINTING)
         }
-        self._stars, self._lights = StarsSeenBook(self.history), LightsSeenBook(self.history)
+        self._stars, self._lights = StarsSeenBook(self.history), BeaconDetections(self.history)
         self._directions: dict[str, tuple[float, float]] = {}
         self._nominal: dict[str, float] = {}
         self._second = 0
@@ -239,12 +239,12 @@ def innovation_point(message: Any) -> InnovationPoint:
         axes=axes,
         mean=_mean(parts),
         sigma=np.sqrt(_mean(sigmas**2)),
-        parts=parts,
+        object_residuals=parts,
         nis=float(message.nis),
         gate=float(message.gate),
         is_accepted=bool(message.accepted),
         reason=_WORDS.get(int(message.reason), ""),
-        part_names=names if names != ("",) else (),
+        object_names=names if names != ("",) else (),
     )
 
 

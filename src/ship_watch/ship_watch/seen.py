@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import FloatArray
-from ship_watch.history import History, LightPoint, StarsSeen, append
+from ship_watch.history import History, BeaconPoint, StarsSeen, append
 
 _PENDING_MESSAGES = 8
 """Number of messages that wait for their counterpart."""
@@ -67,7 +67,7 @@ class StarsSeenBook:
             return
         stars = exposure.stars if exposure is not None else ()
         names = [f"HIP {star.catalogue_id}" for star in stars]
-        residuals = _by_part(innovation)
+        residuals = _residuals_by_object(innovation)
         used = sum(1 for name in residuals if name)
         if not used and solution is not None:
             used = int(solution.star_count)
@@ -86,7 +86,7 @@ class StarsSeenBook:
         )
 
 
-class LightsSeenBook:
+class BeaconDetections:
     """Lights of each image on the detector, stored in :attr:`ship_watch.history.History.beacons` by beacon."""
 
     def __init__(self, history: History) -> None:
@@ -113,11 +113,11 @@ class LightsSeenBook:
             if innovation is None and not later and now_ns - came_ns < _INNOVATION_TIMEOUT_NS:
                 return
             self._images.popleft()
-            residuals = _by_part(innovation) if innovation is not None else {}
+            residuals = _residuals_by_object(innovation) if innovation is not None else {}
             for light in image.beacons:
                 name = str(light.beacon_id)
                 known = residuals.get(name, {})
-                point = LightPoint(
+                point = BeaconPoint(
                     utc_ns,
                     float(light.x),
                     float(light.z),
@@ -125,10 +125,10 @@ class LightsSeenBook:
                     known.get("z", math.nan),
                     bool(known) and innovation is not None and bool(innovation.accepted),
                 )
-                append(self._history.lights, name, point)
+                append(self._history.beacons, name, point)
 
 
-def _by_part(innovation: Any) -> Mapping[str, dict[str, float]]:
+def _residuals_by_object(innovation: Any) -> Mapping[str, dict[str, float]]:
     """Return star or light → axis → residual, rad; the last word of a component's name is its axis."""
     found: dict[str, dict[str, float]] = {}
     for name, residual in zip(innovation.components, innovation.residual, strict=False):

@@ -62,7 +62,7 @@ _POINTING_NEEDS = ("encoder", "ship_attitude")
 """Sources without which there is no output; without the others its quality is only reduced."""
 
 
-class Watch:
+class SuiteMonitor:
     """Evaluates the outputs of a suite against the limits of the ship.
 
     Args:

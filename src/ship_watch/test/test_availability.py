@@ -10,7 +10,7 @@ from ship_testing.watched_voyages import records, replayed
 from ship_watch.availability import START_UP_S, WANTED_SHARE, AvailabilityRecord
 from ship_watch.limits import Limits
 from ship_watch.picture import Safety
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 SECOND = 1_000_000_000
 
@@ -24,7 +24,7 @@ def record_of(outputs: Path, limits: Limits) -> AvailabilityRecord:
 
 def safe_share(outputs: Path, limits: Limits) -> float:
     """Return the fraction of the time, without start and star outage, for which pitch and roll are SAFE."""
-    watch, due_ns, first_ns = Watch(limits), 0, 0
+    watch, due_ns, first_ns = SuiteMonitor(limits), 0, 0
     words: list[bool] = []
     for time_ns, topic, message in records(outputs):
         first_ns = first_ns or time_ns

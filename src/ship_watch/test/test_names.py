@@ -14,7 +14,7 @@ from ship_watch.alerts import MOST_KEPT, AlertBook
 from ship_watch.limits import AlertTimes, Limits
 from ship_watch.names import LONGEST_NAME, MOST_NAMES, has_room
 from ship_watch.picture import Priority
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 NS = 1_000_000_000
 START_NS = 1_700_000_000 * NS
@@ -55,7 +55,7 @@ def invented(number, stamp_ns):
 
 def test_memory_is_bounded_for_unlimited_names(caplog):
     names._logged_s.clear()
-    watch, sizes = Watch(Limits()), []
+    watch, sizes = SuiteMonitor(Limits()), []
     known = "star.fore"
     tracemalloc.start()
     for number in range(3 * MOST_NAMES):
@@ -70,7 +70,7 @@ def test_memory_is_bounded_for_unlimited_names(caplog):
     picture, history = watch.look(now_ns), watch.history
     assert len(picture.sources) <= MOST_NAMES + 3
     assert len(picture.inputs) <= MOST_NAMES
-    assert all(len(of) <= MOST_NAMES for of in (history.innovations, history.lights, history.stars, history.budgets))
+    assert all(len(of) <= MOST_NAMES for of in (history.innovations, history.beacons, history.stars, history.budgets))
     # The second set of names needs only the memory for the points of the known source.
     assert sizes[2] - sizes[1] < 0.25 * sizes[0]
     assert len(history.innovations[known]) == 3 * MOST_NAMES

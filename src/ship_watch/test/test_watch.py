@@ -16,7 +16,7 @@ from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, Presence, Safety
 from ship_watch.published_state import STATE_TYPE, state_fields
 from ship_watch.topics import TOPICS, source_of_name, source_of_topic, monitored_topic
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 SECOND = 1_000_000_000
 UTC = 1_404_906_607 * SECOND
@@ -52,14 +52,14 @@ def health(ns: int, topic: str, received: int, rate_hz: float = 5.0, age_s: floa
     )  # fmt: skip
 
 
-def monitor_after(until_s: float, start_s: float = 0.0, **of_attitude: Any) -> Watch:
+def monitor_after(until_s: float, start_s: float = 0.0, **of_attitude: Any) -> SuiteMonitor:
     """Return a monitor that has received a good suite for some seconds, at 10 Hz; its time starts at 1000 s."""
-    watch = Watch()
+    watch = SuiteMonitor()
     go_on(watch, start_s, until_s, **of_attitude)
     return watch
 
 
-def go_on(watch: Watch, start_s: float, until_s: float, **of_attitude: Any) -> None:
+def go_on(watch: SuiteMonitor, start_s: float, until_s: float, **of_attitude: Any) -> None:
     for tenth in range(round(start_s * 10), round(until_s * 10) + 1):
         ns = tenth * SECOND // 10
         now = 1000 * SECOND + ns
@@ -75,7 +75,7 @@ def at(seconds: float) -> int:
 
 
 def test_missing_output_is_named_before_the_first_message() -> None:
-    picture = Watch().look(5 * SECOND)
+    picture = SuiteMonitor().look(5 * SECOND)
     assert [angle.name for angle in picture.angles] == list(ANGLES[:3])
     assert all(angle.safety is Safety.UNSAFE and angle.is_old for angle in picture.angles)
     assert {angle.reason for angle in picture.angles} == {"waiting for ship/attitude"}
@@ -142,7 +142,7 @@ def test_old_output_recovers_after_five_seconds() -> None:
 )
 def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every: int, alerts: list[str]) -> None:
     """The safety follows at once; an alert needs five seconds over the limit, short dips below it included."""
-    watch, book, shown = Watch(), AlertBook(Limits().alerts), set()
+    watch, book, shown = SuiteMonitor(), AlertBook(Limits().alerts), set()
     for tenth in range(300):
         second, is_over = tenth / 10, 200 <= tenth < 200 + 10 * seconds and tenth % every == 0
         go_on(watch, second, second, sigma_arcsec=3.0 if is_over else 1.0)
@@ -178,7 +178,7 @@ def test_covariance_of_zeros_means_unknown_accuracy() -> None:
 
 
 def test_error_against_truth_has_no_sigma_without_a_covariance() -> None:
-    watch = Watch()
+    watch = SuiteMonitor()
     for tenth in range(4):
         watch.take("truth/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
         watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10, sigma_arcsec=0.0), at(tenth / 10))
@@ -190,7 +190,7 @@ def test_error_against_truth_has_no_sigma_without_a_covariance() -> None:
 @pytest.mark.parametrize("heading", [math.inf, -math.inf, math.nan])
 def test_orientation_not_finite_is_not_compared_with_the_truth(heading: float) -> None:
     """Truths and outputs with values that are not finite are not used in any computation."""
-    watch = Watch()
+    watch = SuiteMonitor()
     with np.errstate(all="raise"):
         for tenth in range(6):
             ns, no_number = UTC + tenth * SECOND // 5, {} if tenth % 2 == 0 else {"heading": heading}
@@ -216,7 +216,7 @@ def test_old_or_missing_integrity_is_no_integrity_data() -> None:
         watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
         told = watch.look(at(tenth / 10)).angles[0]
         assert (told.safety, told.reason) == ((0, "") if tenth <= 130 else (1, "no integrity data"))
-    watch = Watch()
+    watch = SuiteMonitor()
     watch.take("ship/attitude", attitude(UTC), at(0.0))
     assert watch.look(at(0.1)).angles[0].safety is Safety.CAUTION
 
@@ -267,7 +267,7 @@ def test_excluded_source_is_out_and_in_again() -> None:
 
 
 def test_events_do_not_depend_on_requests() -> None:
-    looked_at, left_alone = Watch(), Watch()
+    looked_at, left_alone = SuiteMonitor(), SuiteMonitor()
     for seconds in range(30):
         for watch in (looked_at, left_alone):
             go_on(watch, float(seconds), seconds + 0.9, sigma_arcsec=9.0 if seconds % 13 == 5 else 1.0)
@@ -288,7 +288,7 @@ def test_restart_of_a_bag_resets_the_history() -> None:
 
 
 def test_limits_of_the_ship_are_used() -> None:
-    watch = Watch(Limits(heading_arcsec=1.5))
+    watch = SuiteMonitor(Limits(heading_arcsec=1.5))
     go_on(watch, 0.0, 3.0)
     words = [(angle.safety, angle.reason) for angle in watch.look(at(3.0)).angles]
     assert words == [(Safety.CAUTION, "over the limit"), (Safety.SAFE, ""), (Safety.SAFE, "")]
@@ -296,7 +296,7 @@ def test_limits_of_the_ship_are_used() -> None:
 
 def test_reason_of_a_caution_is_current_at_any_time() -> None:
     """An accuracy over its limit for 2 s, then below it: the reason states the time until the safety gets better."""
-    watch = Watch(Limits(tilt_arcsec=4.0))
+    watch = SuiteMonitor(Limits(tilt_arcsec=4.0))
     go_on(watch, 0.0, 10.0)
     go_on(watch, 10.1, 12.0, sigma_arcsec=2.1)
     assert {(angle.safety, angle.reason) for angle in watch.look(at(12.0)).angles[1:]} == {
@@ -434,7 +434,7 @@ def test_alerts_are_sorted_and_survive_a_reset() -> None:
 
 
 def test_buffers_are_bounded_by_ten_minutes() -> None:
-    watch = Watch()
+    watch = SuiteMonitor()
     for second in range(1500):
         ns = UTC + second * SECOND
         watch.take("ship/attitude", attitude(ns), at(second))
@@ -507,7 +507,7 @@ def test_source_out_before_an_overload_keeps_its_own_fault() -> None:
     assert {angle.because_of for angle in picture.angles[:3]} == {""}  # the cause is a node
 
 
-def published(watch: Watch, seconds: float) -> SimpleNamespace:
+def published(watch: SuiteMonitor, seconds: float) -> SimpleNamespace:
     """Return the SuiteState message of a monitor, as published by the alert node."""
     return RosidlFactory().make(STATE_TYPE, **state_fields(watch.look(at(seconds))))
 
@@ -538,7 +538,7 @@ def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
 
 def test_output_that_stops_with_its_node_has_no_source_as_cause() -> None:
     """A sensor was never received and the INS gave the attitude; then the node ends: no source is the cause."""
-    watch = Watch()
+    watch = SuiteMonitor()
     for tenth in range(100):
         ns = tenth * SECOND // 10
         if tenth % 10 == 0:

@@ -39,7 +39,7 @@ from ship_testing.small_session import (
     session,
 )
 from theodolite_calib.measured.samples import Mode
-from theodolite_calib.ros.messages_in import MOST_LIGHTS
+from theodolite_calib.ros.messages_in import MAX_BEACONS
 
 MOMENT_S = 3.0
 ALPHA = BASELINE["alpha"]
@@ -475,18 +475,18 @@ def test_encoder_in_degrees_is_rejected() -> None:
 
 def test_too_many_beacons_and_long_ids_are_cut() -> None:
     def crowded(message: Any) -> None:
-        strangers = [copy.copy(seen(message, "alpha")) for _ in range(MOST_LIGHTS + 50)]
+        strangers = [copy.copy(seen(message, "alpha")) for _ in range(MAX_BEACONS + 50)]
         for number, stranger in enumerate(strangers):
             stranger.beacon_id = f"{number}" + "x" * 10**5
         message.beacons = [*message.beacons, *strangers]
 
     run = drive(new_adapter(), replaced(session(), index_at(session(), BEACONS, MOMENT_S), crowded))
     strangers = told(run, Reason.UNKNOWN_SENSOR)
-    assert len(strangers) == MOST_LIGHTS - 2
+    assert len(strangers) == MAX_BEACONS - 2
     assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT
     assert strangers[0][1].endswith("…' is unknown: expected alpha, bravo")
     ((_, text),) = told(run, Reason.OVERFLOW)
-    assert text == f"{MOST_LIGHTS + 52} lights in one image: only the first {MOST_LIGHTS} are used"
+    assert text == f"{MAX_BEACONS + 52} lights in one image: only the first {MAX_BEACONS} are used"
     assert run.state() == clean_run().state()
 
 

@@ -10,11 +10,11 @@ from ship_estimation.parameters import ParameterError, build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.escort.accuracy import LightsAccuracy
+from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.lights.image import Camera, Image
-from theodolite_calib.lights.line_of_sight import LeverArm, Lights, Ship, Survey, lines_of_sight
+from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, Ship, Survey, lines_of_sight
 from theodolite_calib.lights.telescope_attitude import solve
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
@@ -47,14 +47,14 @@ def paper_config(names: str = "ab", **limits: Any) -> OpticalAxisConfig:
 
 def accuracy_of(
     config: OpticalAxisConfig, elevation_deg: float, ship: tuple[float, float, float] = (0.4, 0.0, 0.0)
-) -> LightsAccuracy:
+) -> BeaconAccuracy:
     """Return the accuracy at heading, pitch, roll, rad; on a level ship the elevation is over the horizon."""
     attitude = ShipAt(rotation_from_angles(*ship), np.zeros(3), None, 1e-20)
     encoder = EncoderAt(AZIMUTH, float(np.deg2rad(elevation_deg)), 1e-20)
-    return LightsAccuracy(config, CalibrationFilter(config), attitude, encoder)
+    return BeaconAccuracy(config, CalibrationFilter(config), attitude, encoder)
 
 
-def beside_axis(accuracy: LightsAccuracy, beside_deg: FloatArray, range_m: float) -> FloatArray:
+def beside_axis(accuracy: BeaconAccuracy, beside_deg: FloatArray, range_m: float) -> FloatArray:
     """Return positions at angles (right, up) from the telescope's axis, shape (N, 3)."""
     right, up = np.tan(np.deg2rad(beside_deg)).T
     path = np.column_stack([np.ones_like(up), up, right])
@@ -70,7 +70,7 @@ def test_accuracy_without_priors_is_that_of_the_beacons(elevation_deg: float) ->
     none = LeverArm(np.zeros(3), np.zeros(3))
     survey = Survey(none, none, none, np.zeros(3), np.zeros(3), 0.13, 0.0, np.full(2, K_SIGMA))
     noise_n = np.tile(RTK_SIGMA_M**2 * np.eye(3), (2, 1, 1))
-    lights = Lights(places_n - accuracy.centre_n, noise_n, np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3, 3)))
+    lights = BeaconPoses(places_n - accuracy.centre_n, noise_n, np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3, 3)))
     lines = lines_of_sight(lights, Ship(np.eye(3), np.zeros((3, 3)), np.eye(3)), survey)
     points_m = camera.points(lines.direction_n @ accuracy.rotation_nt)
     covariance_n = solve(Image(points_m, np.full(2, IMAGE_SIGMA_M)), camera, lines).covariance_n
@@ -93,7 +93,7 @@ def test_budget_is_the_accuracy_by_source() -> None:
     assert {"image", "rtk", "refraction", "axis_errors"} <= parts.keys()
 
 
-def advice_for(config: OpticalAxisConfig, accuracy: LightsAccuracy, **now: FloatArray) -> EscortAdvice:
+def advice_for(config: OpticalAxisConfig, accuracy: BeaconAccuracy, **now: FloatArray) -> EscortAdvice:
     return advise(config.escort, accuracy, tuple(config.beacons), now)
 
 
@@ -111,7 +111,7 @@ def test_better_than_the_papers_geometry_at_two_kilometres(elevation_deg: float)
         assert advice.sigma_advised >= 0.88 * advice.sigma_now
 
 
-def grid(accuracy: LightsAccuracy, config: OpticalAxisConfig) -> FloatArray:
+def grid(accuracy: BeaconAccuracy, config: OpticalAxisConfig) -> FloatArray:
     """Return positions within the limits over angle from the axis, its direction, and range, by this test's
     formulas."""
     limits = config.escort

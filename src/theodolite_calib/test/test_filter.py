@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from ship_estimation.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep
+from ship_testing.simulated_session import BEACONS_DEG, config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.encoder_watch import EncoderJump
@@ -33,7 +33,7 @@ EVERYTHING = {
     "air__light_sigma": 0.03,
     **{
         f"beacons__{name}__{key}": value
-        for name in LIGHTS_DEG
+        for name in BEACONS_DEG
         for key, value in {
             "rtk__bias_sigma_m": 0.02,
             "light__up_m": -0.4,
@@ -62,7 +62,7 @@ def filtered(filter_: CalibrationFilter, sightings: list[Sighting]) -> Calibrati
 
 def test_there_is_a_state_for_every_error_that_lasts() -> None:
     names = set(CalibrationFilter(config(**EVERYTHING)).model.slices)
-    own = {f"light.{name}.{state}" for name in LIGHTS_DEG for state in ("rtk", "lever", "attitude", "refraction")}
+    own = {f"light.{name}.{state}" for name in BEACONS_DEG for state in ("rtk", "lever", "attitude", "refraction")}
     path = {"ship_antenna", "lever", "lens", "refraction"}
     chain = {"ship.attitude", "ship.time_offset", "deformation", "axes", "focal_length", "parallelism"}
     assert names == own | path | chain
@@ -79,7 +79,7 @@ def test_the_jacobian_is_that_of_finite_differences(seed: int) -> None:
     sighting = replace(sighting, ship=ship)
     sigma = np.sqrt(np.diagonal(filter_.initial_state().covariance))
     mean = 3.0 * sigma * rng.standard_normal(sigma.size)
-    for name in LIGHTS_DEG:
+    for name in BEACONS_DEG:
         # Of degrees, with a lever of centimetres: that they do not add like vectors is left out.
         mean[filter_.model.slices[f"light.{name}.attitude"]] = 0.0
     found = filter_.sightings.predict(mean, sighting)

@@ -7,14 +7,14 @@ import pytest
 
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC, angle_between
-from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep
+from ship_testing.simulated_session import BEACONS_DEG, config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.lights.image import Image
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.sighting import Sighting
 
-THREE_DEG = {**LIGHTS_DEG, "charlie": (-2.0, 2.5)}
+THREE_DEG = {**BEACONS_DEG, "charlie": (-2.0, 2.5)}
 CHARLIE = {"beacons__charlie__rtk__bias_sigma_m": 0.0}
 TIMES_S = np.arange(0.0, 30.0)
 
@@ -33,7 +33,7 @@ def exposure(sighting: Sighting) -> Exposure:
 def _three():
     settings = config(**CHARLIE)
     step = SightingStep(settings, CalibrationFilter(settings))
-    given = session(settings, 2, TIMES_S, sweep(TIMES_S), lights_deg=THREE_DEG).sightings
+    given = session(settings, 2, TIMES_S, sweep(TIMES_S), beacons_deg=THREE_DEG).sightings
     state = CalibrationFilter(settings).initial_state()
     for sighting in given[:-1]:
         state, decision = step(state, sighting, exposure(sighting))

@@ -12,7 +12,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.stars.true_optics import TrueOptics
 from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, stars_seen
-from ship_testing.simulated_session import LIGHTS_DEG, START_NS, Session, config, session
+from ship_testing.simulated_session import BEACONS_DEG, START_NS, Session, config, session
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
@@ -34,7 +34,7 @@ SWEEP = {
     "air__light_sigma": 0.01,
     "ship_antenna__sigma_m": 0.01,
     "ship__slow_time_s": 600.0,
-    **{f"beacons__{name}__rtk__bias_sigma_m": 0.015 for name in LIGHTS_DEG},
+    **{f"beacons__{name}__rtk__bias_sigma_m": 0.015 for name in BEACONS_DEG},
 }
 BY_STARS = {
     **{f"telescopes__{TELESCOPE}__camera__{name}": value for name, value in CAMERA.items()},

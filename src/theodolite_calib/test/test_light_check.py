@@ -9,21 +9,21 @@ from ship_estimation.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation
 from ship_testing.simulated_sightings import (
     CAMERA,
-    FOUR_LIGHTS_DEG,
-    LIGHTS_DEG,
+    FOUR_BEACONS_DEG,
+    BEACONS_DEG,
     Epochs,
     error_free,
     paper_epochs,
     truth_of,
 )
-from theodolite_calib.lights.light_check import LightCheck, BeaconCheckResult, angle_residuals, check_lights
+from theodolite_calib.lights.light_check import BeaconCheck, BeaconCheckResult, angle_residuals, check_beacons
 from theodolite_calib.lights.telescope_attitude import AttitudePrior, solve
 
 PROBABILITY = 0.999
-THREE_LIGHTS_DEG = FOUR_LIGHTS_DEG[:3]
+THREE_LIGHTS_DEG = FOUR_BEACONS_DEG[:3]
 
 
-def an_epoch(lights_deg: FloatArray = LIGHTS_DEG, seed: int = 2) -> Epochs:
+def an_epoch(lights_deg: FloatArray = BEACONS_DEG, seed: int = 2) -> Epochs:
     """Return one of the paper's epochs."""
     many = paper_epochs(truth_of(np.array([75.0]), 35.0, 15.0, lights_deg), seed=seed)
     return replace(
@@ -31,13 +31,13 @@ def an_epoch(lights_deg: FloatArray = LIGHTS_DEG, seed: int = 2) -> Epochs:
         truth=replace(many.truth, rotation_nt=many.truth.rotation_nt[0], direction_n=many.truth.direction_n[0]),
         image=replace(many.image, point_m=many.image.point_m[0], sigma_m=many.image.sigma_m[0]),
         lights=replace(
-            many.lights,
-            baseline_n=many.lights.baseline_n[0],
-            baseline_covariance_n=many.lights.baseline_covariance_n[0],
-            rotation_nb=many.lights.rotation_nb[0],
+            many.beacons,
+            baseline_n=many.beacons.baseline_n[0],
+            baseline_covariance_n=many.beacons.baseline_covariance_n[0],
+            rotation_nb=many.beacons.rotation_nb[0],
         ),
         ship=replace(many.ship, rotation_nd=many.ship.rotation_nd[0], rotation_dm=many.ship.rotation_dm[0]),
-        survey=replace(many.survey, refraction_light_sigma=many.survey.refraction_light_sigma[0]),
+        survey=replace(many.survey, refraction_light_sigma=many.survey.refraction_beacon_sigma[0]),
     )
 
 
@@ -52,15 +52,15 @@ def encoder_prior(epoch: Epochs, off_arcmin: float = 1.0) -> AttitudePrior:
     return AttitudePrior(exp_rotation(off) @ epoch.truth.rotation_nt, {"prior": (60.0 * ARCSEC) ** 2 * np.eye(3)})
 
 
-def checked(epoch: Epochs, prior: AttitudePrior | None = None) -> LightCheck:
-    return check_lights(epoch.image, epoch.camera, epoch.lines(), PROBABILITY, prior)
+def checked(epoch: Epochs, prior: AttitudePrior | None = None) -> BeaconCheck:
+    return check_beacons(epoch.image, epoch.camera, epoch.lines(), PROBABILITY, prior)
 
 
-def axis_error_arcsec(epoch: Epochs, check: LightCheck) -> float:
+def axis_error_arcsec(epoch: Epochs, check: BeaconCheck) -> float:
     return float(angle_between(epoch.truth.rotation_nt[:, 0], check.attitude.rotation_nt[:, 0]) / ARCSEC)
 
 
-@pytest.mark.parametrize("lights_deg", [LIGHTS_DEG, THREE_LIGHTS_DEG], ids=["two", "three"])
+@pytest.mark.parametrize("lights_deg", [BEACONS_DEG, THREE_LIGHTS_DEG], ids=["two", "three"])
 @pytest.mark.parametrize("with_prior", [False, True])
 def test_right_beacons(lights_deg, with_prior):
     epoch = an_epoch(lights_deg)
@@ -99,7 +99,7 @@ def test_three_swapped_beacons_need_no_prior(order):
 
 
 @pytest.mark.parametrize("with_prior", [False, True])
-@pytest.mark.parametrize("lights_deg", [LIGHTS_DEG, THREE_LIGHTS_DEG], ids=["two", "three"])
+@pytest.mark.parametrize("lights_deg", [BEACONS_DEG, THREE_LIGHTS_DEG], ids=["two", "three"])
 def test_wrong_beacon(lights_deg, with_prior):
     # Instead of the second beacon another one 0.05° away is detected.
     epoch = an_epoch(lights_deg)
@@ -115,7 +115,7 @@ def test_a_baseline_a_second_late():
     epoch = an_epoch()
     across = np.cross(epoch.truth.direction_n[1], epoch.truth.direction_n[0])
     late = np.cross(across / np.linalg.norm(across), epoch.truth.direction_n[1]) * 2.0
-    lights = replace(epoch.lights, baseline_n=epoch.lights.baseline_n + np.stack([np.zeros(3), late]))
+    lights = replace(epoch.beacons, baseline_n=epoch.beacons.baseline_n + np.stack([np.zeros(3), late]))
     assert checked(replace(epoch, lights=lights)).result is BeaconCheckResult.CONFLICT
 
 
@@ -134,7 +134,7 @@ def test_a_little_better_the_other_way_round_is_no_swap():
     along = np.array([3.0, 2.0]) / np.hypot(3.0, 2.0)
     row_deg = np.stack([3.0 * along, 5e-4 * along, -3.0 * along])
     exact = error_free(truth_of(75.0, 35.0, 15.0, row_deg))
-    lights = replace(exact.lights, baseline_covariance_n=0.027**2 * np.eye(3))
+    lights = replace(exact.beacons, baseline_covariance_n=0.027**2 * np.eye(3))
     epoch = replace(exact, lights=lights)
     verdicts = {
         checked(replace(epoch, image=replace(epoch.image, point_m=point_m))).result

@@ -11,7 +11,7 @@ from ship_testing.simulated_sightings import CAMERA, SURVEY, error_free, raised,
 from theodolite_calib.lights.line_of_sight import (
     ErrorTerm,
     LeverArm,
-    Lights,
+    BeaconPoses,
     LinesOfSight,
     Ship,
     Survey,
@@ -29,29 +29,29 @@ TRUTH = replace(
 BIG = Survey(
     theodolite_lever=LeverArm(np.array([12.0, 3.0, -2.0]), np.array([0.01, 0.02, 0.03])),
     principal_point=LeverArm(np.array([0.4, 0.3, 0.1]), np.array([0.005, 0.01, 0.015])),
-    light_lever=LeverArm(
+    beacon_lever=LeverArm(
         np.array([[0.1, -0.3, 0.05], [0.2, -0.4, 0.0], [0.0, -0.2, 0.3]]), np.array([0.02, 0.01, 0.01])
     ),
     rtk_base_sigma_m=np.array([0.01, 0.03, 0.02]),
     rtk_bias_sigma_m=np.array([0.02, 0.04, 0.01]),
     refraction_coefficient=0.13,
     refraction_sigma=0.06,
-    refraction_light_sigma=np.array([0.03, 0.05, 0.02]),
+    refraction_beacon_sigma=np.array([0.03, 0.05, 0.02]),
 )
 
 
-def inputs() -> tuple[Lights, Ship, Survey]:
+def inputs() -> tuple[BeaconPoses, Ship, Survey]:
     epoch = error_free(TRUTH, BIG, CAMERA, seed=4)
     rng = np.random.default_rng(8)
     roots = rng.standard_normal((7, 3, 3))
     covariances = roots @ np.swapaxes(roots, -1, -2)
     lights = replace(
-        epoch.lights, baseline_covariance_n=1e-4 * covariances[:3], attitude_covariance_n=2e-3 * covariances[3:6]
+        epoch.beacons, baseline_covariance_n=1e-4 * covariances[:3], attitude_covariance_n=2e-3 * covariances[3:6]
     )
     return lights, replace(epoch.ship, attitude_covariance_n=1e-6 * covariances[6]), BIG
 
 
-def disturbed(name: str, error: FloatArray, lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
+def disturbed(name: str, error: FloatArray, lights: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfSight:
     """Return lines of sight of the used values plus an error: (k,) if common, (N, k) if not."""
 
     def longer(lever: LeverArm) -> LeverArm:
@@ -79,7 +79,7 @@ def test_a_case_by_hand():
     # higher, its axis looks abeam to port (North), the lens 0.5 m before the crossing of the axes: at N 0.5, U 2, E 10.
     # A drone with its nose to the East carries the light 1 m ahead and 0.25 m below its antenna.
     ship = Ship(rotation_from_angles(np.pi / 2, 0.0, 0.0), np.zeros((3, 3)), rotation_from_angles(-np.pi / 2, 0.0, 0.0))
-    lights = Lights(
+    lights = BeaconPoses(
         baseline_n=np.array([[1000.0, 300.0, 20.0]]),
         baseline_covariance_n=np.zeros((3, 3)),
         rotation_nb=rotation_from_angles(np.pi / 2, 0.0, 0.0)[None],
@@ -116,7 +116,7 @@ def test_no_refraction_at_the_zenith():
 
 def bare_lines(path_n: FloatArray, refraction_coefficient: float) -> LinesOfSight:
     """Return the line of sight of one beacon at the end of its baseline, without levers."""
-    lights = Lights(path_n[None], np.zeros((3, 3)), np.eye(3)[None], np.zeros((3, 3)))
+    lights = BeaconPoses(path_n[None], np.zeros((3, 3)), np.eye(3)[None], np.zeros((3, 3)))
     survey = replace(
         SURVEY,
         theodolite_lever=NOTHING,
@@ -181,7 +181,7 @@ def test_joint_covariance_is_that_of_drawn_errors():
         root = np.linalg.cholesky(term.covariance)
         return (root @ rng.standard_normal((*shape, root.shape[-1], 1)))[..., 0]
 
-    lever = LeverArm(survey.light_lever.vector_m + drawn("light_lever"), np.zeros(3))
+    lever = LeverArm(survey.beacon_lever.vector_m + drawn("light_lever"), np.zeros(3))
     ahead = survey.theodolite_lever.vector_m + drawn("theodolite_lever")[:, 0]
     lens = survey.principal_point.vector_m + drawn("principal_point")[:, 0]
     rotation_nd = exp_rotation(drawn("ship_attitude")[:, 0]) @ ship.rotation_nd
@@ -231,7 +231,7 @@ def test_epochs_at_once_are_epochs_one_by_one():
     for index in np.ndindex(2, 2):
         alone = lines_of_sight(
             replace(
-                epochs.lights, baseline_n=epochs.lights.baseline_n[index], rotation_nb=epochs.lights.rotation_nb[index]
+                epochs.beacons, baseline_n=epochs.beacons.baseline_n[index], rotation_nb=epochs.beacons.rotation_nb[index]
             ),
             replace(
                 epochs.ship, rotation_nd=epochs.ship.rotation_nd[index], rotation_dm=epochs.ship.rotation_dm[index]

@@ -8,7 +8,7 @@ import pytest
 
 from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_testing.simulated_session import LIGHTS_DEG, Session, config, session, sweep
+from ship_testing.simulated_session import BEACONS_DEG, Session, config, session, sweep
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -28,7 +28,7 @@ REFRACTION = 2.0 * ARCSEC / (2000.0 * np.cos(np.deg2rad(30.0)) / (2.0 * 6_371_00
 
 
 def each_light(**values: float) -> dict[str, float]:
-    return {f"beacons__{name}__{key}": value for name in LIGHTS_DEG for key, value in values.items()}
+    return {f"beacons__{name}__{key}": value for name in BEACONS_DEG for key, value in values.items()}
 
 
 def on_sky(error_n: FloatArray, axis_n: FloatArray) -> float:

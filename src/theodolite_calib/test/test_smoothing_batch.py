@@ -22,7 +22,7 @@ from theodolite_calib.measured.samples import (
     Exposure,
     Mode,
     PointingEstimate,
-    SeenLight,
+    DetectedBeacon,
     ShipSample,
 )
 from theodolite_calib.smoothing.core import SmoothingAxisCore
@@ -152,7 +152,7 @@ def smoothed_run() -> tuple[SmoothingAxisCore, list[PointingEstimate], list[Poin
         for light in here:
             core.add_baseline(light.id_, BaselineSample(time_ns, light.baseline_n, RTK_M**2 * np.eye(3)))
         if here:
-            seen = tuple(SeenLight(light.id_, light.point_m, IMAGE_M) for light in here)
+            seen = tuple(DetectedBeacon(light.id_, light.point_m, IMAGE_M) for light in here)
             core.add_exposure(Exposure(time_ns, seen))
         at_once += core.add_encoder(EncoderSample(time_ns, encoders(ms), ENCODER)).estimates
     assert core.state.sighting_count == len(SIGHTED_MS)

@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Anchor
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_testing.simulated_session import LIGHTS_DEG, config
+from ship_testing.simulated_session import BEACONS_DEG, config
 from theodolite_calib.smoothing.between import Between
 from theodolite_calib.smoothing.traced_filter import TracedFilter
 
@@ -22,7 +22,7 @@ ERRORS = {
     "telescope__azimuth_sigma_arcsec": 3.0,
     "telescope__rotation_sigma_arcsec": 20.0,
     "ship_antenna__sigma_m": 0.01,
-    **{f"beacons__{name}__rtk__bias_sigma_m": 0.02 for name in LIGHTS_DEG},
+    **{f"beacons__{name}__rtk__bias_sigma_m": 0.02 for name in BEACONS_DEG},
 }
 
 # Stated size of the ship's error at the sighting before, at the moments and at the sighting after, in units of one.

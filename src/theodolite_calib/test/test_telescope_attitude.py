@@ -11,8 +11,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotat
 from ship_testing.simulated_sightings import (
     CAMERA,
     DISTANCE_M,
-    FOUR_LIGHTS_DEG,
-    LIGHTS_DEG,
+    FOUR_BEACONS_DEG,
+    BEACONS_DEG,
     SURVEY,
     Epochs,
     error_free,
@@ -47,7 +47,7 @@ def test_all_azimuths_elevations_and_image_rotations_are_recovered():
 
 
 def test_rotation_of_exact_directions_is_scipys():
-    epochs = error_free(truth_of(250.0, 35.0, -130.0, FOUR_LIGHTS_DEG), RTK_ONLY)
+    epochs = error_free(truth_of(250.0, 35.0, -130.0, FOUR_BEACONS_DEG), RTK_ONLY)
     lines = epochs.lines()
     expected, _ = Rotation.align_vectors(lines.direction_n, epochs.camera.directions(epochs.image.point_m))
     assert solved(epochs).rotation_nt == pytest.approx(expected.as_matrix(), abs=1e-9)
@@ -56,11 +56,11 @@ def test_rotation_of_exact_directions_is_scipys():
 def test_rotation_by_weights_is_scipys():
     # Only baselines err, by amounts of their own: isotropic across the line of sight, as Wahba's problem has it.
     sigma_m = np.array([0.02, 0.05, 0.1, 0.3])
-    epochs = error_free(truth_of(250.0, 35.0, -130.0, FOUR_LIGHTS_DEG), SURVEY, Camera(0.1, 0.0, np.zeros(2)))
+    epochs = error_free(truth_of(250.0, 35.0, -130.0, FOUR_BEACONS_DEG), SURVEY, Camera(0.1, 0.0, np.zeros(2)))
     noise = sigma_m[:, None] * np.random.default_rng(1).standard_normal((4, 3))
     lights = replace(
-        epochs.lights,
-        baseline_n=epochs.lights.baseline_n + noise,
+        epochs.beacons,
+        baseline_n=epochs.beacons.baseline_n + noise,
         baseline_covariance_n=sigma_m[:, None, None] ** 2 * np.eye(3),
     )
     epochs = replace(epochs, lights=lights, image=replace(epochs.image, sigma_m=np.full(4, 1e-10)))
@@ -91,7 +91,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
             noise = 0.65e-6 * np.random.default_rng(3).standard_normal(exact.image.point_m.shape)
             epochs = replace(
                 drawn,
-                lights=replace(drawn.lights, baseline_n=exact.lights.baseline_n),
+                lights=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
                 image=replace(exact.image, point_m=exact.image.point_m + noise),
             )
         case "focal_length":
@@ -99,15 +99,15 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
             point_m = (exact.image.point_m - CAMERA.principal_point_m) * scale + CAMERA.principal_point_m
             epochs = replace(
                 drawn,
-                lights=replace(drawn.lights, baseline_n=exact.lights.baseline_n),
+                lights=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
                 image=replace(exact.image, point_m=point_m),
             )
         case "refraction":
-            sigma = drawn.survey.refraction_light_sigma
+            sigma = drawn.survey.refraction_beacon_sigma
             k = 0.13 + sigma * np.random.default_rng(4).standard_normal(sigma.shape)
             epochs = replace(
                 drawn,
-                lights=replace(drawn.lights, baseline_n=exact.lights.baseline_n),
+                lights=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
                 image=exact.image,
                 survey=replace(drawn.survey, refraction_coefficient=k),
             )
@@ -125,7 +125,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
 
 @pytest.mark.parametrize("count", [3, 4])
 def test_more_beacons_match_their_covariance(count):
-    epochs = paper_epochs(truth_of(np.full(4_000, 33.0), 50.0, 100.0, FOUR_LIGHTS_DEG[:count]), seed=11)
+    epochs = paper_epochs(truth_of(np.full(4_000, 33.0), 50.0, 100.0, FOUR_BEACONS_DEG[:count]), seed=11)
     attitude = solved(epochs)
     low, high = mean_nees_band(4_000, 3)
     assert low < normalized_error_squared(error_n(epochs, attitude), attitude.covariance_n).mean() < high
@@ -135,7 +135,7 @@ def test_more_beacons_match_their_covariance(count):
 
 
 def one_light(count: int, sigma: FloatArray) -> tuple[Epochs, AttitudePrior]:
-    epochs = paper_epochs(truth_of(np.full(count, 300.0), 40.0, 20.0, LIGHTS_DEG[:1]), seed=13)
+    epochs = paper_epochs(truth_of(np.full(count, 300.0), 40.0, 20.0, BEACONS_DEG[:1]), seed=13)
     off = sigma * np.random.default_rng(14).standard_normal((count, 3))
     return epochs, AttitudePrior(exp_rotation(off) @ epochs.truth.rotation_nt, {"prior": np.diag(sigma**2)})
 
@@ -174,7 +174,7 @@ def test_one_beacon_keeps_the_prior_rotation_about_it():
 
 def test_one_beacon_without_a_prior_is_refused():
     with pytest.raises(ValueError, match="prior attitude is needed"):
-        solved(error_free(truth_of(0.0, 10.0, 0.0, LIGHTS_DEG[:1])))
+        solved(error_free(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1])))
 
 
 def test_close_beacons_need_a_prior():
@@ -195,7 +195,7 @@ def test_close_beacons_need_a_prior():
 
 def test_beacon_behind_the_telescope_is_not_solved():
     # By its prior the telescope looks away from the only light: there is no image of it.
-    epochs = error_free(truth_of(0.0, 10.0, 0.0, LIGHTS_DEG[:1]), RTK_ONLY)
+    epochs = error_free(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1]), RTK_ONLY)
     away = truth_of(180.0, 10.0, 0.0).rotation_nt
     attitude = solved(epochs, AttitudePrior(away, {"prior": 1e-6 * np.eye(3)}))
     assert not attitude.solved
@@ -226,13 +226,13 @@ def test_epochs_at_once_are_epochs_one_by_one():
     together = solved(epochs)
     for i in range(3):
         lights = replace(
-            epochs.lights,
-            baseline_n=epochs.lights.baseline_n[i],
-            rotation_nb=epochs.lights.rotation_nb[i],
-            baseline_covariance_n=epochs.lights.baseline_covariance_n[i],
+            epochs.beacons,
+            baseline_n=epochs.beacons.baseline_n[i],
+            rotation_nb=epochs.beacons.rotation_nb[i],
+            baseline_covariance_n=epochs.beacons.baseline_covariance_n[i],
         )
         ship = replace(epochs.ship, rotation_nd=epochs.ship.rotation_nd[i], rotation_dm=epochs.ship.rotation_dm[i])
-        survey = replace(epochs.survey, refraction_light_sigma=epochs.survey.refraction_light_sigma[i])
+        survey = replace(epochs.survey, refraction_light_sigma=epochs.survey.refraction_beacon_sigma[i])
         image = replace(epochs.image, point_m=epochs.image.point_m[i], sigma_m=epochs.image.sigma_m[i])
         alone = solved(replace(epochs, lights=lights, ship=ship, survey=survey, image=image))
         assert alone.rotation_nt == pytest.approx(together.rotation_nt[i], abs=1e-12)

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
 from ship_testing.simulated_sightings import (
     CAMERA,
-    FOUR_LIGHTS_DEG,
-    LIGHTS_DEG,
+    FOUR_BEACONS_DEG,
+    BEACONS_DEG,
     SURVEY,
     error_free,
     project,
@@ -48,7 +48,7 @@ class FullProblem:
         epoch = error_free(truth_of(140.0, 30.0, 70.0, lights_deg), self.survey, seed=6)
         self.camera = replace(CAMERA, focal_length_sigma_m=self.focal_sigma_m)
         lights = replace(
-            epoch.lights,
+            epoch.beacons,
             baseline_covariance_n=self.rtk_m**2 * np.eye(3),
             attitude_covariance_n=self.drone_sigma**2 * np.eye(3),
         )
@@ -63,7 +63,7 @@ class FullProblem:
         self.epoch = replace(self.epoch, image=image)
 
     def points(self, x: FloatArray) -> FloatArray:
-        survey, lights, ship = self.survey, self.epoch.lights, self.epoch.ship
+        survey, lights, ship = self.survey, self.epoch.beacons, self.epoch.ship
         base, lever, lens, turn = x[4:16].reshape(4, 3)
         own = x[17:].reshape(self.count, 13)
         rotation_nd = Rotation.from_rotvec(self.ship_sigma * turn).as_matrix() @ ship.rotation_nd
@@ -73,7 +73,7 @@ class FullProblem:
             + ship.rotation_dm @ (survey.principal_point.vector_m + survey.principal_point.sigma_m * lens)
         )
         rotation_nb = Rotation.from_rotvec(self.drone_sigma * own[:, :3]).as_matrix() @ lights.rotation_nb
-        light_lever = survey.light_lever.vector_m + survey.light_lever.sigma_m * own[:, 3:6]
+        light_lever = survey.beacon_lever.vector_m + survey.beacon_lever.sigma_m * own[:, 3:6]
         path_n = (
             lights.baseline_n
             + self.rtk_m * own[:, 6:9]
@@ -83,7 +83,7 @@ class FullProblem:
             - to_lens_n
         )
         distance = np.linalg.norm(path_n, axis=-1)
-        k = 0.13 + survey.refraction_sigma * x[16] + survey.refraction_light_sigma * own[:, 12]
+        k = 0.13 + survey.refraction_sigma * x[16] + survey.refraction_beacon_sigma * own[:, 12]
         angle = k * np.hypot(path_n[:, 0], path_n[:, 2]) / (2.0 * 6_371_000.0)
         direction_n = raised(path_n / distance[:, None], angle)
         rotation_nt = Rotation.from_rotvec(x[:3]).as_matrix() @ self.epoch.truth.rotation_nt
@@ -115,11 +115,11 @@ def a_prior(rotation_nt: FloatArray, sigma_deg: float) -> AttitudePrior:
 
 
 CASES = {
-    "two lights": (LIGHTS_DEG, None),
-    "four lights": (FOUR_LIGHTS_DEG, None),
-    "one light, prior of 40 arcseconds": (LIGHTS_DEG[:1], 40.0 / 3600.0),
-    "one light, prior of ten degrees": (LIGHTS_DEG[:1], 10.0),
-    "two lights with a prior": (LIGHTS_DEG, 10.0 / 3600.0),
+    "two lights": (BEACONS_DEG, None),
+    "four lights": (FOUR_BEACONS_DEG, None),
+    "one light, prior of 40 arcseconds": (BEACONS_DEG[:1], 40.0 / 3600.0),
+    "one light, prior of ten degrees": (BEACONS_DEG[:1], 10.0),
+    "two lights with a prior": (BEACONS_DEG, 10.0 / 3600.0),
 }
 
 

@@ -39,8 +39,8 @@ def check(encoder_check: EncoderCheck, sample: EncoderSample) -> Rejection | Non
     return encoder_check.check(sample, VectorTrack(PERIOD_NS)).rejection
 
 
-def lights(encoder_check: EncoderCheck, number: int, azimuth: float) -> None:
-    encoder_check.see_lights(number * PERIOD_NS, rotation_from_angles(azimuth, 0.5, 0.0), 3.0 * ARCSEC)
+def give_beacon_attitude(encoder_check: EncoderCheck, number: int, azimuth: float) -> None:
+    encoder_check.record_beacon_attitude(number * PERIOD_NS, rotation_from_angles(azimuth, 0.5, 0.0), 3.0 * ARCSEC)
 
 
 def stopped(rate: float = 0.02) -> tuple[EncoderCheck, int]:
@@ -94,7 +94,7 @@ def test_a_mount_at_rest_is_never_stuck() -> None:
     for later in range(number + 1, number + 200):
         assert check(watch, reading(later, 1.0 + 0.02 * 0.09)) is None
         if later % 10 == 0:
-            lights(watch, later, 1.0 + 0.02 * 0.09)
+            give_beacon_attitude(watch, later, 1.0 + 0.02 * 0.09)
 
 
 def test_beacons_before_the_stop_are_no_reference() -> None:
@@ -102,18 +102,18 @@ def test_beacons_before_the_stop_are_no_reference() -> None:
     for number in range(10):
         check(watch, reading(number, 1.0 + 0.01 * number))
     # The beacon of 5 is received only now; meanwhile the mount has come to rest.
-    lights(watch, 5, 1.05)
+    give_beacon_attitude(watch, 5, 1.05)
     for number in range(10, 60):
         assert check(watch, reading(number, 1.09)) is None
         if number == 30:
-            lights(watch, number, 1.09)
+            give_beacon_attitude(watch, number, 1.09)
 
 
 def test_stuck_detection_and_recovery() -> None:
     watch, number = stopped()
     refusals = []
     for later in range(number + 1, number + 60):
-        lights(watch, later, 1.0 + 0.001 * later)
+        give_beacon_attitude(watch, later, 1.0 + 0.001 * later)
         refusals.append(check(watch, reading(later, 1.0 + 0.02 * 0.09)))
     # Half a second is not judged: that of the last reading that moved, the one after it, and forty-eight of these.
     assert [r is not None for r in refusals] == [False] * 48 + [True] * 11

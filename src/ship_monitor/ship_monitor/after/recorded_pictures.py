@@ -18,7 +18,7 @@ from ship_monitor.after.time_controls import TimeControls
 from ship_watch.history import KEPT_S, History
 from ship_watch.limits import Limits
 from ship_watch.picture import Picture
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 QUICK_NS = 60 * NS_PER_S
 """History that is read at once for a new time, ns: NIS consistency uses the last minute."""
@@ -31,7 +31,7 @@ class _Replay:
     """A monitor that reads a recorded suite from a start time on."""
 
     def __init__(self, suite: RecordedSuite, limits: Limits, since_ns: int) -> None:
-        self.watch = Watch(limits)
+        self.watch = SuiteMonitor(limits)
         self.time_ns = since_ns
         self._messages: Iterator[Recorded] = suite.messages(since_ns)
         self._next = next(self._messages, None)

@@ -16,7 +16,7 @@ from ship_watch.functions import Branch, diagnostic_entries
 from ship_watch.limits import Limits
 from ship_watch.names import has_room
 from ship_watch.picture import AlertShown, Picture
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 LONGEST_PAUSE_NS = 5 * NS_PER_S
 """Time between two updates above which the computer has slept and the data are reset, ns."""
@@ -49,7 +49,7 @@ class AlertKeeper:
         self, limits: Limits, state: Path | None, now_ns: int, say: Callable[[str], None], files: Files = DISK
     ) -> None:
         self._limits, self._state, self._say, self._files = limits, state, say, files
-        self._watch = Watch(limits)
+        self._watch = SuiteMonitor(limits)
         self._statuses: dict[tuple[str, str], tuple[NodeStatus, int]] = {}
         self._disk_free_gb, self._disk_looked_ns = math.nan, now_ns - _DISK_PERIOD_NS
         self._looked_ns = now_ns

@@ -20,7 +20,7 @@ from ship_watch.limits import Limits
 from ship_watch.picture import Picture
 from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
 from ship_watch.topics import monitored_topic
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 TAKE_PERIOD_S = 0.2
 """Period at which topics are read, s."""
@@ -48,7 +48,7 @@ class LiveWatch:
     def __init__(self, node_name: str, namespace: str, limits: Limits, receiver: TopicReceiver | None = None) -> None:
         self._reader = TopicReader(node_name, namespace, messages_wanted)
         self._relayed = None if receiver is None else RelayedTopics(self._reader, receiver)
-        self._watch = Watch(limits)
+        self._watch = SuiteMonitor(limits)
         self._picture: Picture | None = None
         self._has_rejected_state = False
         self._picture_ns = 0

@@ -8,7 +8,7 @@ from bokeh.models import ColumnDataSource, Range1d
 from ship_monitor.page.curves import fixed_step, signed
 from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, ResidualBars, frame, narrow_height, empty_plot, words
 from ship_monitor.page.themes import Theme
-from ship_watch.history import History, LightPoint, newer
+from ship_watch.history import History, BeaconPoint, newer
 from ship_watch.picture import Picture
 
 SHOWN_NS = 60_000_000_000
@@ -60,7 +60,7 @@ class LightsPanel:
         self._last.glyph.line_width = 4 if marked == "lights" else 2
         shown = {
             name: lately
-            for name, points in sorted(history.lights.items())
+            for name, points in sorted(history.beacons.items())
             if (lately := newer(points, picture.utc_ns - SHOWN_NS))
         }
         if not shown:
@@ -77,7 +77,7 @@ class LightsPanel:
         self._draw_last(shown, half)
         self.box.say("last 60 s · bar at a light: its residual")
 
-    def _draw_past(self, shown: dict[str, list[LightPoint]], utc_ns: int) -> None:
+    def _draw_past(self, shown: dict[str, list[BeaconPoint]], utc_ns: int) -> None:
         columns: dict[str, list[object]] = {name: [] for name in self._past.data}
         for index, points in enumerate(shown.values()):
             columns["x"] += [1e3 * point.x for point in points]
@@ -89,7 +89,7 @@ class LightsPanel:
             columns["marker"] += [_MARKERS[index % len(_MARKERS)] if point.is_used else "x" for point in points]
         self._past.data = columns
 
-    def _draw_last(self, shown: dict[str, list[LightPoint]], half: float) -> None:
+    def _draw_last(self, shown: dict[str, list[BeaconPoint]], half: float) -> None:
         now: dict[str, list[object]] = {name: [] for name in self._now.data}
         for index, (name, points) in enumerate(shown.items()):
             point = points[-1]

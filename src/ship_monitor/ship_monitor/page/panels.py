@@ -115,7 +115,7 @@ class Panels:
     def _follow(self, history: History, picture: Picture) -> list[str]:
         """Update the time axis and the visible frames; return the visible panels."""
         self.times.follow(picture.utc_ns)
-        is_simulated, has_telescope = has_truth(history), bool(history.lights)
+        is_simulated, has_telescope = has_truth(history), bool(history.beacons)
         self.frames["error"].visible = is_simulated
         self.frames["lights"].visible = has_telescope
         self._grid.css = _grid_css(is_simulated=is_simulated, has_telescope=has_telescope)

@@ -27,7 +27,7 @@ from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, AlertShown, Event, Picture, Safety
 from ship_watch.topics import monitored_topic
-from ship_watch.watch import Watch
+from ship_watch.watch import SuiteMonitor
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing", JOINT_SOLUTION)
 ALERTS = "ship/alerts"
@@ -176,7 +176,7 @@ class _Reading:
     """Reader of one bag, in one pass."""
 
     def __init__(self, recording: Recording, alerts_are_recorded: bool) -> None:
-        self._recording, self._watch = recording, Watch(recording.limits, _FewKept)
+        self._recording, self._watch = recording, SuiteMonitor(recording.limits, _FewKept)
         recording.alerts_are_recorded = alerts_are_recorded
         self._book = AlertBook(recording.limits.alerts, (), recording.start_ns)
         self._last_alerts: dict[tuple[str, int], AlertShown] = {}

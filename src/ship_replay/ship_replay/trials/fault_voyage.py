@@ -129,19 +129,19 @@ def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> t
 def clean_voyage(path: Path) -> Passage:
     """Replay a voyage without faults."""
     arrivals: dict[str, list[int]] = {}
-    lights: list[int] = []
+    beacon_times_ns: list[int] = []
     with read_bag(path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         for record in bag.records({topic.topic for topic in chain.inputs if topic.topic in bag.topics}):
             arrivals.setdefault(record.topic, []).append(record.log_time_ns)
             if record.topic == IMAGE_TOPIC and record.decode().beacons:
-                lights.append(record.log_time_ns)
+                beacon_times_ns.append(record.log_time_ns)
         ship = chain.configs.get(ShipAttitudeAdapter.node_name)
         pointing = chain.configs.get(OpticalAxisAdapter.node_name)
         return Passage(
             told=replayed(Injection(path, {}, 0)),
             arrivals_ns={topic: np.array(times) for topic, times in arrivals.items()},
-            lights_ns=np.array(lights),
+            beacon_times_ns=np.array(beacon_times_ns),
             encoder_sigma_arcsec=math.nan if pointing is None else pointing.encoder.sigma_arcsec,
             ins_sigma_arcsec=math.nan if ship is None else ship.ins.white_sigma_arcsec,
             start_ns=bag.start_ns or 0,

@@ -45,7 +45,7 @@ from theodolite_calib.measured.samples import (
     Mode,
     PointingEstimate,
     PointingOutcome,
-    SeenLight,
+    DetectedBeacon,
     ShipSample,
 )
 from theodolite_calib.optical_axis.core import OpticalAxisCore
@@ -375,7 +375,7 @@ def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: 
         return core.add_baseline(name, baseline)
     if kind == "image":
         images = theodolite.images
-        lights = tuple(SeenLight(key, point_m, images.sigma_m) for key, point_m in images.sightings(index))
+        lights = tuple(DetectedBeacon(key, point_m, images.sigma_m) for key, point_m in images.sightings(index))
         exposure = Exposure(int(images.time_ns[index]), lights, run.scenario.theodolite.telescope.exposure_s)
         return core.add_exposure(exposure) if lights else PointingOutcome()
     if kind == "star":

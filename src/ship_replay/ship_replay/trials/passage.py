@@ -54,7 +54,7 @@ class Passage:
 
     told: Told
     arrivals_ns: dict[str, np.ndarray]
-    lights_ns: np.ndarray
+    beacon_times_ns: np.ndarray
     encoder_sigma_arcsec: float
     ins_sigma_arcsec: float
     start_ns: int
@@ -84,7 +84,7 @@ class Passage:
             return False
         size_arcsec = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec))
         end_ns = first_ns + round(self.alert_limit_s(fault) * NS_PER_S)
-        in_view = (self.lights_ns >= first_ns) & (self.lights_ns < end_ns)
+        in_view = (self.beacon_times_ns >= first_ns) & (self.beacon_times_ns < end_ns)
         return not in_view.any() and size_arcsec < _SLIP_SEEN_SIGMAS * self.encoder_sigma_arcsec
 
     def _is_encoder_drift(self, fault: Fault, first_ns: int) -> bool:

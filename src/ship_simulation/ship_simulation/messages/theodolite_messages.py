@@ -215,7 +215,7 @@ def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tupl
     main = angle_rows(truth.mount.rotation_nm)
     telescope = angle_rows(truth.rotation_nt)
     for row, time_ns in enumerate(map(int, run.encoder.time_ns[truth.encoder_index])):
-        count = int(truth.light_count[row])
+        count = int(truth.beacon_count[row])
         yield (
             time_ns,
             factory.make(

@@ -15,7 +15,7 @@ from ship_simulation.draws.noise import (
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.theodolite_scenario import Encoder, Telescope
 from ship_simulation.ship.rtk import BaselineSamples, solved
-from ship_simulation.theodolite.scene import MountState, Scene, TrueLight
+from ship_simulation.theodolite.scene import MountState, Scene, TrueBeacon
 from theodolite_calib.lights.image import Camera
 
 
@@ -75,21 +75,21 @@ class ImageSamples:
     log_time_ns: np.ndarray
     first: np.ndarray
     beacon_ids: tuple[str, ...]
-    light: np.ndarray
+    beacon_index: np.ndarray
     point_m: FloatArray
     sigma_m: float
 
     def sightings(self, exposure: int) -> list[tuple[str, FloatArray]]:
         """Return (id, point on the detector, shape (2,)) of each light in an exposure."""
         rows = range(self.first[exposure], self.first[exposure + 1])
-        return [(self.beacon_ids[self.light[row]], self.point_m[row]) for row in rows]
+        return [(self.beacon_ids[self.beacon_index[row]], self.point_m[row]) for row in rows]
 
 
 def expose(config: Telescope, scene: Scene, stretch: Stretch, draws: Draws) -> ImageSamples:
     """Return the exposures of a stretch, including those without lights."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
-    noise = draws.stream("theodolite.detection").standard_normal((time_ns.size, len(scene.lights), 2))
+    noise = draws.stream("theodolite.detection").standard_normal((time_ns.size, len(scene.beacons), 2))
     times = exposure_times(config.exposure_s)
     way_m = np.array([points_on_detector(config, scene, t_s + t, scene.mount(t_s + t)) for t in times.since_middle_s])
     point_m = centroids(times, way_m, config.psf_sigma_m, config.sigma_m, noise)
@@ -99,8 +99,8 @@ def expose(config: Telescope, scene: Scene, stretch: Stretch, draws: Draws) -> I
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
         first=np.append(0, np.cumsum(seen.sum(axis=1))),
-        beacon_ids=tuple(scene.lights),
-        light=np.nonzero(seen)[1],
+        beacon_ids=tuple(scene.beacons),
+        beacon_index=np.nonzero(seen)[1],
         point_m=point_m[seen],
         sigma_m=config.sigma_m,
     )
@@ -116,7 +116,7 @@ def points_on_detector(config: Telescope, scene: Scene, t_s: FloatArray, mount: 
 def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArray) -> np.ndarray:
     """True if a light is present, not hidden, and on the detector, shape (k, N)."""
     on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
-    shown = [light.shows(t_s) for light in scene.lights.values()]
+    shown = [light.shows(t_s) for light in scene.beacons.values()]
     seen: np.ndarray = on_detector & (np.stack(shown, axis=-1) if shown else np.empty((t_s.size, 0), dtype=bool))
     return seen
 
@@ -125,13 +125,13 @@ def solve_baselines(
     beacon_id: str, scene: Scene, ship_antenna: CorrelatedError, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
     """Return solutions for the baseline from the ship's antenna to a drone's, with the error of the former."""
-    light = scene.lights[beacon_id]
-    config = light.config.rtk
+    beacon = scene.beacons[beacon_id]
+    config = beacon.config.rtk
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
-    true_n = light.path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
+    true_n = beacon.path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
     found = solved(f"beacon.{beacon_id}.rtk", config, time_ns, true_n + ship_antenna.at(t_s), stretch, draws)
-    return found.some(found.time_ns - stretch.start_ns < light.config.leaves_s * SECOND_NS)
+    return found.some(found.time_ns - stretch.start_ns < beacon.config.leaves_s * SECOND_NS)
 
 
 @dataclass(frozen=True)
@@ -154,10 +154,10 @@ class DroneSamples:
 
 
 def simulate_drone_attitude(
-    beacon_id: str, light: TrueLight, stretch: Stretch, draws: Draws
+    beacon_id: str, beacon: TrueBeacon, stretch: Stretch, draws: Draws
 ) -> DroneSamples:
     """Return samples by R_true(t) = exp(e) exp(w) R_drone(t), e Gauss–Markov, until the drone leaves."""
-    config, name = light.config.imu, f"beacon.{beacon_id}.imu"
+    config, name = beacon.config.imu, f"beacon.{beacon_id}.imu"
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     sigma = np.deg2rad([config.tilt_sigma_deg, config.heading_sigma_deg, config.tilt_sigma_deg])
@@ -166,12 +166,12 @@ def simulate_drone_attitude(
     white_n = white_sigma * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
     arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
-    there = t_s < light.config.leaves_s
-    measured = exp_rotation(-white_n) @ exp_rotation(-slow.at(t_s)) @ light.attitude.attitude(t_s)
+    there = t_s < beacon.config.leaves_s
+    measured = exp_rotation(-white_n) @ exp_rotation(-slow.at(t_s)) @ beacon.attitude.attitude(t_s)
     return DroneSamples(
         time_ns=time_ns[there],
         log_time_ns=log_time_ns[there],
         rotation_nb=measured[there],
-        rate_b=light.attitude.body_rate(t_s)[there],
+        rate_b=beacon.attitude.body_rate(t_s)[there],
         covariance_n=np.diag(sigma**2 + white_sigma**2),
     )

@@ -115,11 +115,11 @@ class Aim:
             return direction(*sweep_angles(self.programme, t_s))
         following = t_s <= self.gone_s
         directions_n = np.empty((t_s.size, 3))
-        directions_n[following] = self._middle_of_lights(t_s[following])
+        directions_n[following] = self._middle_of_beacons(t_s[following])
         directions_n[~following] = direction(*self._angles_after(t_s[~following]))
         return directions_n
 
-    def _middle_of_lights(self, t_s: FloatArray) -> FloatArray:
+    def _middle_of_beacons(self, t_s: FloatArray) -> FloatArray:
         """Return unit vectors to the middle of all drones, including those that have left, so that there is no jump."""
         places = np.stack([path(t_s) for path in self.paths])
         summed = np.sum(places / np.linalg.norm(places, axis=-1, keepdims=True), axis=0)
@@ -128,7 +128,7 @@ class Aim:
 
     def _angles_after(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return azimuth and elevation of the sweep that starts at the last direction of the lights, rad."""
-        left_n = self._middle_of_lights(np.array([self.gone_s]))[0]
+        left_n = self._middle_of_beacons(np.array([self.gone_s]))[0]
         since_s = t_s - self.gone_s
         swept_s = np.where(since_s < _RAMP_S, 0.5 * since_s**2 / _RAMP_S, since_s - 0.5 * _RAMP_S)
         north, up, east = left_n

@@ -46,7 +46,7 @@ class PointingTruth:
     encoder_index: np.ndarray
     mount: MountState
     rotation_nt: FloatArray
-    light_count: np.ndarray
+    beacon_count: np.ndarray
     scene: Scene
     star_parallelism: dict[str, FloatArray]
 
@@ -90,8 +90,8 @@ def simulate_theodolite(
             for key, camera in scenario.telescopes.items()
             if sky is not None
         },
-        baselines={key: solve_baselines(key, scene, ship_antenna, stretch, draws) for key in scene.lights},
-        drones={key: simulate_drone_attitude(key, light, stretch, draws) for key, light in scene.lights.items()},
+        baselines={key: solve_baselines(key, scene, ship_antenna, stretch, draws) for key in scene.beacons},
+        drones={key: simulate_drone_attitude(key, light, stretch, draws) for key, light in scene.beacons.items()},
         truth=_truth(scenario, scene, parallelism, mount, time_ns, stretch),
     )
 
@@ -114,7 +114,7 @@ def _truth(
         encoder_index=index,
         mount=chosen,
         rotation_nt=scene.rotation_nt(chosen),
-        light_count=in_view(telescope, scene, t_s, point_m).sum(axis=1),
+        beacon_count=in_view(telescope, scene, t_s, point_m).sum(axis=1),
         scene=scene,
         star_parallelism=parallelism,
     )

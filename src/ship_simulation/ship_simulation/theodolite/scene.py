@@ -121,7 +121,7 @@ class SeenBody:
 
 
 @dataclass(frozen=True)
-class TrueLight(SeenBody):
+class TrueBeacon(SeenBody):
     """A drone with its light; ``path`` is that of its antenna.
 
     Attributes:
@@ -172,7 +172,7 @@ class Scene:
     theodolite: TrueTheodolite
     deformation: CorrelatedError
     aim: Aim
-    lights: dict[str, TrueLight]
+    beacons: dict[str, TrueBeacon]
     refraction: CorrelatedError
     coefficient: float
 
@@ -208,7 +208,7 @@ class Scene:
                 light.path(t_s) + light.attitude.attitude(t_s) @ light.lever_b - lens_n,
                 common + light.refraction.at(t_s)[:, 0],
             )
-            for light in self.lights.values()
+            for light in self.beacons.values()
         ]
         return np.stack(seen, axis=1) if seen else np.empty((t_s.size, 0, 3))
 
@@ -224,8 +224,8 @@ def raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
 def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
     """Return the true quantities of one run of a scenario."""
     config, duration_s, seed = scenario.theodolite, scenario.duration_s, draws.seed
-    lights = {
-        key: TrueLight(
+    beacons = {
+        key: TrueBeacon(
             config=beacon,
             path=flight_path(beacon.flight, config.programme),
             attitude=swaying(beacon.flight, random_stream(seed, f"beacon.{key}.sway")),
@@ -250,10 +250,10 @@ def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
         ),
         aim=Aim(
             programme=config.programme,
-            paths=[light.path for light in lights.values()],
-            gone_s=max((light.config.leaves_s for light in lights.values()), default=0.0),
+            paths=[light.path for light in beacons.values()],
+            gone_s=max((light.config.leaves_s for light in beacons.values()), default=0.0),
         ),
-        lights=lights,
+        beacons=beacons,
         refraction=draws.correlated_error(
             "theodolite.refraction", duration_s, np.array([config.air.sigma]), config.air.time_s
         ),

@@ -37,8 +37,8 @@ def correlated_effects(
     )
     gain = np.linalg.solve(equations.weighted_jacobian @ equations.jacobian, equations.weighted_jacobian)
     # The beacons give the telescope's attitude without the axis geometry, whose errors enter by the comparison.
-    through_lights = gain @ (prediction.jacobian - prediction.by_attitude_n @ prediction.by_state_n)
-    turn_d = sighting.ship.rotation_nd.T @ (prediction.by_state_n + through_lights)
+    through_beacons = gain @ (prediction.jacobian - prediction.by_attitude_n @ prediction.by_state_n)
+    turn_d = sighting.ship.rotation_nd.T @ (prediction.by_state_n + through_beacons)
     by_error = right_and_up(direction_d) @ direction_change(direction_d, turn_d)
     effects = {}
     for name, block in model.blocks.items():

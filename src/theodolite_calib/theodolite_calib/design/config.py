@@ -42,7 +42,7 @@ and no other information. It is the study if no file is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightPlace:
+class BeaconPosition:
     """Position of a beacon relative to the telescope's axis, as in the flight of a scenario."""
 
     right_deg: float = parameter(doc="to the right of the axis", unit="deg", minimum=-60.0, maximum=60.0)
@@ -74,7 +74,7 @@ class DesignStudyConfig:
         0.0, doc="required error of the pointing on the sky with the given lights; 0: none",
         unit="arcsec", minimum=0.0, maximum=36_000.0,
     )  # fmt: skip
-    lights: dict[str, LightPlace] = mapping_of("positions of the lights, by the names of optical_axis.beacons")
+    lights: dict[str, BeaconPosition] = mapping_of("positions of the lights, by the names of optical_axis.beacons")
     optical_axis: OpticalAxisConfig = section(OpticalAxisConfig)
 
     @property

@@ -14,7 +14,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from theodolite_calib.chain.axes import AxisErrors, encoder_angles
 from theodolite_calib.config import EscortConfig, OpticalAxisConfig
 from theodolite_calib.design.config import DesignStudyConfig, with_image_sigma
-from theodolite_calib.escort.accuracy import LightsAccuracy
+from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
@@ -98,7 +98,7 @@ class DesignStudy:
 def study(config: DesignStudyConfig) -> DesignStudy:
     """Return all numbers of a study."""
     design = _Design(config, config.optical_axis)
-    given_n = design.lights_n(config.beside(), config.distances_m())
+    given_n = design.beacon_positions_n(config.beside(), config.distances_m())
     advice = design.advice()
     placed = np.isfinite(advice.sigma_advised)
     given = design.accuracy.budget(config.names, given_n)
@@ -149,9 +149,9 @@ class _Design:
         white = node.ins.white_sigma_arcsec if by_ins else node.ship.white_sigma_arcsec
         ship = ShipAt(np.eye(3), np.zeros(3), None if by_ins else stated_n, (white * ARCSEC) ** 2)
         encoder = EncoderAt(float(azimuth), float(elevation), (node.encoder.sigma_arcsec * ARCSEC) ** 2)
-        self.accuracy = LightsAccuracy(node, CalibrationFilter(node), ship, encoder)
+        self.accuracy = BeaconAccuracy(node, CalibrationFilter(node), ship, encoder)
 
-    def lights_n(self, beside: FloatArray, distances_m: FloatArray) -> FloatArray:
+    def beacon_positions_n(self, beside: FloatArray, distances_m: FloatArray) -> FloatArray:
         """Return beacon positions (N, U, E), m, shape (N, 3), from tangents of their angles from the axis, (N, 2)."""
         path_t = np.column_stack([np.ones(len(beside)), beside[:, 1], beside[:, 0]])
         path_t *= (distances_m / np.linalg.norm(path_t, axis=1))[:, None]
@@ -195,7 +195,7 @@ def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
         sigma, best_sigma = np.full(len(values), np.nan), np.full(len(values), np.nan)
         for number, value in enumerate(values.tolist()):
             design = _Design(config, node_of(value))
-            sigma[number] = design.accuracy.sigma(names, design.lights_n(*lights_of(value)))
+            sigma[number] = design.accuracy.sigma(names, design.beacon_positions_n(*lights_of(value)))
             if best and number % BEST_EVERY == 0:
                 best_sigma[number] = design.advice().sigma_advised
         return Sweep(name, label, unit, values, given, sigma / ARCSEC, best_sigma / ARCSEC)

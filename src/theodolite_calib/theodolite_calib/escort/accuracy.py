@@ -23,14 +23,14 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.prediction import Prediction
 from theodolite_calib.lights.image import Image
-from theodolite_calib.lights.line_of_sight import Lights
+from theodolite_calib.lights.line_of_sight import BeaconPoses
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 _ANYWHERE_M = 1000.0
 
 
-class LightsAccuracy:
+class BeaconAccuracy:
     """Accuracy of the pointing with beacons at given positions, for one pose of ship and theodolite.
 
     Args:
@@ -73,7 +73,7 @@ class LightsAccuracy:
         parallelism = filter_.sightings.parallelism(self._mean)
         self.rotation_nm: FloatArray = posed.rotation_nt @ rotation_from_angles(*parallelism)
         main, by_noise_n = self._main_axis(posed)
-        self._without_lights_n = main @ self._covariance @ main.T + by_noise_n
+        self._without_beacons_n = main @ self._covariance @ main.T + by_noise_n
 
     def sigma(self, names: tuple[str, ...], places_n: FloatArray) -> float:
         """Return the standard deviation of the pointing on the sky, both components, rad; NaN for a beacon behind it.
@@ -83,7 +83,7 @@ class LightsAccuracy:
             places_n: drones' antennas from the ship's antenna (N, U, E), m, shape (N, 3).
         """
         if not names:
-            return self._on_sky(self._without_lights_n)
+            return self._on_sky(self._without_beacons_n)
         prediction = self._predict(names, places_n)
         main, by_noise_n = self._main_axis(prediction)
         jacobian = prediction.jacobian
@@ -120,8 +120,8 @@ class LightsAccuracy:
         image = Image(np.zeros((count, 2)), np.full(count, self._config.telescope.sigma_m))
         noise_n = np.array([self._noise_n[name] for name in names]).reshape(count, 3, 3)
         level = np.tile(np.eye(3), (count, 1, 1))  # a level drone, its nose to the North
-        lights = Lights(places_n, noise_n, level, np.zeros((count, 3, 3)))
-        sighting = Sighting(0, names, image, lights, self._ship, self._encoder)
+        beacons = BeaconPoses(places_n, noise_n, level, np.zeros((count, 3, 3)))
+        sighting = Sighting(0, names, image, beacons, self._ship, self._encoder)
         return self._filter.sightings.predict(self._mean, sighting)
 
     def _main_axis(self, prediction: Prediction) -> tuple[FloatArray, FloatArray]:

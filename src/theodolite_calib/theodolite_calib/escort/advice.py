@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.config import EscortConfig
-from theodolite_calib.escort.accuracy import LightsAccuracy
+from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.places import AllowedPlaces
 
 _FOLLOWED = 2
@@ -48,7 +48,7 @@ class EscortAdvice:
 
 def advise(
     limits: EscortConfig,
-    accuracy: LightsAccuracy,
+    accuracy: BeaconAccuracy,
     names: tuple[str, ...],
     now_n: dict[str, FloatArray],
     keep_n: FloatArray | None = None,
@@ -97,7 +97,7 @@ class _Search:
         best_box: its box coordinates, shape (N, 3); None before the first.
     """
 
-    def __init__(self, allowed: AllowedPlaces, accuracy: LightsAccuracy, names: tuple[str, ...]) -> None:
+    def __init__(self, allowed: AllowedPlaces, accuracy: BeaconAccuracy, names: tuple[str, ...]) -> None:
         self._allowed, self._accuracy, self._names = allowed, accuracy, names
         self.best = float("inf")
         self.best_box: FloatArray | None = None

@@ -69,7 +69,7 @@ class RowsSeen:
     """
 
     accepted: NDArray[np.bool_]
-    light_nis: FloatArray
+    beacon_nis: FloatArray
     whitened_innovation: FloatArray
 
 
@@ -232,8 +232,8 @@ class SourceRows:
             measurement.noise,
         )
         mean = subfilters.mean + corrections
-        light_nis = np.einsum("hlk,hlk->hl", whitened_innovation, whitened_innovation)
-        return replace(subfilters, mean=mean, parts=updated[:, None]), RowsSeen(accepted, light_nis, whitened_innovation)
+        beacon_nis = np.einsum("hlk,hlk->hl", whitened_innovation, whitened_innovation)
+        return replace(subfilters, mean=mean, parts=updated[:, None]), RowsSeen(accepted, beacon_nis, whitened_innovation)
 
 
     def seen_stars(
@@ -274,7 +274,7 @@ def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index
     parts[source_index, states, states] += sigma_rad**2
 
 
-def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> FilterInnovations:
+def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> FilterInnovations:
     """Return the innovation of one beacon in one estimate; the whitened innovation is along the axes of the detector.
 
     Args:

@@ -21,7 +21,7 @@ def jacobian_by_states(
     lines: cython.const[cython.double][:, :, ::1],
     turn_n: cython.const[cython.double][:, ::1],
     focal_length: cython.Py_ssize_t,
-    places: cython.const[cython.Py_ssize_t][:, ::1],
+    couplings: cython.const[cython.Py_ssize_t][:, ::1],
 ):
     """Return the Jacobian of the points of N beacons by n states.
 
@@ -44,33 +44,33 @@ def jacobian_by_states(
     check("lights", by_direction.shape[0] == by_focal_length.shape[0] == lines.shape[0] == count)
     check("points", by_attitude.shape[1] == by_direction.shape[1] == by_focal_length.shape[1] == 2)
     check("vectors", by_attitude.shape[2] == by_direction.shape[2] == lines.shape[1] == turn_n.shape[0] == 3)
-    check("states", 0 <= focal_length < n and places.shape[1] == 3)
+    check("states", 0 <= focal_length < n and couplings.shape[1] == 3)
     of_states, of_errors = np.empty((2 * count, n)), np.empty((count, 2, errors))
     jacobian: cython.double[:, ::1] = of_states
     by_error: cython.double[:, :, ::1] = of_errors
     total: cython.double
-    light: cython.Py_ssize_t
+    beacon: cython.Py_ssize_t
     k: cython.Py_ssize_t
     c: cython.Py_ssize_t
     i: cython.Py_ssize_t
-    for i in range(places.shape[0]):
-        check("places", -1 <= places[i, 0] < count and 0 <= places[i, 1] < errors and 0 <= places[i, 2] < n)
-    for light in range(count):
+    for i in range(couplings.shape[0]):
+        check("places", -1 <= couplings[i, 0] < count and 0 <= couplings[i, 1] < errors and 0 <= couplings[i, 2] < n)
+    for beacon in range(count):
         for k in range(2):
             for c in range(n):
                 total = 0.0
                 for i in range(3):
-                    total += by_attitude[light, k, i] * turn_n[i, c]
-                jacobian[2 * light + k, c] = total
-            jacobian[2 * light + k, focal_length] = by_focal_length[light, k]
+                    total += by_attitude[beacon, k, i] * turn_n[i, c]
+                jacobian[2 * beacon + k, c] = total
+            jacobian[2 * beacon + k, focal_length] = by_focal_length[beacon, k]
             for c in range(errors):
                 total = 0.0
                 for i in range(3):
-                    total += by_direction[light, k, i] * lines[light, i, c]
-                by_error[light, k, c] = total
-            for i in range(places.shape[0]):
-                if places[i, 0] == light or places[i, 0] < 0:
-                    jacobian[2 * light + k, places[i, 2]] += by_error[light, k, places[i, 1]]
+                    total += by_direction[beacon, k, i] * lines[beacon, i, c]
+                by_error[beacon, k, c] = total
+            for i in range(couplings.shape[0]):
+                if couplings[i, 0] == beacon or couplings[i, 0] < 0:
+                    jacobian[2 * beacon + k, couplings[i, 2]] += by_error[beacon, k, couplings[i, 1]]
     return of_states, of_errors
 
 
@@ -113,17 +113,17 @@ def covariance_by_own_error(by_error: cython.const[cython.double][:, :, :], cova
     check("errors", covariance.shape[1] == covariance.shape[2] == 3)
     result = np.zeros((2 * count, 2 * count))
     out: cython.double[:, ::1] = result
-    light: cython.Py_ssize_t
+    beacon: cython.Py_ssize_t
     a: cython.Py_ssize_t
     b: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
-    for light in range(count):
+    for beacon in range(count):
         for a in range(2):
             for b in range(2):
                 for i in range(3):
                     for j in range(3):
-                        out[2 * light + a, 2 * light + b] += (
-                            by_error[light, a, i] * covariance[light, i, j] * by_error[light, b, j]
+                        out[2 * beacon + a, 2 * beacon + b] += (
+                            by_error[beacon, a, i] * covariance[beacon, i, j] * by_error[beacon, b, j]
                         )
     return result

@@ -80,8 +80,8 @@ def _chosen(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _light(
-    light: cython.int,
+def _whiten_beacon(
+    beacon: cython.int,
     known: cython.const[cython.uchar][:],
     residual: cython.p_double,
     covariance: cython.p_double,
@@ -103,18 +103,18 @@ def _light(
     k: cython.int
     for i in range(count):
         for j in range(2):
-            asked[3 * i + j] = covariance[places[i] * size + 2 * light + j]
+            asked[3 * i + j] = covariance[places[i] * size + 2 * beacon + j]
         asked[3 * i + 2] = residual[places[i]]
     if not _solved(scratch, count, asked, 3):
         return False
     for i in range(2):
-        left[i] = residual[2 * light + i]
+        left[i] = residual[2 * beacon + i]
         for j in range(2):
-            own[2 * i + j] = covariance[(2 * light + i) * size + 2 * light + j]
+            own[2 * i + j] = covariance[(2 * beacon + i) * size + 2 * beacon + j]
         for k in range(count):
             for j in range(2):
-                own[2 * i + j] -= covariance[(2 * light + i) * size + places[k]] * asked[3 * k + j]
-            left[i] -= covariance[(2 * light + i) * size + places[k]] * asked[3 * k + 2]
+                own[2 * i + j] -= covariance[(2 * beacon + i) * size + places[k]] * asked[3 * k + j]
+            left[i] -= covariance[(2 * beacon + i) * size + places[k]] * asked[3 * k + 2]
     # Inverse of the symmetric root of the conditional covariance.
     area = sqrt(own[0] * own[3] - own[1] * own[1])
     scale = 1.0 / (area * sqrt(own[0] + own[3] + 2.0 * area))
@@ -158,13 +158,13 @@ def beacon_innovations(
     subfilters: cython.Py_ssize_t = separation.shape[0]
     n: cython.Py_ssize_t = separation.shape[1]
     m: cython.Py_ssize_t = residual.shape[0]
-    lights: cython.Py_ssize_t = known.shape[0]
+    beacons: cython.Py_ssize_t = known.shape[0]
     check("rows", parts.shape[0] == sees.shape[0] == subfilters and known.shape[1] == subfilters + 1)
     check("states", parts.shape[1] == parts.shape[2] == jacobian.shape[1] == n)
-    check("components", jacobian.shape[0] == sees.shape[1] == known.shape[2] == 2 * lights == m)
+    check("components", jacobian.shape[0] == sees.shape[1] == known.shape[2] == 2 * beacons == m)
     check("noise", noise.shape[0] == noise.shape[1] == main_covariance.shape[0] == main_covariance.shape[1] == m)
     of_residuals, of_gains = np.zeros((subfilters, m)), np.zeros((subfilters, n, m))
-    of_nis, innovation_array = np.empty(subfilters), np.empty((subfilters + 1, lights, 3))
+    of_nis, innovation_array = np.empty(subfilters), np.empty((subfilters + 1, beacons, 3))
     residuals: cython.double[:, ::1] = of_residuals
     gains: cython.double[:, :, ::1] = of_gains
     nis: cython.double[::1] = of_nis
@@ -180,7 +180,7 @@ def beacon_innovations(
     total: cython.double
     count: cython.Py_ssize_t
     subfilter: cython.Py_ssize_t
-    light: cython.int
+    beacon: cython.int
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
@@ -206,15 +206,15 @@ def beacon_innovations(
             for j in range(m):
                 for k in range(n):
                     covariance[i * m + j] += cross[i * n + k] * jacobian[j, k]
-        for light in range(lights):
-            if not _light(
-                light,
-                known[light, subfilter + 1],
+        for beacon in range(beacons):
+            if not _whiten_beacon(
+                beacon,
+                known[beacon, subfilter + 1],
                 subfilter_residual,
                 covariance,
                 cython.address(places[0]),
                 scratch,
-                cython.address(innovations[subfilter + 1, light, 0]),
+                cython.address(innovations[subfilter + 1, beacon, 0]),
             ):
                 raise np.linalg.LinAlgError("beacon covariance is not positive definite")
         if subfilter < 0:

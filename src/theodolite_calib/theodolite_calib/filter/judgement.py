@@ -15,7 +15,7 @@ from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.light_check import BeaconCheckResult, angle_residuals, check_lights
+from theodolite_calib.lights.light_check import BeaconCheckResult, angle_residuals, check_beacons
 from theodolite_calib.lights.line_of_sight import LinesOfSight
 from theodolite_calib.lights.telescope_attitude import AttitudePrior
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
@@ -78,7 +78,7 @@ class SightingJudge:
         """Resolve a misidentification among two or more beacons that fail the gate as named."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
-        check = check_lights(sighting.image, camera, prediction.lines, self._gate.probability, prior)
+        check = check_beacons(sighting.image, camera, prediction.lines, self._gate.probability, prior)
         mended = self._renamed(state, sighting, exposure, check.order) if check.result is BeaconCheckResult.SWAPPED else None
         mended = mended or self._without_one(state, sighting, exposure)
         if mended is not None:

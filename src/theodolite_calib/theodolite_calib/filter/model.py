@@ -82,7 +82,7 @@ def state_model(config: OpticalAxisConfig) -> StateModel:
     for id_, camera in config.telescopes.items():
         blocks += _camera_blocks(id_, camera, config)
     for id_, beacon in config.beacons.items():
-        blocks += _light_blocks(id_, beacon, config)
+        blocks += _beacon_blocks(id_, beacon, config)
     known = {"ship.attitude", "deformation", "axes", "focal_length", "parallelism"}
     known |= {parallelism_block(id_, config) for id_ in config.telescopes}
     used = [entry for entry in blocks if entry.name in known or np.any(entry.sigma > 0.0)]
@@ -147,7 +147,7 @@ def _camera_blocks(id_: str, camera: StarCameraConfig, config: OpticalAxisConfig
     return [parallelism, *camera_blocks(f"telescope.{id_}", camera.camera)]
 
 
-def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> list[StateBlock]:
+def _beacon_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> list[StateBlock]:
     tilt, heading = np.deg2rad([beacon.imu.tilt_sigma_deg, beacon.imu.heading_sigma_deg])
     # The position of a light at the antenna does not depend on the drone's attitude.
     turns = bool(np.any(beacon.light.vector_m))

@@ -30,7 +30,7 @@ from theodolite_calib.lights.line_of_sight import (
     SHIP_ROTATION,
     TERM_COLUMNS,
     LeverArm,
-    Lights,
+    BeaconPoses,
     LinesOfSight,
     Ship,
     Survey,
@@ -43,7 +43,7 @@ _OWN_WIDTHS = {"rtk": 3, "lever": 3, "attitude": 3, "refraction": 1}
 
 _NO_COVARIANCE, _UNIT = np.zeros((3, 3)), np.eye(3)
 
-_EVERY_LIGHT = -1
+_ALL_BEACONS = -1
 """Beacon index of an error that moves all beacons."""
 
 
@@ -91,7 +91,7 @@ class SightingModel:
         self._configured_errors[AXES] = config.axes.values
         self._parallelism = config.telescope.parallelism
         self._principal_point = config.telescope.principal_point_m
-        self._lights: dict[tuple[str, ...], _OfLights] = {}
+        self._beacon_setups: dict[tuple[str, ...], _BeaconSetup] = {}
 
     def chain_errors(self, mean: FloatArray) -> FloatArray:
         """Return the estimated errors of the axis geometry, in the order of its columns, shape (14,)."""
@@ -125,7 +125,7 @@ class SightingModel:
         ship, encoder = sighting.ship, sighting.encoder
         chain = axis_chain(self.chain_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), chain.rotation_nm)
-        known = self._of_lights(sighting.names)
+        known = self._beacon_setup(sighting.names)
         lines = self._lines(mean, sighting, chain, known)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
@@ -139,7 +139,7 @@ class SightingModel:
             lines.jacobian_n,
             turn_n,
             self._model.slices["focal_length"].start,
-            known.places,
+            known.couplings,
         )
         self._add_ships_time(jacobian, by_error[..., SHIP_ROTATION], chain)
         parts_n = np.array([encoder.noise * (chain.by_encoder @ chain.by_encoder.T), ship.noise * _UNIT])
@@ -148,39 +148,39 @@ class SightingModel:
             SOURCE_ENCODER: of_encoder,
             SOURCE_SHIP_NOISE: of_ship,
             SOURCE_IMAGE: sighting.image.covariance_m2,
-            SOURCE_RTK: compiled_points.covariance_by_own_error(by_error[..., BASELINE], sighting.lights.baseline_covariance_n),
+            SOURCE_RTK: compiled_points.covariance_by_own_error(by_error[..., BASELINE], sighting.beacons.baseline_covariance_n),
         }
         noise_n = {SOURCE_ENCODER: parts_n[0], SOURCE_SHIP_NOISE: parts_n[1]}
         residual = (sighting.image.point_m - points.point_m).reshape(rows)
         return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
-    def _lines(self, mean: FloatArray, sighting: Sighting, chain: AxisChain, known: "_OfLights") -> LinesOfSight:
+    def _lines(self, mean: FloatArray, sighting: Sighting, chain: AxisChain, known: "_BeaconSetup") -> LinesOfSight:
         """Return the lines of sight, corrected by the estimated errors."""
         own, survey = known.own(mean), known.survey
-        lights = Lights(
-            baseline_n=sighting.lights.baseline_n + own["rtk"] + self._of(mean, "ship_antenna"),
-            baseline_covariance_n=sighting.lights.baseline_covariance_n,
-            rotation_nb=np.array([exp_rotation(turn) for turn in own["attitude"]]) @ sighting.lights.rotation_nb,
+        beacons = BeaconPoses(
+            baseline_n=sighting.beacons.baseline_n + own["rtk"] + self._of(mean, "ship_antenna"),
+            baseline_covariance_n=sighting.beacons.baseline_covariance_n,
+            rotation_nb=np.array([exp_rotation(turn) for turn in own["attitude"]]) @ sighting.beacons.rotation_nb,
             attitude_covariance_n=known.attitude_covariance_n,
         )
         refraction = survey.refraction_coefficient + self._of(mean, "refraction", 1) + own["refraction"][:, 0]
         now = Survey(
             theodolite_lever=_corrected_lever(survey.theodolite_lever, self._of(mean, "lever")),
             principal_point=_corrected_lever(survey.principal_point, self._of(mean, "lens")),
-            light_lever=_corrected_lever(survey.light_lever, own["lever"]),
+            beacon_lever=_corrected_lever(survey.beacon_lever, own["lever"]),
             rtk_base_sigma_m=survey.rtk_base_sigma_m,
             rtk_bias_sigma_m=survey.rtk_bias_sigma_m,
             refraction_coefficient=refraction,
             refraction_sigma=survey.refraction_sigma,
-            refraction_light_sigma=survey.refraction_light_sigma,
+            refraction_beacon_sigma=survey.refraction_beacon_sigma,
         )
-        return lines_of_sight(lights, Ship(chain.rotation_nd, _NO_COVARIANCE, chain.rotation_dm), now)
+        return lines_of_sight(beacons, Ship(chain.rotation_nd, _NO_COVARIANCE, chain.rotation_dm), now)
 
-    def _of_lights(self, names: tuple[str, ...]) -> "_OfLights":
+    def _beacon_setup(self, names: tuple[str, ...]) -> "_BeaconSetup":
         """Return the setup of beacons with these names; computed once for all their sightings."""
-        if names not in self._lights:
-            self._lights[names] = _OfLights(self._config, self._model, names)
-        return self._lights[names]
+        if names not in self._beacon_setups:
+            self._beacon_setups[names] = _BeaconSetup(self._config, self._model, names)
+        return self._beacon_setups[names]
 
     def _add_ships_time(self, jacobian: FloatArray, by_ship_rotation: FloatArray, chain: AxisChain) -> None:
         """Add the effect of the ship's time offset that moves the theodolite around the antenna."""
@@ -194,7 +194,7 @@ class SightingModel:
         return mean[columns] if columns is not None else np.zeros(width)
 
 
-class _OfLights:
+class _BeaconSetup:
     """Configuration of N beacons and the indices of their states.
 
     Args:
@@ -214,7 +214,7 @@ class _OfLights:
         self.survey = Survey(
             theodolite_lever=LeverArm(config.lever.vector_m, np.full(3, config.lever.sigma_m)),
             principal_point=LeverArm(config.telescope.lens.vector_m, np.full(3, config.telescope.lens.sigma_m)),
-            light_lever=LeverArm(
+            beacon_lever=LeverArm(
                 np.array([beacon.light.vector_m for beacon in beacons]),
                 np.array([[beacon.light.sigma_m] * 3 for beacon in beacons]),
             ),
@@ -222,20 +222,20 @@ class _OfLights:
             rtk_bias_sigma_m=np.array([[beacon.rtk.bias_sigma_m] * 3 for beacon in beacons]),
             refraction_coefficient=config.air.coefficient,
             refraction_sigma=config.air.sigma,
-            refraction_light_sigma=np.full(len(names), config.air.light_sigma),
+            refraction_beacon_sigma=np.full(len(names), config.air.light_sigma),
         )
         imus = [beacon.imu for beacon in beacons]
         sigma = np.deg2rad([[imu.tilt_sigma_deg, imu.heading_sigma_deg, imu.tilt_sigma_deg] for imu in imus])
         self.attitude_covariance_n: FloatArray = sigma[:, :, None] ** 2 * np.eye(3)
         # A rotation of the ship also moves the points, because the theodolite moves around the antenna.
         common = {**COMMON_TERMS, "ship_attitude": "ship.attitude"}
-        moved = [(_EVERY_LIGHT, term, state) for term, state in common.items()]
+        moved = [(_ALL_BEACONS, term, state) for term, state in common.items()]
         moved += [
             (light, term, f"light.{name}.{state}")
             for term, state in OWN_TERMS.items()
             for light, name in enumerate(names)
         ]
-        self.places: NDArray[np.intp] = np.array(
+        self.couplings: NDArray[np.intp] = np.array(
             [
                 (light, column, row)
                 for light, term, state in moved

@@ -19,7 +19,7 @@ from ship_estimation.protection import Factors, IntegrityConfig, factors, separa
 from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, Alternatives, light_compared
+from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, Alternatives, beacon_innovation
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
 from theodolite_calib.filter.model import chain_rows
@@ -266,7 +266,7 @@ class SightingStep:
             comparison = self._filter.compare(state, sighting.chosen([row]))
             if comparison is not None:
                 measurement = comparison.measurement
-                compared = light_compared(measurement.residual, comparison.covariance, measurement.noise)
+                compared = beacon_innovation(measurement.residual, comparison.covariance, measurement.noise)
                 expected_rejection_m = self._expected_rejection_m(trust.exclusions[BEACON + name], comparison, others)
                 trust = self._fault_detector.monitor_beacon(trust, name, compared, sighting.time_ns, expected_rejection_m)
         return trust
@@ -296,7 +296,7 @@ def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> Fac
 
 
 def count_rejection(
-    state: CalibrationState, decision: ExposureDecision, gate: GateConfig, what: str
+    state: CalibrationState, decision: ExposureDecision, gate: GateConfig, measured: str
 ) -> tuple[CalibrationState, ExposureDecision]:
     """Count a rejected sighting; report a run of them and, if configured, inflate the covariance.
 
@@ -313,7 +313,7 @@ def count_rejection(
     reason, text = decision.reason, decision.text
     if run >= gate.conflict_after:
         reason = Reason.ATTITUDE_CONFLICT
-        text = f"{run} rejections in a row: {what} are inconsistent with encoders and ship's attitude; {text}"
+        text = f"{run} rejections in a row: {measured} are inconsistent with encoders and ship's attitude; {text}"
     if gate.reopen_after and run % gate.reopen_after == 0:
         state = replace(state, parts=state.parts * gate.reopen_factor)
         text += f"; covariance inflated by {gate.reopen_factor:g}"

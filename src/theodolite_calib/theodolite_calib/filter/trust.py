@@ -161,7 +161,7 @@ class FaultDetector:
     def __init__(self, config: IntegrityConfig, gate: GateConfig, subfilters: SourceRows, threshold: float) -> None:
         self._config, self._subfilters, self._threshold = config, subfilters, threshold
         self._limit = excess_limit(config, max(len(subfilters.beacons), 1))
-        self._light_gate, self._degraded_after = chi_square_gate(gate.probability, 2), gate.degraded_after
+        self._beacon_gate, self._degraded_after = chi_square_gate(gate.probability, 2), gate.degraded_after
         own = np.array([[BEACON + id_ == source for id_ in subfilters.beacons] for source in subfilters.sources], dtype=bool)
         self._excludes = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
@@ -191,7 +191,7 @@ class FaultDetector:
         """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
         beacons = [self._subfilters.beacons.index(name) for name in names]
         by_row = np.concatenate([[used], innovations.accepted])[:, None]
-        accepted = np.where(self._excludes[:, beacons], innovations.light_nis <= self._light_gate, by_row)
+        accepted = np.where(self._excludes[:, beacons], innovations.beacon_nis <= self._beacon_gate, by_row)
         means = observed(fault_state.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
         return replace(fault_state, means=means)
 
@@ -290,7 +290,7 @@ class FaultDetector:
         record = fault_state.exclusions[source]
         rows = 1 + len(self._subfilters.sources)
         whitened_innovation = np.repeat(compared.whitened_innovation, rows, axis=0)
-        accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
+        accepted = np.full(rows, bool(compared.nis[0] <= self._beacon_gate))
         means = observed(fault_state.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
         exclusion, returns = evaluate_reinstatement(record.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))

@@ -43,7 +43,7 @@ class Camera:
     def points(self, direction_t: FloatArray) -> FloatArray:
         """Return detector points, shape (..., N, 2), of directions of any length; NaN behind the telescope."""
         forward = _forward_component(direction_t)
-        scale = -_per_light(self.focal_length_m) / forward
+        scale = -_per_beacon(self.focal_length_m) / forward
         return self.principal_point_m + scale[..., None] * direction_t[..., [2, 1]]
 
     def direction_by_point(self, point_m: FloatArray) -> FloatArray:
@@ -71,7 +71,7 @@ class Camera:
 
     def _rays(self, point_m: FloatArray) -> FloatArray:
         offset = np.asarray(point_m, dtype=float) - self.principal_point_m
-        focal_length_m = np.broadcast_to(_per_light(self.focal_length_m), offset.shape[:-1])
+        focal_length_m = np.broadcast_to(_per_beacon(self.focal_length_m), offset.shape[:-1])
         return np.stack([focal_length_m, -offset[..., 1], -offset[..., 0]], axis=-1)
 
     def _across(self, point_m: FloatArray) -> FloatArray:
@@ -160,7 +160,7 @@ def flat(values: FloatArray | float, leading: tuple[int, ...], own: tuple[int, .
 
 
 @dataclass(frozen=True)
-class LightStreaks:
+class BeaconStreaks:
     """N detected beacons, and the motion of telescope and beacons over the exposure.
 
     A detected point is the mean of the beacon's path over the detector. Encoders, ship and baselines give that path,
@@ -198,7 +198,7 @@ class LightStreaks:
         smear_m2 = self.nodes.spread(way_m) * ((image.sigma_m / self.psf_sigma_m) ** 2)[:, None, None]
         return Image(image.point_m - off_m, image.sigma_m, smear_m2)
 
-    def chosen(self, rows: list[int], seen_rows: list[int]) -> "LightStreaks":
+    def chosen(self, rows: list[int], seen_rows: list[int]) -> "BeaconStreaks":
         """Return some beacons, or exchanged names: beacon ``rows[i]`` has the point ``seen_rows[i]``."""
         return replace(
             self, image=self.image.chosen(seen_rows), path_n=self.path_n[rows], moved_n=self.moved_n[:, rows]
@@ -222,7 +222,7 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
     return matrix
 
 
-def _per_light(value: FloatArray | float) -> FloatArray:
+def _per_beacon(value: FloatArray | float) -> FloatArray:
     """Return a quantity of the exposure, shape (...), with an axis for its beacons, shape (..., 1)."""
     return np.asarray(value, dtype=float)[..., None]
 

@@ -18,7 +18,7 @@ from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source
 from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve, total
 
-_MOST_LIGHTS = 4
+_MAX_BEACONS = 4
 """Maximum number of beacons for which exchanged names are tried; their number grows as the factorial."""
 
 
@@ -35,7 +35,7 @@ class BeaconCheckResult(Enum):
 
 
 @dataclass(frozen=True)
-class LightCheck:
+class BeaconCheck:
     """Result of the check of the beacons of one exposure.
 
     Attributes:
@@ -90,9 +90,9 @@ def angle_residuals(image: Image, camera: Camera, lines: LinesOfSight) -> AngleR
     return AngleResiduals(pairs, residual, np.sqrt(variance), residual**2 / variance)
 
 
-def check_lights(
+def check_beacons(
     image: Image, camera: Camera, lines: LinesOfSight, probability: float, prior: AttitudePrior | None = None
-) -> LightCheck:
+) -> BeaconCheck:
     """Check the beacons of one exposure, two or more.
 
     Args:
@@ -107,7 +107,7 @@ def check_lights(
     as_named = _trial(image, camera, lines, named, prior)
     if _fits(as_named, probability):
         return as_named.check(BeaconCheckResult.CONSISTENT)
-    exchanges = [order for order in permutations(range(count)) if order != named] if count <= _MOST_LIGHTS else []
+    exchanges = [order for order in permutations(range(count)) if order != named] if count <= _MAX_BEACONS else []
     trials = [_trial(image, camera, lines, order, prior) for order in exchanges]
     consistent_trials = [trial for trial in trials if _fits(trial, probability)]
     # The improvement must be significant: without a prior two beacons fit equally well both ways.
@@ -129,8 +129,8 @@ class _Trial:
         chi2 = float(self.attitude.chi2) + (self.prior_chi2 or 0.0)
         return chi2 if np.isfinite(chi2) else np.inf
 
-    def check(self, result: BeaconCheckResult) -> LightCheck:
-        return LightCheck(result, self.order, self.attitude, self.prior_chi2)
+    def check(self, result: BeaconCheckResult) -> BeaconCheck:
+        return BeaconCheck(result, self.order, self.attitude, self.prior_chi2)
 
 
 def _trial(

@@ -39,7 +39,7 @@ class LeverArm:
 
 
 @dataclass(frozen=True)
-class Lights:
+class BeaconPoses:
     """Measured poses of N beacons at the middle of an exposure.
 
     Attributes:
@@ -89,12 +89,12 @@ class Survey:
 
     theodolite_lever: LeverArm
     principal_point: LeverArm
-    light_lever: LeverArm
+    beacon_lever: LeverArm
     rtk_base_sigma_m: FloatArray
     rtk_bias_sigma_m: FloatArray
     refraction_coefficient: FloatArray | float
     refraction_sigma: float
-    refraction_light_sigma: FloatArray | float
+    refraction_beacon_sigma: FloatArray | float
 
 
 @dataclass(frozen=True)
@@ -122,15 +122,15 @@ class ErrorTerm:
 
     def direction_covariance_n(self) -> FloatArray:
         """Return the covariance of all directions, rad², shape (..., 3 N, 3 N), beacon after beacon."""
-        lights = self.jacobian_n.shape[-3]
+        beacon_count = self.jacobian_n.shape[-3]
         leading = self.jacobian_n.shape[:-3]
         if self.common:
-            rows = self.jacobian_n.reshape(*leading, 3 * lights, -1)
+            rows = self.jacobian_n.reshape(*leading, 3 * beacon_count, -1)
             return rows @ self.covariance @ np.swapaxes(rows, -1, -2)
         return block_diagonal(self.jacobian_n @ self.covariance @ np.swapaxes(self.jacobian_n, -1, -2))
 
 
-BASELINE, LEVER, PRINCIPAL_POINT, LIGHT_LEVER, SHIP_ROTATION, DRONE_ROTATION, REFRACTION = (
+BASELINE, LEVER, PRINCIPAL_POINT, BEACON_LEVER, SHIP_ROTATION, DRONE_ROTATION, REFRACTION = (
     *(slice(start, start + 3) for start in range(0, 18, 3)),
     slice(18, 19),
 )
@@ -142,7 +142,7 @@ TERM_COLUMNS = {
     "rtk_base": BASELINE,
     "theodolite_lever": LEVER,
     "principal_point": PRINCIPAL_POINT,
-    "light_lever": LIGHT_LEVER,
+    "light_lever": BEACON_LEVER,
     "ship_attitude": SHIP_ROTATION,
     "drone_attitude": DRONE_ROTATION,
     "refraction": REFRACTION,
@@ -168,14 +168,14 @@ class LinesOfSight:
     direction_n: FloatArray
     distance_m: FloatArray
     jacobian_n: FloatArray
-    lights: Lights
+    beacons: BeaconPoses
     ship: Ship
     survey: Survey
 
     @cached_property
     def terms(self) -> tuple[ErrorTerm, ...]:
         """Errors of the directions, independent of one another."""
-        lights, ship, survey = self.lights, self.ship, self.survey
+        beacons, ship, survey = self.beacons, self.ship, self.survey
         own, common = False, True
         white, slow = False, True
 
@@ -185,26 +185,26 @@ class LinesOfSight:
 
         lever_m, lens_m = survey.theodolite_lever.sigma_m, survey.principal_point.sigma_m
         return (
-            term("rtk_noise", "rtk", own, white, lights.baseline_covariance_n),
+            term("rtk_noise", "rtk", own, white, beacons.baseline_covariance_n),
             term("rtk_bias", "rtk", own, slow, _diagonal(survey.rtk_bias_sigma_m)),
             term("rtk_base", "rtk", common, slow, _diagonal(survey.rtk_base_sigma_m)),
             term("theodolite_lever", "lever_arms", common, slow, _diagonal(lever_m)),
             term("principal_point", "lever_arms", common, slow, _diagonal(lens_m)),
-            term("light_lever", "lever_arms", own, slow, _diagonal(survey.light_lever.sigma_m)),
+            term("light_lever", "lever_arms", own, slow, _diagonal(survey.beacon_lever.sigma_m)),
             term("ship_attitude", "ship_attitude", common, slow, ship.attitude_covariance_n),
-            term("drone_attitude", "drone_attitude", own, slow, lights.attitude_covariance_n),
+            term("drone_attitude", "drone_attitude", own, slow, beacons.attitude_covariance_n),
             term("refraction", "refraction", common, slow, np.array([[survey.refraction_sigma**2]])),
-            term("light_refraction", "refraction", own, slow, _one_by_one(survey.refraction_light_sigma)),
+            term("light_refraction", "refraction", own, slow, _one_by_one(survey.refraction_beacon_sigma)),
         )
 
 
-def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
+def lines_of_sight(beacons: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfSight:
     """Return the directions to the beacons with their errors."""
-    leading, count = lights.baseline_n.shape[:-2], lights.baseline_n.shape[-2]
+    leading, count = beacons.baseline_n.shape[:-2], beacons.baseline_n.shape[-2]
     found = compiled_lights.sight_lines(
-        flat(lights.baseline_n, leading, (count, 3)),
-        flat(lights.rotation_nb, leading, (count, 3, 3)),
-        flat(survey.light_lever.vector_m, leading, (count, 3)),
+        flat(beacons.baseline_n, leading, (count, 3)),
+        flat(beacons.rotation_nb, leading, (count, 3, 3)),
+        flat(survey.beacon_lever.vector_m, leading, (count, 3)),
         flat(ship.rotation_nd, leading, (3, 3)),
         flat(ship.rotation_dm, leading, (3, 3)),
         survey.theodolite_lever.vector_m,
@@ -213,7 +213,7 @@ def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
         EARTH_RADIUS_M,
     )
     direction_n, distance_m, jacobian_n = (of_all.reshape(*leading, *of_all.shape[1:]) for of_all in found)
-    return LinesOfSight(direction_n, distance_m, jacobian_n, lights, ship, survey)
+    return LinesOfSight(direction_n, distance_m, jacobian_n, beacons, ship, survey)
 
 
 def covariance_by_source(terms: Iterable[ErrorTerm]) -> dict[str, FloatArray]:

@@ -31,7 +31,7 @@ from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.measured.encoder_steps import EncoderStep, EncoderSteps, short_way
 from theodolite_calib.measured.samples import EncoderSample
 
-_LIGHTS = "lights"
+_BEACONS = "lights"
 """Name of the beacons as a motion reference."""
 _SIGMAS = 5.0
 """Change between two readings that is a motion, in standard deviations of a reading."""
@@ -155,11 +155,11 @@ class EncoderCheck:
             return CheckedReading(Rejection(Reason.STUCK, text))
         return result
 
-    def see_lights(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
+    def record_beacon_attitude(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
         """Record the telescope's attitude in the deck by beacons, shape (3, 3), and the error about its worst axis."""
         # Rotations before the readings stood still do not count.
         if self._still_since_ns is not None and time_ns >= self._still_since_ns:
-            self._motion_references[_LIGHTS] = Witness(time_ns, telescope_dt, sigma_rad)
+            self._motion_references[_BEACONS] = Witness(time_ns, telescope_dt, sigma_rad)
 
     def confirm(self, time_ns: int) -> None:
         """Record that beacons were consistent with the readings at a time."""

@@ -114,7 +114,7 @@ class BaselineSample(VectorSample):
 
 
 @dataclass(frozen=True)
-class SeenLight:
+class DetectedBeacon:
     """Beacon detected on the detector.
 
     Attributes:
@@ -144,7 +144,7 @@ class Exposure:
     reception."""
 
     time_ns: int
-    lights: tuple[SeenLight, ...]
+    beacons: tuple[DetectedBeacon, ...]
     exposure_s: float = 0.0
 
     @cached_property
@@ -161,7 +161,7 @@ class Exposure:
         """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         lights = b"".join(
             light.beacon_id.encode() + light.point_m.tobytes() + np.float64(light.sigma_m).tobytes()
-            for light in self.lights
+            for light in self.beacons
         )
         exposure: bytes = np.float64(self.exposure_s).tobytes()
         return lights + exposure

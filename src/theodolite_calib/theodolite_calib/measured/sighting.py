@@ -11,11 +11,11 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.lights.image import Camera, Image, LightStreaks
-from theodolite_calib.lights.line_of_sight import Lights
+from theodolite_calib.lights.image import Camera, Image, BeaconStreaks
+from theodolite_calib.lights.line_of_sight import BeaconPoses
 from theodolite_calib.measured.baseline_track import BaselineJump
-from theodolite_calib.measured.samples import Exposure, SeenLight
-from theodolite_calib.measured.tracks import EncoderAt, LightAt, MeasuredTracks, ShipAt
+from theodolite_calib.measured.samples import Exposure, DetectedBeacon
+from theodolite_calib.measured.tracks import EncoderAt, BeaconAt, MeasuredTracks, ShipAt
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Sighting:
     time_ns: int
     names: tuple[str, ...]
     image: Image
-    lights: Lights
+    beacons: BeaconPoses
     ship: ShipAt
     encoder: EncoderAt
-    streaks: LightStreaks | None = None
+    streaks: BeaconStreaks | None = None
 
     def deck_from_telescope(self, rotation_nt: FloatArray) -> FloatArray:
         """Return deck from telescope, by the ship's attitude, shape (3, 3)."""
@@ -47,11 +47,11 @@ class Sighting:
 
     def chosen(self, rows: list[int], seen_rows: list[int] | None = None) -> "Sighting":
         """Return the sighting with some beacons, or exchanged names: beacon ``rows[i]`` gets point ``seen_rows[i]``."""
-        lights = Lights(
-            self.lights.baseline_n[rows],
-            self.lights.baseline_covariance_n[rows],
-            self.lights.rotation_nb[rows],
-            self.lights.attitude_covariance_n[rows],
+        beacons = BeaconPoses(
+            self.beacons.baseline_n[rows],
+            self.beacons.baseline_covariance_n[rows],
+            self.beacons.rotation_nb[rows],
+            self.beacons.attitude_covariance_n[rows],
         )
         seen = rows if seen_rows is None else seen_rows
         streaks = None if self.streaks is None else self.streaks.chosen(rows, seen)
@@ -59,7 +59,7 @@ class Sighting:
             self,
             names=tuple(self.names[row] for row in rows),
             image=self.image.chosen(seen) if streaks is None else streaks.image_at_middle(),
-            lights=lights,
+            lights=beacons,
             streaks=streaks,
         )
 
@@ -100,10 +100,10 @@ class SightingAssembler:
             return Assembled(None, Rejection(Reason.GAP, "no encoder readings on both sides of it"), ())
         if ship is None:
             return Assembled(None, Rejection(Reason.GAP, "no attitudes of the ship on both sides of it"), ())
-        found: list[tuple[SeenLight, LightAt]] = []
+        found: list[tuple[DetectedBeacon, BeaconAt]] = []
         rejected: list[tuple[str, Rejection]] = []
-        for light in exposure.lights:
-            placed = self._tracks.light_at(light.beacon_id, exposure.time_ns)
+        for light in exposure.beacons:
+            placed = self._tracks.beacon_at(light.beacon_id, exposure.time_ns)
             if isinstance(placed, Rejection):
                 rejected.append((light.beacon_id, placed))
             else:
@@ -114,7 +114,7 @@ class SightingAssembler:
             exposure.time_ns,
             tuple(light.beacon_id for light, _ in found),
             Image(np.array([light.point_m for light, _ in found]), np.array([light.sigma_m for light, _ in found])),
-            Lights(
+            BeaconPoses(
                 np.array([placed.baseline_n for _, placed in found]),
                 np.array([placed.covariance_n for _, placed in found]),
                 np.array([placed.rotation_nb for _, placed in found]),
@@ -150,14 +150,14 @@ class SightingAssembler:
         velocity_n = np.array([tracks.baselines[name].velocity_at(sighting.time_ns) for name in sighting.names])
         since_s = np.array(nodes.offset_ns)[:, None, None] / SECOND_NS
         lever_change_n = (attitudes - ship.rotation_nd) @ lever_m
-        streaks = LightStreaks(
+        streaks = BeaconStreaks(
             image=sighting.image,
             camera=Camera(telescope.focal_length_m, 0.0, telescope.principal_point_m),
             psf_sigma_m=telescope.psf_sigma_m,
             nodes=nodes,
             rotation_nt=attitudes @ self._rotation_dt(angles[:, 0], angles[:, 1]),
             middle_nt=ship.rotation_nd @ self._rotation_dt(encoder.azimuth, encoder.elevation),
-            path_n=sighting.lights.baseline_n - ship.rotation_nd @ lever_m,
+            path_n=sighting.beacons.baseline_n - ship.rotation_nd @ lever_m,
             moved_n=since_s * velocity_n - lever_change_n[:, None, :],
         )
         return replace(sighting, image=streaks.image_at_middle(), streaks=streaks, ship=ship, encoder=encoder)

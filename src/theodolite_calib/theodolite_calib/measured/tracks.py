@@ -111,7 +111,7 @@ class EncoderAt:
 
 
 @dataclass(frozen=True)
-class LightAt:
+class BeaconAt:
     """Pose of a beacon at one time.
 
     Attributes:
@@ -176,7 +176,7 @@ class MeasuredTracks:
     def awaits(self, exposure: AnyExposure) -> bool:
         """True while data still to come may belong to an exposure."""
         # The slowest sources first: most often one of these is awaited.
-        for light in exposure.lights if isinstance(exposure, Exposure) else ():
+        for light in exposure.beacons if isinstance(exposure, Exposure) else ():
             if not self.baselines[light.beacon_id].covers(exposure.time_ns):
                 return True
             drone = self.drones.get(light.beacon_id)
@@ -260,21 +260,21 @@ class MeasuredTracks:
         samples = [sample for sample in ship if isinstance(sample, ShipSample)]
         return has_ship_drifted(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
 
-    def light_at(self, beacon_id: str, time_ns: int) -> LightAt | Rejection:
+    def beacon_at(self, beacon_id: str, time_ns: int) -> BeaconAt | Rejection:
         """Return the pose of a beacon at a time, or the rejection."""
         baseline = self.baselines[beacon_id].usable_at(time_ns)
         if isinstance(baseline, Rejection):
             return baseline
         jump = self.baselines[beacon_id].latest_jump(time_ns)
         if beacon_id not in self.drones:
-            return LightAt(*baseline, np.eye(3), jump)
+            return BeaconAt(*baseline, np.eye(3), jump)
         attitude = self.drones[beacon_id].at(time_ns)
         if attitude is None:
             return Rejection(Reason.GAP, "no attitudes of the drone on both sides of the exposure")
         lever_n = attitude.rotation_nd @ self._levers_b[beacon_id]
         by_turn = skew(lever_n)
         interpolated = by_turn @ attitude.error_covariance_n @ by_turn.T
-        return LightAt(baseline[0], baseline[1] + interpolated, attitude.rotation_nd, jump)
+        return BeaconAt(baseline[0], baseline[1] + interpolated, attitude.rotation_nd, jump)
 
 
 def _ns(time_s: float) -> int:

@@ -552,7 +552,7 @@ class OpticalAxisCore:
         """Pass the result of an exposure to the checks of the encoders and of the INS."""
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
-            self._encoder_check.see_lights(time_ns, *decision.telescope_dt)
+            self._encoder_check.record_beacon_attitude(time_ns, *decision.telescope_dt)
         # Beacons in a telescope that has shifted carry no information.
         if not decision.accepted or TELESCOPE in decision.excluded_sources:
             return

@@ -8,7 +8,7 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.escort.accuracy import LightsAccuracy
+from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.alternatives import BEACON
 from theodolite_calib.filter.filter import CalibrationFilter
@@ -51,7 +51,7 @@ class Escort:
             return None
         samples = {name: sample for name in names if (sample := self._newest(name, time_ns)) is not None}
         now_n = {name: sample.vector for name, sample in samples.items()}
-        accuracy = LightsAccuracy(
+        accuracy = BeaconAccuracy(
             self._config,
             self._filter,
             ship,

@@ -39,12 +39,12 @@ from theodolite_calib.measured.samples import (
     BaselineSample,
     EncoderSample,
     Exposure,
-    SeenLight,
+    DetectedBeacon,
     ShipSample,
     TargetSample,
 )
 
-MOST_LIGHTS = 100
+MAX_BEACONS = 100
 """Maximum number of beacons of one image; the rest are ignored, so that no message can delay the node."""
 
 ENCODER_INVALID = 1
@@ -148,21 +148,21 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMe
     check_frame(message.header.frame_id, config.telescope.frame_id)
     check_device_id("telescope_id", message.telescope_id, config.telescope.telescope_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
-    sightings = message.beacons[:MOST_LIGHTS]
+    sightings = message.beacons[:MAX_BEACONS]
     names = [sighting.beacon_id for sighting in sightings]
-    lights: dict[str, SeenLight] = {}
+    lights: dict[str, DetectedBeacon] = {}
     rejected: list[tuple[str, Rejection]] = []
     known = True
     for sighting in sightings:
-        light = _light_or_refusal(sighting, names, config)
+        light = _beacon_or_refusal(sighting, names, config)
         if isinstance(light, Rejection):
             rejected.append((sighting.beacon_id, light))
         else:
             lights[sighting.beacon_id], sigma_known = light
             known &= sigma_known
-    if len(message.beacons) > MOST_LIGHTS:
-        text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are used"
-        rejected.append((message.beacons[MOST_LIGHTS].beacon_id, Rejection(Reason.OVERFLOW, text)))
+    if len(message.beacons) > MAX_BEACONS:
+        text = f"{len(message.beacons)} lights in one image: only the first {MAX_BEACONS} are used"
+        rejected.append((message.beacons[MAX_BEACONS].beacon_id, Rejection(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
     return ReadMessage(Exposure(time_ns, ordered, exposure_s), known, tuple(rejected), empty=not lights)
 
@@ -208,14 +208,14 @@ def _length(value: float, what: str) -> float:
     return float(value)
 
 
-def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Rejection:
+def _beacon_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[DetectedBeacon, bool] | Rejection:
     try:
-        return _seen_light(sighting, names, config)
+        return _detected_beacon(sighting, names, config)
     except MessageRejected as error:
         return error.rejection
 
 
-def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool]:
+def _detected_beacon(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[DetectedBeacon, bool]:
     """Return a beacon, and True if the message states its sigma."""
     name = sighting.beacon_id
     if name not in config.beacons:
@@ -228,7 +228,7 @@ def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> t
         raise MessageRejected(Reason.UNITS, f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
     sigma = sigma_given(sighting.sigma, _LARGEST_DETECTOR_M)
     point_m = np.array([sighting.x, sighting.z])
-    return SeenLight(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
+    return DetectedBeacon(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
 
 
 def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None:

@@ -72,7 +72,7 @@ TARGET_IMAGE_TOPIC = "theodolite/target"
 
 _STREAM_THERE_S = 3.0
 """Maximum age of the last encoder reading, or ship's attitude, for the stream to count as present, s."""
-_LIGHTS_OF_A_POINTING = 2
+_MIN_BEACONS = 2
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _SHIP = {
@@ -283,12 +283,12 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         if not isinstance(exposure, Exposure):
             return ()
         lacking = {name for name, rejection in decision.rejected_parts if rejection.reason not in SHOWS_SOURCE}
-        return [BEACON + light.beacon_id for light in exposure.lights if light.beacon_id not in lacking]
+        return [BEACON + light.beacon_id for light in exposure.beacons if light.beacon_id not in lacking]
 
     def may_be_valid(self, there: Set[str]) -> bool:
         """See :class:`RecoveringAdapter`: with encoders, ship and two beacons."""
         lights = sum(source.startswith(BEACON) for source in there)
-        return {ENCODER, SHIP} <= there and lights >= _LIGHTS_OF_A_POINTING
+        return {ENCODER, SHIP} <= there and lights >= _MIN_BEACONS
 
     def remedy(self, displaced: Mapping[str, float]) -> str:
         """See :class:`RecoveringAdapter`."""
