@@ -85,7 +85,7 @@ def _axes(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _chain(
+def _axis_geometry(
     errors: cython.p_double,
     measured: cython.p_double,
     rate: cython.p_double,
@@ -144,7 +144,7 @@ def _chain(
             )
 
 
-def chains(
+def axis_geometries(
     errors: cython.const[cython.double][:, ::1],
     rotations: cython.const[cython.double][:, :, :],
     rates: cython.const[cython.double][:, :],
@@ -185,7 +185,7 @@ def chains(
             rate[i] = rates[n, i]
             for j in range(3):
                 measured[3 * i + j] = rotations[n, i, j]
-        _chain(
+        _axis_geometry(
             cython.cast(cython.p_double, cython.address(errors[n, 0])),
             measured,
             rate,
@@ -343,7 +343,7 @@ def pointings(
             rate[i] = rates[n, i]
             for j in range(3):
                 measured[3 * i + j] = rotations[n, i, j]
-        _chain(
+        _axis_geometry(
             now,
             measured,
             rate,

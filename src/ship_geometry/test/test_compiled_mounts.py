@@ -42,7 +42,7 @@ def main_frame(errors: FloatArray, rotation: FloatArray, rate: FloatArray, angle
 
 
 def test_axis_geometry_is_the_product_of_its_rotations() -> None:
-    rotation_nd, rotation_dm, rotation_nm, _, _ = compiled_mounts.chains(*moments())
+    rotation_nd, rotation_dm, rotation_nm, _, _ = compiled_mounts.axis_geometries(*moments())
     for number, (errors, rotation, rate, angles) in enumerate(zip(*moments(), strict=True)):
         equal(rotation_nm[number], main_frame(errors, rotation, rate, angles))
         equal(rotation_nd[number], exp_rotation(errors[:3]) @ rotation @ exp_rotation(-errors[13] * rate))
@@ -50,7 +50,7 @@ def test_axis_geometry_is_the_product_of_its_rotations() -> None:
 
 
 def test_derivatives_equal_finite_differences() -> None:
-    *_, by_error, by_encoder = compiled_mounts.chains(*moments())
+    *_, by_error, by_encoder = compiled_mounts.axis_geometries(*moments())
     step = 1e-6
     for number, (errors, rotation, rate, angles) in enumerate(zip(*moments(), strict=True)):
         for column in range(14):
@@ -90,7 +90,7 @@ def test_pointings_are_corrected_as_by_numpy(size: int) -> None:
         now = errors.copy()
         now[:6] *= np.where(lasting, 1.0, decay[:6])
         now[:3] *= kept
-        chain = compiled_mounts.chains(now[None], rotation[None], rate[None], angles[None])
+        chain = compiled_mounts.axis_geometries(now[None], rotation[None], rate[None], angles[None])
         by_all, by_encoder = chain[3][0][:, :size], chain[4][0]
         equal(rotation_nm[number], chain[2][0])
         equal(by_error[number], by_all)
@@ -128,11 +128,11 @@ def test_totals_equal_numpy_with_a_covariance_added_to_one_source() -> None:
 def test_result_does_not_depend_on_the_block() -> None:
     of_each, estimate = readings(13)
     together = compiled_mounts.pointings(*of_each, *estimate)
-    chains = compiled_mounts.chains(*moments())
+    chains = compiled_mounts.axis_geometries(*moments())
     for number in range(COUNT):
         one = slice(number, number + 1)
         alone = compiled_mounts.pointings(*(values[one] for values in of_each), *estimate)
-        alone += compiled_mounts.chains(*(values[one] for values in moments()))
+        alone += compiled_mounts.axis_geometries(*(values[one] for values in moments()))
         for single, among_others in zip(alone, (*together, *chains), strict=True):
             np.testing.assert_array_equal(single[0], among_others[number])
 
@@ -142,8 +142,8 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     of_each, estimate = readings(13)
     parts = np.zeros((2, 3, 3, 3))
     calls = [
-        lambda: compiled_mounts.chains(np.zeros((COUNT, 13)), *moments()[1:]),
-        lambda: compiled_mounts.chains(moments()[0][:3], *moments()[1:]),
+        lambda: compiled_mounts.axis_geometries(np.zeros((COUNT, 13)), *moments()[1:]),
+        lambda: compiled_mounts.axis_geometries(moments()[0][:3], *moments()[1:]),
         lambda: compiled_mounts.pointings(of_each[0][:3], *of_each[1:], *estimate),
         lambda: compiled_mounts.pointings(*of_each, *estimate[:-1], SOURCES),
         lambda: compiled_mounts.pointings(*of_each[:7], np.empty((0, 3, 3)), *estimate),

@@ -16,9 +16,9 @@ from ship_geometry.rotations import (
 )
 from theodolite_calib.chain.axes import (
     NAMES,
-    AxisChain,
+    AxisGeometry,
     AxisErrors,
-    axis_chain,
+    axis_geometry,
     direction_change,
     encoder_angles,
     main_axis,
@@ -229,7 +229,7 @@ def test_the_compiled_chain_is_that_of_arrays() -> None:
     for errors, azimuth, elevation in product((SMALL, LARGE), azimuths[0, ::5].tolist(), elevations[:, 0].tolist()):
         ship_n, deformation_d, rotation_v, rate_d = 1e-3 * rng.standard_normal((4, 3))
         ship_time_s, measured_nd = 0.01, exp_rotation(1e3 * rotation_v)
-        chain = axis_chain(
+        chain = axis_geometry(
             np.concatenate([ship_n, deformation_d, errors.vector(), [ship_time_s]]),
             measured_nd,
             rate_d,
@@ -238,7 +238,7 @@ def test_the_compiled_chain_is_that_of_arrays() -> None:
         )
         main, bent_df = main_axis(errors, azimuth, elevation), exp_rotation(deformation_d)
         rotation_nd = exp_rotation(ship_n) @ measured_nd @ exp_rotation(-ship_time_s * rate_d)
-        expected = AxisChain(
+        expected = AxisGeometry(
             rotation_nd,
             bent_df @ main.rotation_dm,
             rotation_nd @ bent_df @ main.rotation_dm,

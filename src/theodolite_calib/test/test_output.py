@@ -11,10 +11,10 @@ from ship_estimation.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.simulated_session import config, session, sweep
-from theodolite_calib.chain.axes import axis_chain
+from theodolite_calib.chain.axes import axis_geometry
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.model import chain_rows
+from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.filter.trust import UnresolvedFault
 from theodolite_calib.measured.samples import EncoderRun, EncoderSample, Exposure, Mode, PointingEstimate, PointingRun
@@ -69,13 +69,13 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
     """The filter propagates the whole state to each time; numpy computes the axis geometry from it."""
     _, filter_, state = seen(source)
     encoders, ship = readings(source, state)
-    index, rows = filter_.model.sources.index, chain_rows(filter_.model)
+    index, rows = filter_.model.sources.index, axis_state_indices(filter_.model)
     axes = CorrectedAxis(filter_, state).axes(ship, encoders)
     for number, time_ns in enumerate(encoders.time_ns.tolist()):
         stated_n = None if ship.correlated_covariance_n is None else ship.correlated_covariance_n[number]
         later = filter_.predicted(state, time_ns, stated_n)
-        errors = filter_.sightings.chain_errors(later.mean)
-        chain = axis_chain(errors, ship.rotation_nd[number], ship.rate_d[number], *encoders.angles[number].tolist())
+        errors = filter_.sightings.geometry_errors(later.mean)
+        chain = axis_geometry(errors, ship.rotation_nd[number], ship.rate_d[number], *encoders.angles[number].tolist())
         by_error = chain.by_error[:, : len(rows)]
         parts_n = by_error @ later.parts[:, rows[:, None], rows] @ by_error.T
         parts_n[index("encoder")] += encoders.variance[number] * chain.by_encoder @ chain.by_encoder.T

@@ -122,7 +122,7 @@ class Device:
 
 
 @dataclass(frozen=True)
-class DeviceChain:
+class RotationChain:
     """Chain of rotations from a device to the horizon, for :func:`ship_geometry.compiled_rotations.hung`.
 
     Attributes:
@@ -202,7 +202,7 @@ class ShipStateModel(StateModel):
             SHARED_BY_GRAVITY: self.slices.get("gravity.deflection", slice(0, 0)),
         }
 
-    def _chain(self, device: Device) -> DeviceChain:
+    def _chain(self, device: Device) -> RotationChain:
         """Return the chain of rotations of a device, from the device outwards."""
         on_its_left = {
             f"{device.name}.slow": _NO_TURN,
@@ -214,7 +214,7 @@ class ShipStateModel(StateModel):
         }
         links = [name for name in on_its_left if name in self.slices]
         white = links.index("ins.noise")
-        return DeviceChain(
+        return RotationChain(
             links=np.array([self.slices[name].start for name in links], dtype=np.intp),
             fixed=np.array([on_its_left[name] for name in links]),
             hull=white - 1,

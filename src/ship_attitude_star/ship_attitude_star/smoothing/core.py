@@ -92,12 +92,12 @@ class SmoothingCore(ShipAttitudeCore):
         self._told.clear()
         oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
-        self._chain: Chain[VerticalHere | None] = Chain(self._between(), oldest)
+        self._smoother: Chain[VerticalHere | None] = Chain(self._between(), oldest)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """See :meth:`ShipAttitudeCore.reconfigure`."""
         super().reconfigure(config)
-        self._chain.between = self._between()
+        self._smoother.between = self._between()
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: object) -> None:
         """Return None: samples are processed one by one, because each attitude is stored."""
@@ -111,7 +111,7 @@ class SmoothingCore(ShipAttitudeCore):
         for one in outcome.estimates:
             has_fault = one.state.doubt is not None or INS in one.state.excluded
             self._told.append(_ToldAtOnce(_alone(one), one.state.disputed_n, has_fault))
-            self._chain.ask(one.time_ns)
+            self._smoother.ask(one.time_ns)
         return outcome
 
     def smoothed(self) -> list[AttitudeEstimate]:
@@ -138,7 +138,7 @@ class SmoothingCore(ShipAttitudeCore):
 
     def _asked_since_ns(self, closed_ns: int) -> int:
         asked_ns = self._told[0].estimate.time_ns if self._told else closed_ns
-        link_ns = self._chain.newest_ns
+        link_ns = self._smoother.newest_ns
         return min(closed_ns, asked_ns, closed_ns if link_ns is None else link_ns)
 
     def _between(self) -> Between:
@@ -147,13 +147,13 @@ class SmoothingCore(ShipAttitudeCore):
     def _take(self, states: Sequence[FilterState]) -> None:
         for state in states:
             assert isinstance(state, TracedState)
-            self._chain.add(state)
+            self._smoother.add(state)
 
     # -- smoothed attitudes ---------------------------------------------------------------------------------
 
     def _smoothed_until(self, time_ns: int) -> list[AttitudeEstimate]:
         """Return the attitudes up to a time, smoothed where possible, else as published in real time."""
-        found = self._chain.take_until(time_ns)
+        found = self._smoother.take_until(time_ns)
         known = {
             moment_ns: Known(mean, covariance)
             for moments_ns, (means, covariances) in found

@@ -132,12 +132,12 @@ SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), sli
 vector e of the deformation in d, rad; the axis errors in the order of :data:`NAMES`; and the ship's time offset, by
 which the sample of her attitude is valid later than assumed, s."""
 
-CHAIN_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
+AXIS_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
 """States of a filter that turn the main axis, each with its columns and in their order."""
 
 
 @dataclass(frozen=True)
-class AxisChain:
+class AxisGeometry:
     """Axis geometry at one time.
 
     Attributes:
@@ -156,9 +156,9 @@ class AxisChain:
     by_encoder: FloatArray
 
 
-def axis_chain(
+def axis_geometry(
     errors: FloatArray, rotation_nd: FloatArray, rate_d: FloatArray, azimuth: float, elevation: float
-) -> AxisChain:
+) -> AxisGeometry:
     """Return the axis geometry from a measured attitude of the ship and the encoders.
 
     Args:
@@ -168,8 +168,8 @@ def axis_chain(
         azimuth: encoder azimuth, rad.
         elevation: encoder elevation, rad.
     """
-    found = compiled_mounts.chains(errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]]))
-    return AxisChain(*(of_all[0] for of_all in found))
+    found = compiled_mounts.axis_geometries(errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]]))
+    return AxisGeometry(*(of_all[0] for of_all in found))
 
 
 def encoder_angles(

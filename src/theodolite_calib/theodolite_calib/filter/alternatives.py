@@ -30,7 +30,7 @@ BEACON = "beacon."
 ENCODER = "encoder"
 SHIP = "ship_attitude"
 TELESCOPE = "telescope"
-CHAIN = frozenset({ENCODER, SHIP, TELESCOPE})
+AXIS_SOURCES = frozenset({ENCODER, SHIP, TELESCOPE})
 """Sources that lead from the horizon to the telescope."""
 
 _UNKNOWN = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}

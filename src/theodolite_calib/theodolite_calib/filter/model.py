@@ -37,7 +37,7 @@ from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL
 from ship_estimation.kalman import StateBlock, StateModel, block, lasting, slow_error_later
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.chain.axes import CHAIN_STATES
+from theodolite_calib.chain.axes import AXIS_STATES
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, StarCameraConfig
 
 SOURCE_SHIP = "ship_attitude"
@@ -95,9 +95,9 @@ def state_model(config: OpticalAxisConfig) -> StateModel:
     return StateModel(used, noise_sources)
 
 
-def chain_rows(model: StateModel) -> NDArray[np.intp]:
+def axis_state_indices(model: StateModel) -> NDArray[np.intp]:
     """Return the indices of the states that turn the main axis, in the order of AXIS_STATES."""
-    return np.concatenate([model.state_indices(name) for name in CHAIN_STATES if name in model.slices])
+    return np.concatenate([model.state_indices(name) for name in AXIS_STATES if name in model.slices])
 
 
 def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:

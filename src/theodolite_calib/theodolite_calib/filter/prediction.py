@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.chain.axes import AXES, SHIP_TIME, AxisChain, axis_chain
+from theodolite_calib.chain.axes import AXES, SHIP_TIME, AxisGeometry, axis_geometry
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter import compiled_points
@@ -22,7 +22,7 @@ from theodolite_calib.filter.model import (
     SOURCE_IMAGE,
     SOURCE_RTK,
     SOURCE_SHIP_NOISE,
-    chain_rows,
+    axis_state_indices,
 )
 from theodolite_calib.lights.image import Camera, predict_points
 from theodolite_calib.lights.line_of_sight import (
@@ -86,14 +86,14 @@ class SightingModel:
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
         self._config, self._model = config, model
-        self._axis_indices = chain_rows(model)
+        self._axis_indices = axis_state_indices(model)
         self._configured_errors: FloatArray = np.zeros(SHIP_TIME.stop)
         self._configured_errors[AXES] = config.axes.values
         self._parallelism = config.telescope.parallelism
         self._principal_point = config.telescope.principal_point_m
         self._beacon_setups: dict[tuple[str, ...], _BeaconSetup] = {}
 
-    def chain_errors(self, mean: FloatArray) -> FloatArray:
+    def geometry_errors(self, mean: FloatArray) -> FloatArray:
         """Return the estimated errors of the axis geometry, in the order of its columns, shape (14,)."""
         errors: FloatArray = self._configured_errors.copy()
         errors[: len(self._axis_indices)] += mean[self._axis_indices]
@@ -107,7 +107,7 @@ class SightingModel:
         """Return the estimated focal length, m."""
         return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
 
-    def by_state_n(self, chain: AxisChain, by_parallelism: FloatArray, parallelism: str) -> FloatArray:
+    def by_state_n(self, geometry: AxisGeometry, by_parallelism: FloatArray, parallelism: str) -> FloatArray:
         """Return the rotation vector in n per state of a camera fixed to the main axis, shape (3, n).
 
         Args:
@@ -116,20 +116,20 @@ class SightingModel:
             parallelism: name of the states of these angles.
         """
         turn_n = np.zeros((3, self._model.size))
-        turn_n[:, self._axis_indices] = chain.by_error[:, : len(self._axis_indices)]
+        turn_n[:, self._axis_indices] = geometry.by_error[:, : len(self._axis_indices)]
         turn_n[:, self._model.slices[parallelism]] = by_parallelism
         return turn_n
 
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
         """Predict a sighting by a state, with its Jacobian."""
         ship, encoder = sighting.ship, sighting.encoder
-        chain = axis_chain(self.chain_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
-        rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), chain.rotation_nm)
+        geometry = axis_geometry(self.geometry_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
+        rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), geometry.rotation_nm)
         known = self._beacon_setup(sighting.names)
-        lines = self._lines(mean, sighting, chain, known)
+        lines = self._lines(mean, sighting, geometry, known)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
-        turn_n = self.by_state_n(chain, by_parallelism, "parallelism")
+        turn_n = self.by_state_n(geometry, by_parallelism, "parallelism")
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
         jacobian, by_error = compiled_points.jacobian_by_states(
@@ -141,8 +141,8 @@ class SightingModel:
             self._model.slices["focal_length"].start,
             known.couplings,
         )
-        self._add_ships_time(jacobian, by_error[..., SHIP_ROTATION], chain)
-        parts_n = np.array([encoder.noise * (chain.by_encoder @ chain.by_encoder.T), ship.noise * _UNIT])
+        self._add_ships_time(jacobian, by_error[..., SHIP_ROTATION], geometry)
+        parts_n = np.array([encoder.noise * (geometry.by_encoder @ geometry.by_encoder.T), ship.noise * _UNIT])
         of_encoder, of_ship = compiled_points.covariances_by_rotation(by_attitude_n, parts_n)
         noise = {
             SOURCE_ENCODER: of_encoder,
@@ -154,7 +154,7 @@ class SightingModel:
         residual = (sighting.image.point_m - points.point_m).reshape(rows)
         return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
-    def _lines(self, mean: FloatArray, sighting: Sighting, chain: AxisChain, known: "_BeaconSetup") -> LinesOfSight:
+    def _lines(self, mean: FloatArray, sighting: Sighting, geometry: AxisGeometry, known: "_BeaconSetup") -> LinesOfSight:
         """Return the lines of sight, corrected by the estimated errors."""
         own, survey = known.own(mean), known.survey
         beacons = BeaconPoses(
@@ -174,7 +174,7 @@ class SightingModel:
             refraction_sigma=survey.refraction_sigma,
             refraction_beacon_sigma=survey.refraction_beacon_sigma,
         )
-        return lines_of_sight(beacons, Ship(chain.rotation_nd, _NO_COVARIANCE, chain.rotation_dm), now)
+        return lines_of_sight(beacons, Ship(geometry.rotation_nd, _NO_COVARIANCE, geometry.rotation_dm), now)
 
     def _beacon_setup(self, names: tuple[str, ...]) -> "_BeaconSetup":
         """Return the setup of beacons with these names; computed once for all their sightings."""
@@ -182,11 +182,11 @@ class SightingModel:
             self._beacon_setups[names] = _BeaconSetup(self._config, self._model, names)
         return self._beacon_setups[names]
 
-    def _add_ships_time(self, jacobian: FloatArray, by_ship_rotation: FloatArray, chain: AxisChain) -> None:
+    def _add_ships_time(self, jacobian: FloatArray, by_ship_rotation: FloatArray, geometry: AxisGeometry) -> None:
         """Add the effect of the ship's time offset that moves the theodolite around the antenna."""
         if "ship.time_offset" in self._model.slices:
             by_turn = by_ship_rotation.reshape(len(jacobian), 3)
-            jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ chain.by_error[:, SHIP_TIME]
+            jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ geometry.by_error[:, SHIP_TIME]
 
     def _of(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
         """Return a block of the state; zeros if there is no such state."""

@@ -25,7 +25,7 @@ from ship_estimation.hypotheses import FilterInnovations, compare_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel
 from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.chain.axes import axis_chain
+from theodolite_calib.chain.axes import axis_geometry
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, parallelism_block
@@ -104,15 +104,15 @@ class StarModel:
     def predict(self, mean: FloatArray, sighting: StarSighting) -> CameraAttitude:
         """Return the camera's attitude at the middle of an exposure by a state."""
         ship, encoder = sighting.ship, sighting.encoder
-        errors = self._sightings.chain_errors(mean)
-        chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
+        errors = self._sightings.geometry_errors(mean)
+        geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         configured, block = self._cameras[sighting.camera_id]
-        rotation_ns, by_angles = telescope_from_main(configured + mean[self._model.slices[block]], chain.rotation_nm)
+        rotation_ns, by_angles = telescope_from_main(configured + mean[self._model.slices[block]], geometry.rotation_nm)
         noise_n = {
-            SOURCE_ENCODER: encoder.noise * (chain.by_encoder @ chain.by_encoder.T),
+            SOURCE_ENCODER: encoder.noise * (geometry.by_encoder @ geometry.by_encoder.T),
             SOURCE_SHIP_NOISE: ship.noise * np.eye(3),
         }
-        return CameraAttitude(rotation_ns, self._sightings.by_state_n(chain, by_angles, block), noise_n)
+        return CameraAttitude(rotation_ns, self._sightings.by_state_n(geometry, by_angles, block), noise_n)
 
     def residuals(
         self,

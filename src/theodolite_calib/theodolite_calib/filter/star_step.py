@@ -14,9 +14,9 @@ from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import CHAIN
+from theodolite_calib.filter.alternatives import AXIS_SOURCES
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.model import chain_rows
+from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.star_comparison import StarComparison
 from theodolite_calib.filter.step import count_rejection, hypothesis_factors, separations
 from theodolite_calib.filter.trust import FaultDetector
@@ -40,7 +40,7 @@ class StarStep:
         self._filter, self._gate, self._sky = filter_, config.gate, sky
         threshold = hypothesis_factors(config.integrity, filter_.subfilters.sources).false_exclusion
         self._fault_detector = FaultDetector(config.integrity, config.gate, filter_.subfilters, threshold)
-        self._turning = chain_rows(filter_.model)
+        self._turning = axis_state_indices(filter_.model)
 
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         """Return state and decision after an exposure; ``state`` is that after the previous sighting."""
@@ -60,7 +60,7 @@ class StarStep:
             found = singular_covariance()
         decision = ExposureDecision(sighting.exposure, found.reason, text=found.text)
         # With encoders or ship excluded there is no prediction that stars could contradict.
-        if found.reason in _CONTRADICTS and not state.fault_state.excluded & CHAIN:
+        if found.reason in _CONTRADICTS and not state.fault_state.excluded & AXIS_SOURCES:
             return count_rejection(state, decision, self._gate, "stars")
         return state, decision
 

@@ -19,10 +19,10 @@ from ship_estimation.protection import Factors, IntegrityConfig, factors, separa
 from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, Alternatives, beacon_innovation
+from theodolite_calib.filter.alternatives import BEACON, AXIS_SOURCES, ENCODER, SHIP, Alternatives, beacon_innovation
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
-from theodolite_calib.filter.model import chain_rows
+from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.trust import ExclusionRecord, FaultDetector, FaultState, isolate_step_fault, isolate_drift_fault
 from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.contradiction import Streams
@@ -58,7 +58,7 @@ class SightingStep:
         self._factors = hypothesis_factors(config.integrity, filter_.subfilters.sources)
         threshold = self._factors.false_exclusion
         self._fault_detector = FaultDetector(config.integrity, config.gate, filter_.subfilters, threshold)
-        self._turning = chain_rows(filter_.model)
+        self._turning = axis_state_indices(filter_.model)
 
     def __call__(
         self,
@@ -118,7 +118,7 @@ class SightingStep:
         used_rows = [row for row in rows if BEACON + sighting.names[row] not in excluded]
         excluded_beacons = tuple(self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON + name in excluded)
         unknown = self._filter.unknown(predicted)
-        for source in sorted(excluded & CHAIN):
+        for source in sorted(excluded & AXIS_SOURCES):
             predicted = self._monitor_prediction(predicted, sighting, source)
         trust = self._monitor_beacons(predicted.fault_state, unknown, sighting, bool(used_rows))
         if not used_rows:
@@ -127,7 +127,7 @@ class SightingStep:
             return unused_state, ExposureDecision(exposure, reason, text=text, rejected_parts=excluded_beacons)
         unknown = replace(unknown, trust=trust)
         chosen = sighting if len(used_rows) == len(rows) else sighting.chosen(used_rows)
-        if excluded & CHAIN:
+        if excluded & AXIS_SOURCES:
             unknown = self._filter.aligned(unknown, chosen)
         result = self._judge.evaluate_sighting(unknown, chosen, exposure)
         decision = replace(result.decision, left_out=excluded_beacons + result.decision.rejected_parts)
@@ -223,7 +223,7 @@ class SightingStep:
     def _faulty(self, source: str | None, explaining: Set[str], time_ns: int) -> str | None:
         """Return the source to exclude: if another one has shown a fault of its own recently, that one or none."""
         own = self._own_faults(time_ns)
-        if source not in CHAIN or source in own or len(own) != 1:
+        if source not in AXIS_SOURCES or source in own or len(own) != 1:
             return source
         (other,) = own
         return other if other in explaining else None

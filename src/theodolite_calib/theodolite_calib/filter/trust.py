@@ -21,7 +21,7 @@ from ship_estimation.protection import IntegrityConfig
 from ship_estimation.running_means import FIELDS_BY_SUBFILTER, CONSISTENT_RATIO, InnovationMeans, excess_limit, forgotten, no_means, observed
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
+from theodolite_calib.filter.alternatives import BEACON, AXIS_SOURCES, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
 from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.contradiction import Streams
 
@@ -133,14 +133,14 @@ def isolate_drift_fault(source: str | None, explaining: Set[str], is_common: boo
         alike: True if all beacons drift together.
         ship_crept: True if the ship's attitude has departed from its own rates; None if unknown.
     """
-    chain = explaining & {ENCODER, SHIP}
+    axis_sources = explaining & {ENCODER, SHIP}
     if has_ship_drifted is not None:
-        chain = chain & {SHIP if has_ship_drifted else ENCODER}
-    if not chain:
+        axis_sources = axis_sources & {SHIP if has_ship_drifted else ENCODER}
+    if not axis_sources:
         return source
-    if len(chain) == 1 and (is_common or has_ship_drifted or source in CHAIN):
-        return next(iter(chain))
-    return source if source in CHAIN else None
+    if len(axis_sources) == 1 and (is_common or has_ship_drifted or source in AXIS_SOURCES):
+        return next(iter(axis_sources))
+    return source if source in AXIS_SOURCES else None
 
 
 def initial_fault_state(subfilters: SourceRows) -> FaultState:
@@ -179,7 +179,7 @@ class FaultDetector:
             return fault_state
         conflict = fault_state.conflict
         if received_ns.max() < silent_ns:
-            timed_out = timed_out | CHAIN
+            timed_out = timed_out | AXIS_SOURCES
             conflict = None if conflict is None else replace(conflict, agrees_since_ns=None)
         exclusions = dict(fault_state.exclusions)
         for name in timed_out & exclusions.keys():
@@ -309,7 +309,7 @@ class FaultDetector:
         exclusions, jumped_ns, means = dict(fault_state.exclusions), dict(fault_state.jumped_ns), fault_state.innovation_means
         if is_reinstated:
             jumped_ns[source] = exclusions.pop(source).jump_ns + _SAME_JUMP_NS
-            row = len(self._subfilters.beacons) if source in CHAIN else self._subfilters.sources.index(source)
+            row = len(self._subfilters.beacons) if source in AXIS_SOURCES else self._subfilters.sources.index(source)
             if row < len(self._subfilters.beacons):
                 # Means of an excluded source are not valid for subfilters that use it again.
                 others = [other for other in range(1 + len(self._subfilters.sources)) if other != 1 + row]

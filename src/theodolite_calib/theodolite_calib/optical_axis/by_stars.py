@@ -15,7 +15,7 @@ from ship_estimation.refusals import Rejection
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.model import SOURCE_PARALLELISM, chain_rows, parallelism_block
+from theodolite_calib.filter.model import SOURCE_PARALLELISM, axis_state_indices, parallelism_block
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 
 _OF_STARS = ("installation", "catalogue")
@@ -75,6 +75,6 @@ def pointing_by_stars(
         light_count=0,
         state=state,
         text=text,
-        by_error_n=np.zeros((3, len(chain_rows(model)))),
+        by_error_n=np.zeros((3, len(axis_state_indices(model)))),
         rotation_dm=unknown,
     )

@@ -13,7 +13,7 @@ from ship_estimation.protection import IntegrityReport, integrity_report, soluti
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.model import chain_rows
+from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.step import hypothesis_factors
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 
@@ -37,7 +37,7 @@ class PointingLevels:
         self.state, self._config = state, config.integrity
         sources = filter_.subfilters.sources
         self._k = hypothesis_factors(config.integrity, sources)
-        self._turning = chain_rows(filter_.model)
+        self._turning = axis_state_indices(filter_.model)
         excluded = {name: told.exclusion.since_ns for name, told in state.fault_state.exclusions.items()}
         self._subfilter_indices = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
         self._names = tuple([sources[row] for row in self._subfilter_indices])

@@ -12,7 +12,7 @@ import numpy as np
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import axis_chain
+from theodolite_calib.chain.axes import axis_geometry
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.measured.encoder_watch import EncoderJump
@@ -124,12 +124,12 @@ def departure_sigmas(
     assert state.time_ns is not None
     memory = filter_.predicted(memory, state.time_ns, ship.correlated_covariance_n)
     sightings = filter_.sightings
-    errors = sightings.chain_errors(memory.mean)
-    chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
-    _, by_parallelism = telescope_from_main(sightings.parallelism(memory.mean), chain.rotation_nm)
+    errors = sightings.geometry_errors(memory.mean)
+    geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
+    _, by_parallelism = telescope_from_main(sightings.parallelism(memory.mean), geometry.rotation_nm)
     decay, _ = filter_.model.transition(1.0)
     compared = np.vstack([
-        sightings.by_state_n(chain, by_parallelism, "parallelism"),
+        sightings.by_state_n(geometry, by_parallelism, "parallelism"),
         np.eye(filter_.model.size)[decay == 1.0],
     ])  # fmt: skip
     difference = np.abs(compared @ (state.mean - memory.mean))

@@ -27,7 +27,7 @@ from theodolite_calib.filter.model import (
     SOURCE_SAVED,
     SOURCE_SHIP,
     SOURCE_SHIP_NOISE,
-    chain_rows,
+    axis_state_indices,
     ship_error_steps,
 )
 from theodolite_calib.measured.samples import (
@@ -80,10 +80,10 @@ class CorrectedAxis:
 
     def __init__(self, filter_: CalibrationFilter, state: CalibrationState) -> None:
         self.state = state
-        model, rows = filter_.model, chain_rows(filter_.model)
+        model, rows = filter_.model, axis_state_indices(filter_.model)
         ship, deformation = model.blocks["ship.attitude"], model.blocks["deformation"]
         self._parts = np.ascontiguousarray(state.parts[:, rows[:, None], rows])
-        self._errors = filter_.sightings.chain_errors(state.mean)
+        self._errors = filter_.sightings.geometry_errors(state.mean)
         self._lasting = np.zeros(DEFORMATION.stop, dtype=np.uint8)
         self._lasting[SHIP] = filter_.ship_error.lasting(self._errors[SHIP])
         self._time_s = np.concatenate([ship.time_s, deformation.time_s])
@@ -316,6 +316,6 @@ def invalid_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns
         light_count=0,
         state=state,
         text=text,
-        by_error_n=np.full((3, len(chain_rows(filter_.model))), np.nan),
+        by_error_n=np.full((3, len(axis_state_indices(filter_.model))), np.nan),
         rotation_dm=unknown,
     )

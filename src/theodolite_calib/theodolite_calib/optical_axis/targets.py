@@ -13,10 +13,10 @@ from ship_estimation.outcome import MeasurementDecision, Status
 from ship_estimation.refusals import Contradictions, Reason, Rejection, failure
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_chain
+from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_geometry
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.model import chain_rows
+from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.measured.samples import (
     EncoderSample,
     PointingEstimate,
@@ -250,25 +250,25 @@ class TargetOutput:
         """
         model, ship = self._filter.model, pending.ship
         state = self._filter.predicted(pointing.state, sample.time_ns, ship.correlated_covariance_n)
-        errors = self._filter.sightings.chain_errors(state.mean)
-        chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, *pending.sample.vector.tolist())
+        errors = self._filter.sightings.geometry_errors(state.mean)
+        geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, *pending.sample.vector.tolist())
         lever_m, coefficient = self._config.lever.vector_m, self._config.air.coefficient
         if "lever" in model.slices:
             lever_m = lever_m + state.mean[model.slices["lever"]]
         if "refraction" in model.slices:
             coefficient += float(state.mean[model.slices["refraction"]][0])
-        lever_n = chain.rotation_nd @ lever_m
+        lever_n = geometry.rotation_nd @ lever_m
         place = ranged_place(seen.direction_n, sample.range_m, coefficient)
 
         by_turn_n, lever_by_turn_n = place.by_direction_n @ seen.by_turn_n, -skew(lever_n)
-        turning = chain_rows(model)
+        turning = axis_state_indices(model)
         by_state_n = np.zeros((3, model.size))
         by_state_n[:, turning] = by_turn_n @ pointing.by_error_n
         # The ship's error and time offset rotate the lever; deformation and axis errors do not.
         of_ship = np.r_[SHIP, AXES.stop : len(turning)]
         by_state_n[:, turning[of_ship]] += lever_by_turn_n @ pointing.by_error_n[:, of_ship]
         if "lever" in model.slices:
-            by_state_n[:, model.slices["lever"]] = chain.rotation_nd
+            by_state_n[:, model.slices["lever"]] = geometry.rotation_nd
         if "refraction" in model.slices:
             by_state_n[:, model.slices["refraction"]] = place.by_coefficient_n[:, None]
 

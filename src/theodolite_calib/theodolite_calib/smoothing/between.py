@@ -15,7 +15,7 @@ from ship_estimation.backward_chain import Anchor
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import SHIP
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.filter.model import ShipErrorStep, chain_rows, ship_error_steps
+from theodolite_calib.filter.model import ShipErrorStep, axis_state_indices, ship_error_steps
 from theodolite_calib.measured.samples import StampArray
 
 AxisAnchor = Anchor[FloatArray | None]
@@ -40,7 +40,7 @@ class Between:
         self, filter_: CalibrationFilter, stated_n: Callable[[Sequence[int]], FloatArray | None]
     ) -> None:
         self._model, self._ship, self._stated_n = filter_.model, filter_.ship_error, stated_n
-        self.rows = np.concatenate([chain_rows(self._model), self._model.state_indices("parallelism")])
+        self.rows = np.concatenate([axis_state_indices(self._model), self._model.state_indices("parallelism")])
         # The ship's error is the first of all states, and so of the predicted ones.
         assert self._ship.columns == SHIP
 

@@ -16,7 +16,7 @@ from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Chain
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import CHAIN
+from theodolite_calib.filter.alternatives import AXIS_SOURCES
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_AXES
 from theodolite_calib.measured.samples import EncoderRun, EncoderSample, PointingEstimate, PointingOutcome
@@ -191,7 +191,7 @@ class _SmoothedOutput:
 
 def _has_unresolved_fault(state: CalibrationState) -> bool:
     """True if beacons or stars are inconsistent with encoders and ship, or one of these is excluded."""
-    return bool(state.refusals) or state.fault_state.conflict is not None or bool(state.fault_state.excluded & CHAIN)
+    return bool(state.refusals) or state.fault_state.conflict is not None or bool(state.fault_state.excluded & AXIS_SOURCES)
 
 
 def _alone(estimate: PointingEstimate) -> PointingEstimate:

@@ -8,7 +8,7 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Came
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.filter.alternatives import CHAIN
+from theodolite_calib.filter.alternatives import AXIS_SOURCES
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison, Jump
 from theodolite_calib.filter.star_comparison import StarComparison
 from theodolite_calib.measured.encoder_watch import EncoderJump
@@ -73,7 +73,7 @@ class TracedFilter(CalibrationFilter):
 def _learnt(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
     """Record the update by a sighting; with excluded sources it is no update of the prediction."""
     assert isinstance(predicted, TracedState)
-    is_update = predicted.leads_back and not predicted.fault_state.excluded & CHAIN
+    is_update = predicted.leads_back and not predicted.fault_state.excluded & AXIS_SOURCES
     before = Known(predicted.mean, predicted.covariance)
     return replace(after, **_of_trace(came=Came(before, Known(after.mean, after.covariance), is_update)))
 
