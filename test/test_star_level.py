@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
@@ -47,7 +47,7 @@ def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyModel:
     return watch
 
 
-def sighted(exposures: dict[str, StarExposure], watch: SkyModel, configuration: ShipAttitudeConfig) -> SightedStars:
+def sighted(exposures: dict[str, StarExposure], watch: SkyModel, configuration: ShipAttitudeConfig) -> MatchedStars:
     """Return all stars of several sensors in the deck."""
     parts, mounting_b, field_b, field_sources = [], [], [], ()
     for index, (id_, exposure) in enumerate(exposures.items()):
@@ -73,7 +73,7 @@ def sighted(exposures: dict[str, StarExposure], watch: SkyModel, configuration: 
     of_all = np.zeros((rows[-1], 3, modes[-1]))
     for index, one in enumerate(field_b):
         of_all[rows[index] : rows[index + 1], :, modes[index] : modes[index + 1]] = one
-    return SightedStars(*columns, np.array(mounting_b), field_b=of_all, field_sources=field_sources)
+    return MatchedStars(*columns, np.array(mounting_b), field_b=of_all, field_sources=field_sources)
 
 
 def normalised_errors(scenario: Scenario, told: Scenario | None = None, **sky: float) -> list[float]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.fit import MatchedStars
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
@@ -21,7 +21,7 @@ SENSORS_DEG = ((0.0, 45.0), (90.0, 45.0))
 class Scene:
     """Attributes of SightedStars, the true attitude (horizon from deck), and flags of correct identities."""
 
-    stars: SightedStars
+    stars: MatchedStars
     rotation_nd: FloatArray
     true: np.ndarray
 
@@ -80,7 +80,7 @@ def draw_scene(
     measured_s = _unit(seen_s + noise)
     measured_d = np.einsum("kij,kj->ki", np.array(mountings)[sensor], measured_s)
     mounting_d = np.array([m * INSTALLATION_SIGMA for m in mountings])
-    stars = SightedStars(
+    stars = MatchedStars(
         measured_d, reference_n, np.full(len(sensor), SIGMA), np.zeros(len(sensor)), shared_n, sensor, mounting_d
     )
     return Scene(stars, rotation_nd, np.array([kind == "true" for kind in kinds]))

@@ -5,7 +5,7 @@ import pytest
 
 from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.camera import tangent_basis
-from ship_attitude_star.stars.fit import SightedStars, StarFit, linearized
+from ship_attitude_star.stars.fit import MatchedStars, StarFit, linearized
 from ship_geometry.rotations import exp_rotation, skew
 
 STARS, SENSORS, TURNS, SHARED = 7, 2, 3, 4
@@ -15,12 +15,12 @@ def equal(found: np.ndarray, expected: np.ndarray) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
-def seen(sensors: int, turns: int) -> SightedStars:
+def seen(sensors: int, turns: int) -> MatchedStars:
     """Return random stars of several sensors near their expected directions."""
     rng = np.random.default_rng(1)
     reference_n = rng.normal(size=(STARS, 3))
     reference_n /= np.linalg.norm(reference_n, axis=-1, keepdims=True)
-    return SightedStars(
+    return MatchedStars(
         measured_b=reference_n @ exp_rotation(np.array([0.1, 0.2, 0.3])) + 1e-3 * rng.normal(size=(STARS, 3)),
         reference_n=reference_n,
         sigma=rng.uniform(1e-5, 2e-5, STARS),

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from ship_attitude_star.stars.camera import Distortion, StarCamera
 from ship_attitude_star.stars.field_scale import estimate_optics, field_information
-from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_FIELD, SpatialErrors
 from ship_estimation.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC
@@ -41,7 +41,7 @@ def draw_field(rng, camera, true, stars=10, sigma_px=SIGMA_PX, shift_px=None):
     if shift_px is not None:
         seen = seen + shift_px(pixels)
     measured_s, sigma = camera.sighted(seen, np.full(stars, max(sigma_px, 1e-4)))
-    return SightedStars(
+    return MatchedStars(
         measured_b=measured_s,
         reference_n=true.directions(pixels) @ rotation_ns.T,
         sigma=sigma,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.guards.hints import Departure, heading_hint, consistency_text
+from ship_attitude_star.guards.hints import AttitudeResidual, heading_hint, consistency_text
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -56,8 +56,8 @@ def test_a_tilt_difference_is_no_heading_mistake() -> None:
     assert heading_hint(np.full((3, 3), np.nan), deck(30.0), "star.fore", False) == ""
 
 
-def off(arcsec: tuple[float, float, float], sigma_arcsec: float = 3.0) -> Departure:
-    return Departure(0, np.array(arcsec) * ARCSEC, np.eye(3) * (sigma_arcsec * ARCSEC) ** 2)
+def off(arcsec: tuple[float, float, float], sigma_arcsec: float = 3.0) -> AttitudeResidual:
+    return AttitudeResidual(0, np.array(arcsec) * ARCSEC, np.eye(3) * (sigma_arcsec * ARCSEC) ** 2)
 
 
 MAST, FORE, OTHER = off((300.0, 20.0, 0.0)), off((290.0, 10.0, 5.0)), off((-200.0, 0.0, 400.0))
@@ -75,11 +75,11 @@ MAST, FORE, OTHER = off((300.0, 20.0, 0.0)), off((290.0, 10.0, 5.0)), off((-200.
     ],
 )
 def test_the_inconsistent_source_is_named(
-    agreeing: list[str], disagreeing: dict[str, Departure], told: str
+    agreeing: list[str], disagreeing: dict[str, AttitudeResidual], told: str
 ) -> None:
     assert consistency_text("star.mast", agreeing, disagreeing).startswith(told)
 
 
 def test_noise_about_the_boresight_is_no_disagreement_among_sensors() -> None:
-    noisy = Departure(0, np.array([150.0, 20.0, 110.0]) * ARCSEC, np.diag([100.0, 3.0, 100.0]) ** 2 * ARCSEC**2)
+    noisy = AttitudeResidual(0, np.array([150.0, 20.0, 110.0]) * ARCSEC, np.diag([100.0, 3.0, 100.0]) ** 2 * ARCSEC**2)
     assert consistency_text("star.a", [], {"star.a": off((150.0, 20.0, 0.0)), "star.b": noisy}).startswith("only the INS")

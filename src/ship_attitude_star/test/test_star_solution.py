@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
-from ship_attitude_star.stars.fit import SightedStars, StarFitSolution, linearized
+from ship_attitude_star.stars.fit import MatchedStars, StarFitSolution, linearized
 from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.compiled_integrity import square_root
@@ -233,7 +233,7 @@ def test_stars_in_one_direction_are_refused_with_the_reason():
     star = scene.stars
     turn = exp_rotation(10.0 * ARCSEC * np.cross(star.measured_b[0], [0.0, 0.0, 1.0]))
     beside = scene.rotation_nd @ turn @ scene.rotation_nd.T
-    stars = SightedStars(
+    stars = MatchedStars(
         np.array([star.measured_b[0], turn @ star.measured_b[0]]),
         np.array([star.reference_n[0], beside @ star.reference_n[0]]),
         np.repeat(star.sigma, 2),
@@ -247,7 +247,7 @@ def test_stars_in_one_direction_are_refused_with_the_reason():
     assert "the rotation about it is undetermined" in solution.rejection.text
 
 
-def with_optics(scene: Scene, rng: np.random.Generator) -> tuple[SightedStars, np.ndarray]:
+def with_optics(scene: Scene, rng: np.random.Generator) -> tuple[MatchedStars, np.ndarray]:
     """Return the stars of a scene in cameras with drawn errors of their optics, and these errors in sigmas."""
     stars, count = scene.stars, len(scene.stars)
     field_b, sources = np.zeros((count, 3, 8)), ("optics",) * 8
@@ -273,7 +273,7 @@ def test_scipy_finds_the_same_attitude_with_errors_of_the_optics() -> None:
         stars, _ = with_optics(scene, rng)
         ours = solve_stars(stars)
 
-        def residuals(unknown: np.ndarray, stars: SightedStars = stars, start: np.ndarray = ours.rotation_nb):
+        def residuals(unknown: np.ndarray, stars: MatchedStars = stars, start: np.ndarray = ours.rotation_nb):
             turned = (stars.measured_b - stars.field_b @ unknown[3:]) @ (exp_rotation(unknown[:3]) @ start).T
             return np.concatenate([((stars.reference_n - turned) / stars.white_sigma[:, None]).ravel(), unknown[3:]])
 

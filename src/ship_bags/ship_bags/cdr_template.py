@@ -210,7 +210,7 @@ class CdrRows(NamedTuple):
         content, size = self.rows.tobytes(), self.template.size
         return [content[start : start + size] for start in range(0, len(content), size)]
 
-    def some(self, which: slice) -> "CdrRows":
+    def subset(self, which: slice) -> "CdrRows":
         """Return some of the messages."""
         return CdrRows(self.template, self.rows[which])
 

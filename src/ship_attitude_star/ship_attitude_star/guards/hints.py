@@ -32,7 +32,7 @@ _SAME_CHI2 = chi_square_gate(0.999, 3)
 
 
 @dataclass(frozen=True)
-class Departure:
+class AttitudeResidual:
     """Residual of a rejected attitude.
 
     Attributes:
@@ -50,7 +50,7 @@ def diagnosis_hint(
     source: str,
     consecutive_rejections: Mapping[str, int],
     used_ns: Mapping[str, int],
-    rejected_residuals: Mapping[str, Departure],
+    rejected_residuals: Mapping[str, AttitudeResidual],
     ins_nd: FloatArray,
     measured_nd: FloatArray,
 ) -> str:
@@ -105,7 +105,7 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     return ""
 
 
-def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mapping[str, Departure]) -> str:
+def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mapping[str, AttitudeResidual]) -> str:
     """Return a text about which sources are consistent with the INS and which are not.
 
     Args:
@@ -130,11 +130,11 @@ def _listed(consistent: Sequence[str]) -> str:
     return f"{', '.join(sorted(consistent))} {'agree' if len(consistent) > 1 else 'agrees'}"
 
 
-def _are_same_residual(departures: Sequence[Departure]) -> bool:
+def _are_same_residual(departures: Sequence[AttitudeResidual]) -> bool:
     return all(_is_same_residual(first, second) for first, second in combinations(departures, 2))
 
 
-def _is_same_residual(first: Departure, second: Departure) -> bool:
+def _is_same_residual(first: AttitudeResidual, second: AttitudeResidual) -> bool:
     """True if two residuals are equal within half the smaller one or within their noise."""
     difference = first.turn_n - second.turn_n
     size = min(float(np.linalg.norm(first.turn_n)), float(np.linalg.norm(second.turn_n)))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.guards.hints import Departure, diagnosis_hint
+from ship_attitude_star.guards.hints import AttitudeResidual, diagnosis_hint
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
@@ -426,7 +426,7 @@ class ShipFilter:
         # Deck attitude by the measurement: the INS deck attitude with the rotation from predicted to measured device.
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
-        departure = Departure(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
+        departure = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
         state = changed(self._counted(state, source), departures=with_entry(state.departures, source, departure))
         run = state.consecutive_rejections[source]
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"

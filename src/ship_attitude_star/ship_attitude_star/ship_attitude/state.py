@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from ship_attitude_star.guards.hints import Departure
+from ship_attitude_star.guards.hints import AttitudeResidual
 from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation import compiled_steps
@@ -180,7 +180,7 @@ class FilterState:
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: NO_STAYS)
     unconfirmed: Unconfirmed | None = None
-    departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
+    departures: MappingProxyType[str, AttitudeResidual] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None
     ins_fault_ns: int | None = None
     separation_covariance_n: FloatArray | None = None

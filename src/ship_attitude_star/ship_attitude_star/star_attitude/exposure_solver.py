@@ -11,7 +11,7 @@ from ship_attitude_star.star_attitude.config import ObservingSensorConfig
 from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.fit import SightedStars, square_roots
+from ship_attitude_star.stars.fit import MatchedStars, square_roots
 from ship_attitude_star.stars.scale_check import contradicted_scale
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_with_fallback
@@ -101,7 +101,7 @@ class PlacedExposure:
     source: str
     time_ns: int
     exposure: StarExposure
-    stars: SightedStars | None
+    stars: MatchedStars | None
     rejected_stars: tuple[RejectedStar, ...]
     turn_variance: float = 0.0
 
@@ -208,13 +208,13 @@ def solve_deck(
 
 def _in_deck(
     group: Sequence[Mounted], turn_covariance_d: FloatArray, sensors: dict[str, ObservingSensorConfig]
-) -> SightedStars:
+) -> MatchedStars:
     """Return all stars in the deck frame, with the errors of mountings and of rotations to the common time."""
     stars = [mounted.placed.stars for mounted in group if mounted.placed.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
     for index, mounted in enumerate(group):
         mounting_b[index] = mounted.rotation_ds * sensors[mounted.placed.source.partition(".")[2]].installation_sigma_s
-    return SightedStars(
+    return MatchedStars(
         measured_b=np.concatenate([s.measured_b @ m.rotation_ds.T for s, m in zip(stars, group, strict=True)]),
         reference_n=np.concatenate([s.reference_n for s in stars]),
         sigma=np.concatenate([s.sigma for s in stars]),
@@ -244,7 +244,7 @@ def _turned_in_deck(group: Sequence[Mounted], turn_covariance_d: FloatArray) -> 
     return square_roots(covariance_d).reshape(len(group), 3, size)
 
 
-def _smear_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> FloatArray | None:
+def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[Mounted]) -> FloatArray | None:
     """Return the covariance added by streaks to all stars, deck frame, rad², shape (k, 3, 3); None for none."""
     if all(s.smear_b is None for s in stars):
         return None
@@ -256,21 +256,21 @@ def _smear_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> F
     )
 
 
-def _rivals(stars: Sequence[SightedStars]) -> FloatArray | None:
+def _rivals(stars: Sequence[MatchedStars]) -> FloatArray | None:
     """Return the density of false matches for all stars, 1/sr, shape (k,); None if all identities are certain."""
     if all(s.rivals is None for s in stars):
         return None
     return np.concatenate([np.zeros(len(s)) if s.rivals is None else s.rivals for s in stars])
 
 
-def _pixel_sigma(stars: Sequence[SightedStars]) -> FloatArray | None:
+def _pixel_sigma(stars: Sequence[MatchedStars]) -> FloatArray | None:
     """Return the pixel-spatial errors of all stars, rad per axis, shape (k,); None if no sensor has one."""
     if all(s.pixel_sigma is None for s in stars):
         return None
     return np.concatenate([np.zeros(len(s)) if s.pixel_sigma is None else s.pixel_sigma for s in stars])
 
 
-def _field_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> FloatArray | None:
+def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[Mounted]) -> FloatArray | None:
     """Return the displacement of the stars by correlated camera errors, deck frame, rad, (k, 3, f); None for none."""
     count = sum(len(s.field_sources) for s in stars)
     if not count:

@@ -9,7 +9,7 @@ leave it a smaller gate, and so on. The expected number of false sets is the pro
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.fit import MatchedStars
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import FloatArray, skew
@@ -24,7 +24,7 @@ WRONG_NAMES = 0.01
 """Assumed ratio of wrong identities among those that sensors give; a star with a wrong identity may be any other."""
 
 
-def surely_few(stars: SightedStars, covariance_n: FloatArray) -> bool:
+def surely_few(stars: MatchedStars, covariance_n: FloatArray) -> bool:
     """True if even a single star fits a prior falsely less often than :data:`MAX_FALSE_MATCHES`, by a quick bound.
 
     Args:
@@ -38,7 +38,7 @@ def surely_few(stars: SightedStars, covariance_n: FloatArray) -> bool:
 
 
 def by_chance(
-    stars: SightedStars, members: NDArray[np.bool_], basis: FloatArray, covariance_n: FloatArray
+    stars: MatchedStars, members: NDArray[np.bool_], basis: FloatArray, covariance_n: FloatArray
 ) -> float:
     """Return an upper bound of the expected number of false sets with as many stars as the members.
 

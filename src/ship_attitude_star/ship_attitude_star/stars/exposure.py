@@ -23,7 +23,7 @@ from ship_attitude_star.sky.catalogue import julian_year
 from ship_attitude_star.sky.sky_watch import LocalSky, SkyModel
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
 from ship_attitude_star.stars.chance import WRONG_NAMES
-from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST, candidates
 from ship_attitude_star.stars.optics_errors import OPTICS_MODES, SOURCE_OPTICS, OpticsErrors
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
@@ -248,7 +248,7 @@ def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
 
 def visible_stars(
     exposure: StarExposure, sky_model: SkyModel, prior: StarPrior | None
-) -> tuple[StarExposure, SightedStars, list[tuple[str, Rejection]]] | Rejection:
+) -> tuple[StarExposure, MatchedStars, list[tuple[str, Rejection]]] | Rejection:
     """Return the stars of an exposure that have a direction in the sky model.
 
     Args:
@@ -286,7 +286,7 @@ def visible_stars(
     if prior is not None and (np.trace(prior.covariance_n) > LINEAR_RANGE**2 or not named.all()):
         rivals = detections * local_sky.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
         rivals *= np.where(named, WRONG_NAMES, 1.0)
-    stars = SightedStars(
+    stars = MatchedStars(
         measured_b=exposure.directions_s,
         reference_n=direction_n,
         sigma=exposure.sigma,

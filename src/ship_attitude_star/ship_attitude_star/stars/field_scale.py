@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.camera import StarCamera
-from ship_attitude_star.stars.fit import ATTITUDE, SightedStars, fit_attitude, linearized
+from ship_attitude_star.stars.fit import ATTITUDE, MatchedStars, fit_attitude, linearized
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_geometry.rotations import FloatArray
 
@@ -89,7 +89,7 @@ class OpticsEstimate:
 
 
 def field_information(
-    camera: StarCamera, stars: SightedStars, members: NDArray[np.bool_] | None = None
+    camera: StarCamera, stars: MatchedStars, members: NDArray[np.bool_] | None = None
 ) -> FieldInformation | None:
     """Return the information of one field about the optics.
 

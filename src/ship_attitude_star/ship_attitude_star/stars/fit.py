@@ -34,7 +34,7 @@ _NO_TURN, _NO_TURNS = np.zeros(3), np.empty((0, 3, 0))
 
 
 @dataclass(frozen=True)
-class SightedStars:
+class MatchedStars:
     """Identified stars of one time in one frame b: of one sensor in its own frame, or of several in the deck frame.
 
     Attributes:
@@ -193,7 +193,7 @@ class StarFitSolution:
         return probability_above(self.chi_square, max(self.degrees, 1))
 
 
-def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
+def linearized(stars: MatchedStars, rotation_nb: FloatArray) -> StarFit:
     """Return the stars linearised at an attitude (horizon from b), shape (3, 3), within a degree of the truth."""
     jacobian, displacement, residual_n = compiled_fit.linearized(
         stars.measured_b,
@@ -238,7 +238,7 @@ class AttitudeFit:
     field_weight: FloatArray | None = None
 
 
-def fit_attitude(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> AttitudeFit | None:
+def fit_attitude(stars: MatchedStars, members: NDArray[np.bool_] | None = None) -> AttitudeFit | None:
     """Return the attitude by the members (None: all stars); None if they do not determine it."""
     sigma = stars.white_sigma if members is None else np.where(members, stars.white_sigma, np.inf)
     solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
@@ -260,7 +260,7 @@ def fit_attitude(stars: SightedStars, members: NDArray[np.bool_] | None = None) 
     return AttitudeFit(rotation_nb, covariance_n, fit, fit.solve(members), weight)
 
 
-def field_columns(stars: SightedStars, unknowns: int) -> slice:
+def field_columns(stars: MatchedStars, unknowns: int) -> slice:
     """Return the columns of the cameras' field errors among the unknowns; the shared errors follow them."""
     end = unknowns - stars.shared_n.shape[-1]
     return slice(end - len(stars.field_sources), end)

@@ -19,7 +19,7 @@ from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import ambiguous_identity_rejection
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.scale_check import contradicted_scale
 from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
@@ -141,7 +141,7 @@ def _compare(
 
 
 def _select_consistent(
-    stars: SightedStars, at_estimate: SightedStars, prior: StarPrior, near_ns: FloatArray | None
+    stars: MatchedStars, at_estimate: MatchedStars, prior: StarPrior, near_ns: FloatArray | None
 ) -> tuple[NDArray[np.bool_], FloatArray | None] | Rejection:
     """Return the stars consistent with the prediction; if there are none, those consistent with another attitude.
 
@@ -174,7 +174,7 @@ def _contradiction(count: int) -> str:
 
 
 def _noise(
-    stars: SightedStars, stay: PixelStay | None, basis: FloatArray, members: NDArray[np.bool_]
+    stars: MatchedStars, stay: PixelStay | None, basis: FloatArray, members: NDArray[np.bool_]
 ) -> dict[str, FloatArray]:
     """Return the covariance by source of the k members' residuals along their basis (k, 2, 3), rad², (2 k, 2 k)."""
     noise = np.diag(np.repeat(np.hypot(stars.sigma, stars.position_sigma)[members] ** 2, 2))
@@ -188,7 +188,7 @@ def _noise(
     return {SOURCE_STAR_NOISE: noise, SOURCE_PIXEL: np.diag(np.repeat(of_pixels[members], 2))}
 
 
-def _misfit_rejection(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Rejection:
+def _misfit_rejection(stars: MatchedStars, row: int, rotation_ns: FloatArray) -> Rejection:
     angle = float(angle_between(rotation_ns @ stars.measured_b[row], stars.reference_n[row]))
     text = f'{angle / ARCSEC:.1f}" from its expected direction, sigma {stars.lone_sigma[row] / ARCSEC:.1f}"'
     return Rejection(Reason.MISIDENTIFIED, text)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance, surely_few
-from ship_attitude_star.stars.fit import AttitudeFit, SightedStars, StarFit, StarFitSolution, fit_attitude, linearized
+from ship_attitude_star.stars.fit import AttitudeFit, MatchedStars, StarFit, StarFitSolution, fit_attitude, linearized
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
 
@@ -98,7 +98,7 @@ class Choice:
     by_chance: float | None = None
 
 
-def select(stars: SightedStars, prior: StarPrior | None = None, near_nb: FloatArray | None = None) -> Choice:
+def select(stars: MatchedStars, prior: StarPrior | None = None, near_nb: FloatArray | None = None) -> Choice:
     """Select the correctly identified stars.
 
     Args:
@@ -118,7 +118,7 @@ def select(stars: SightedStars, prior: StarPrior | None = None, near_nb: FloatAr
     return Choice(members)
 
 
-def _select_alone(stars: SightedStars) -> Choice:
+def _select_alone(stars: MatchedStars) -> Choice:
     everything = np.ones(len(stars), dtype=bool)
     if len(stars) < 2:
         return Choice(~everything)
@@ -135,7 +135,7 @@ def _select_alone(stars: SightedStars) -> Choice:
     return Choice(~everything)
 
 
-def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
+def _refined_alone(stars: MatchedStars, members: BoolArray) -> BoolArray:
     """Drop the members that do not fit the rest; return none if the rest is not consistent either."""
     while np.count_nonzero(members) >= 2:
         refined = fit_attitude(stars, members)
@@ -175,7 +175,7 @@ def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
     return any(trial.count >= count and np.count_nonzero(trial.members & members) < shared for trial in trials)
 
 
-def _pair_trials(stars: SightedStars) -> list[Trial]:
+def _pair_trials(stars: MatchedStars) -> list[Trial]:
     """Return trials by all pairs of stars whose angle in the sky is the measured one, those with most members first."""
     first, second = np.triu_indices(len(stars), 1)
     seen = angle_between(stars.measured_b[first], stars.measured_b[second])
@@ -204,7 +204,7 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
     return _by_size(members, np.trace(covariance_n, axis1=-2, axis2=-1))
 
 
-def _common_variance(stars: SightedStars) -> FloatArray:
+def _common_variance(stars: MatchedStars) -> FloatArray:
     """Return the variance that mounting and shared errors add to a direction, mean of both axes, rad², shape (k,)."""
     variance: FloatArray = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
     if len(stars.mounting_b):
@@ -217,7 +217,7 @@ def _common_variance(stars: SightedStars) -> FloatArray:
     return variance
 
 
-def _select_by_prior(stars: SightedStars, prior: StarPrior, near_nb: FloatArray | None) -> BoolArray:
+def _select_by_prior(stars: MatchedStars, prior: StarPrior, near_nb: FloatArray | None) -> BoolArray:
     everything = np.ones(len(stars), dtype=bool)
     if not everything.any():
         return everything
@@ -255,7 +255,7 @@ def _without_worst(fit: StarFit, solution: StarFitSolution, members: BoolArray) 
     return kept
 
 
-def _single_trials(stars: SightedStars, fit: StarFit) -> list[Trial]:
+def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
     """Return trials by single stars, those with most members first.
 
     Each star rotates the prior; the other stars are compared with the rotated prior.

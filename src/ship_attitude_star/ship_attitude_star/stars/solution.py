@@ -17,7 +17,7 @@ from ship_attitude_star.stars.chance import ambiguous_identity_rejection
 from ship_attitude_star.stars.fit import (
     ATTITUDE,
     AttitudeFit,
-    SightedStars,
+    MatchedStars,
     fit_attitude,
     field_columns,
     linearized,
@@ -124,7 +124,7 @@ class StarSolution:
         return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
 
 
-def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolution:
+def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolution:
     """Return the attitude of frame b (horizon from b), its covariance by source, and the stars inconsistent with it.
 
     Args:
@@ -157,7 +157,7 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
     )
 
 
-def solve_with_fallback(stars: SightedStars, prior: StarPrior | None) -> tuple[StarSolution, bool]:
+def solve_with_fallback(stars: MatchedStars, prior: StarPrior | None) -> tuple[StarSolution, bool]:
     """Return the solution with the prior; if the stars contradict the prior, the solution by the stars alone.
 
     Args:
@@ -176,7 +176,7 @@ def solve_with_fallback(stars: SightedStars, prior: StarPrior | None) -> tuple[S
     return alone, True
 
 
-def likely_attitude(stars: SightedStars, prior: StarPrior) -> FloatArray:
+def likely_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
     """Return an attitude near enough to the truth to linearise stars there, where the prior's own may be far off.
 
     It is that of the stars alone if they verify one another; else the most likely one by the prior and all stars.
@@ -216,7 +216,7 @@ def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> Sol
     return SolutionStatus.ANGLES_SINGULAR if singular else SolutionStatus.VALID
 
 
-def _covariance_by_source(stars: SightedStars, found: AttitudeFit, members: NDArray[np.bool_]) -> FloatArray:
+def _covariance_by_source(stars: MatchedStars, found: AttitudeFit, members: NDArray[np.bool_]) -> FloatArray:
     """Return the covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0

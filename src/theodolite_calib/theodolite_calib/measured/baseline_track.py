@@ -49,7 +49,7 @@ class BaselineJump:
 class BaselineTrack(VectorTrack[BaselineSample]):
     """Baselines to one drone, valid and rejected; rejected ones are not used and not interpolated across."""
 
-    keeps_ns = _LONGEST_NS
+    history_ns = _LONGEST_NS
 
     def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Rejection:
         """Return the baseline at a time (N, U, E), m, with the covariance of its white error, m²; or the rejection."""
@@ -87,7 +87,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
             return None
         last = interval[0] + (interval[1] > 0.0)
         first = last
-        while first > 0 and last - first + 1 < _MOST and self._joined(first - 1):
+        while first > 0 and last - first + 1 < _MOST and self._are_joined(first - 1):
             if self._times[last] - self._times[first - 1] > _LONGEST_NS:
                 break
             first -= 1
@@ -108,6 +108,6 @@ class BaselineTrack(VectorTrack[BaselineSample]):
             return None
         return BaselineJump(samples[place].time_ns, jump_m, sigma_m)
 
-    def _joined(self, left: int) -> bool:
+    def _are_joined(self, left: int) -> bool:
         both_good = self._samples[left].rejection is None and self._samples[left + 1].rejection is None
         return both_good and super()._joined(left)

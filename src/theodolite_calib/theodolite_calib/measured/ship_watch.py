@@ -35,7 +35,7 @@ class ShipCheck:
         watched = _watched(config)
         self._batch_check, self._shift_ns = GuardAhead(watched), shift_ns
         # Accepted samples with their rates: a sample that comes after later ones is checked by these.
-        self._used = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
+        self._accepted = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
         self._stated: FloatArray | None = None
         self._unconfirmed: Unconfirmed | None = None
 
@@ -54,19 +54,19 @@ class ShipCheck:
 
     def check(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
         """Check a sample; none before ``oldest_ns`` will come."""
-        self._used.drop_before(oldest_ns)
-        result = self._batch_check.check(sample, self._used, told_step_rad(sample.correlated_covariance_n, self._stated))
+        self._accepted.drop_before(oldest_ns)
+        result = self._batch_check.check(sample, self._accepted, told_step_rad(sample.correlated_covariance_n, self._stated))
         if result.rates_wrong_after_ns is not None:
-            self._used.forget_rates(result.rates_wrong_after_ns)
+            self._accepted.forget_rates(result.rates_wrong_after_ns)
         if result.jumps:
             since_ns = result.jumps[-1].time_ns + self._shift_ns
             self._unconfirmed = Unconfirmed(since_ns, f"{self._source} has jumped", "lights")
         if result.rejection is None:
-            if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
+            if self._accepted.newest is None or sample.time_ns > self._accepted.newest.time_ns:
                 self._stated = sample.correlated_covariance_n
-            known = self._used.get(sample.time_ns)
+            known = self._accepted.get(sample.time_ns)
             if known is None or same_stamp(known, result.sample)[0]:
-                self._used.insert(result.sample)
+                self._accepted.insert(result.sample)
         return result
 
     def confirm(self, time_ns: int) -> None:

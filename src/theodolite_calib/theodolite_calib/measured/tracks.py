@@ -182,14 +182,14 @@ class MeasuredTracks:
             drone = self.drones.get(light.beacon_id)
             if drone is not None and not drone.covers(exposure.time_ns):
                 return True
-        return not self.covers_mount(exposure.time_ns + exposure.reach_ns)
+        return not self.are_axes_final_at(exposure.time_ns + exposure.reach_ns)
 
-    def covers_mount(self, time_ns: int) -> bool:
+    def are_axes_final_at(self, time_ns: int) -> bool:
         """True if no data still to come, in order, can change encoders and ship at a time."""
         return self.encoder.covers(time_ns) and self.ship.covers(time_ns - self.ship_shift_ns)
 
     @property
-    def ship_covered_until_ns(self) -> int | None:
+    def ship_final_until_ns(self) -> int | None:
         """Latest time at which later samples can no longer change the ship's attitude; None if there is none."""
         until_ns = self.ship.covered_until_ns
         return None if until_ns is None else until_ns + self.ship_shift_ns

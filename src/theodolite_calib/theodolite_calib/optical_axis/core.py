@@ -178,7 +178,7 @@ class OpticalAxisCore:
         self._stream_fault_ns: dict[str, int] = {}
         self._own_jumps: deque[OwnJump] = deque(maxlen=_MOST_JUMPS)
         self._stands = False
-        self._ship_covered_until_ns: int | None = None
+        self._ship_final_until_ns: int | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply other noise and gates; geometry and the set of beacons stay."""
@@ -229,7 +229,7 @@ class OpticalAxisCore:
         if outcome.rejection is not None:
             self._estimator.add_rejected(source, track, sample)
         elif self._estimator.add_sample(source, track, sample, outcome):
-            self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
+            self._ship_final_until_ns = self._tracks.ship_final_until_ns
             self._ship_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         if outcome.rejection is not None:
             self._note_own_fault(SHIP, sample.time_ns, outcome.rejection)
@@ -575,7 +575,7 @@ class OpticalAxisCore:
         self._targets.answer(outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now)
 
     def _publish_waiting(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        covered_ns, too_old_ns = self._ship_covered_until_ns, self._estimator.window.oldest_ns - 1
+        covered_ns, too_old_ns = self._ship_final_until_ns, self._estimator.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
             sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting.popleft()

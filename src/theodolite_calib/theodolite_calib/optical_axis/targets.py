@@ -109,7 +109,7 @@ class TargetAnswers:
         """True if no later data can change the direction, and a pointing after it has been published."""
         if not (self._put_out and self._put_out[-1].time_ns >= sample.time_ns):
             return False
-        return self._tracks.covers_mount(sample.time_ns + sample.reach_ns)
+        return self._tracks.are_axes_final_at(sample.time_ns + sample.reach_ns)
 
     def _answer(self, sample: TargetSample, outcome: PointingOutcome, state: CalibrationState) -> None:
         try:

@@ -51,7 +51,7 @@ class _DirectionTrack(VectorTrack[DirectionSample]):
         ends = self._samples[left : left + 1 if fraction == 0.0 else left + 2]
         return None if any(sample.status is Status.INVALID for sample in ends) else interval
 
-    def _joined(self, left: int) -> bool:
+    def _are_joined(self, left: int) -> bool:
         ends = self._samples[left : left + 2]
         return super()._joined(left) and not any(sample.status is Status.INVALID for sample in ends)
 
