@@ -92,7 +92,7 @@ def test_two_simultaneous_faults_are_distinguished(tmp_path: Path) -> None:
     assert seen.out["star.starboard"][0] <= 32.2
     assert seen.out["ins"][0] <= 33.0
     assert seen.back["ins"][0] < 35.0
-    picture = seen.picture()
+    picture = seen.last_state()
     assert [source.name for source in picture.sources if source.presence is Presence.OUT] == ["star.starboard"]
 
 
@@ -143,7 +143,7 @@ def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: Monitored
 def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) -> None:
     seen = watched(clean[1])
     assert [name for time_s, name in seen.guilty if not CLOUDS[0] < time_s < CLOUDS[1]] == []
-    picture = seen.picture()
+    picture = seen.last_state()
     assert [angle.safety for angle in picture.angles] == [Safety.SAFE] * 3
     with read_bag(clean[1]) as bag:
         last = [record.decode() for record in bag.records(["ship/attitude"])][-1]
@@ -166,9 +166,9 @@ def test_a_recording_shows_the_same_as_live(clean: tuple[Path, Path]) -> None:
         recorded.take(topic, message, time_ns)
         live.take(topic, message, time_ns + shift_ns)
         if number % 1000 == 0:
-            live.look(time_ns + shift_ns)
+            live.current_state(time_ns + shift_ns)
         end_ns = time_ns
-    there, here = recorded.look(end_ns), live.look(end_ns + shift_ns)
+    there, here = recorded.current_state(end_ns), live.current_state(end_ns + shift_ns)
     assert here.angles[0].value == there.angles[0].value
     assert [(a.safety, a.reason, a.age_s) for a in here.angles] == [(a.safety, a.reason, a.age_s) for a in there.angles]
     assert [(s.name, s.presence, s.reason) for s in here.sources] == [

@@ -63,7 +63,7 @@ def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None
             watch.take(topic, bad, time_ns)
             tried += 1
         if tried % 30 == 0:
-            for angle in watch.look(time_ns).angles:
+            for angle in watch.current_state(time_ns).angles:
                 sound = math.isfinite(angle.value) and angle.accuracy_95 <= 3.0 * angle.limit and not angle.is_old
                 assert sound or angle.safety is Safety.UNSAFE
     assert tried > 2000
@@ -74,5 +74,5 @@ def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None
         watch.take(topic, message, time_ns)
         fresh.take(topic, message, time_ns)
     end_ns = voyage[-1][0]
-    assert repr(watch.look(end_ns)) == repr(fresh.look(end_ns))  # NaN equals NaN as text
+    assert repr(watch.current_state(end_ns)) == repr(fresh.current_state(end_ns))  # NaN equals NaN as text
     assert repr(watch.history) == repr(fresh.history)

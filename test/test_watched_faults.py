@@ -38,7 +38,7 @@ from ship_testing.watched_voyages import (
 )
 from ship_watch.history import History
 from ship_watch.limits import Limits
-from ship_watch.picture import Picture, Presence
+from ship_watch.picture import SuiteState, Presence
 from ship_watch.watch import SuiteMonitor
 
 LIVE_EARLY_S = 0.1
@@ -62,7 +62,7 @@ class Named:
         """Record that an output names a source at a time of the data."""
         self.first_s.setdefault((output, source), self.seconds(utc_ns))
 
-    def note_picture(self, picture: Picture, history: History) -> None:
+    def record_state(self, picture: SuiteState, history: History) -> None:
         """Record the sources named in a suite state, on the page, and in the lines of a terminal."""
         page = shown(picture, history, "LIVE", "")
         lines = screen(picture, picture.alerts, View(80, 24, "ship", "LIVE", ""))
@@ -107,7 +107,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
             break
         while due_ns <= time_ns:
             keeper.update(due_ns, due_ns)
-            named.note_picture(watch.look(due_ns), watch.history)
+            named.record_state(watch.current_state(due_ns), watch.history)
             for alert in keeper.alerts:
                 named.note("alerts", alert.source, due_ns)
             for branch in keeper.tree():
@@ -137,12 +137,12 @@ class LiveSuite:
         self.diagnostics.close()
         self.process.end()
 
-    def look(self, named: Named) -> Picture:
+    def read(self, named: Named) -> SuiteState:
         """Process received messages, and record the sources they name."""
         self.watch.tick()
-        picture = self.watch.look()
+        picture = self.watch.current_state()
         if picture.utc_ns:
-            named.note_picture(picture, self.watch.history)
+            named.record_state(picture, self.watch.history)
         for alert in picture.alerts or ():
             named.note("alerts", alert.source, alert.raised_ns)
         for arrived in self.diagnostics.take().messages:
@@ -168,7 +168,7 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
     acknowledged = ""
     try:
         deadline_s = time.monotonic() + 240.0
-        while not (picture := suite.look(named)).utc_ns or named.seconds(picture.utc_ns) < END_S[bag]:
+        while not (picture := suite.read(named)).utc_ns or named.seconds(picture.utc_ns) < END_S[bag]:
             assert suite.process.exit_code is None, suite.process.log_text()
             assert time.monotonic() < deadline_s, suite.process.log_text()
             alert = shown_alert(picture.alerts)

@@ -13,12 +13,12 @@ from ship_monitor.page.app import page_maker
 from ship_monitor.page.server import PageServer
 from ship_testing import pictures
 from ship_watch.history import History
-from ship_watch.picture import Picture
+from ship_watch.picture import SuiteState
 
 _END_S = 20.0
 
 
-class SetPictures:
+class StateSource:
     """Source of suite states: returns the state that was set last, with the current time."""
 
     label = "SIMULATED · bag"
@@ -26,36 +26,36 @@ class SetPictures:
     place = "namespace /demo, domain 0"
 
     def __init__(self) -> None:
-        self.picture = pictures.picture()
+        self.state = pictures.suite_state()
         self.history = pictures.history()
         self.fails = False
         self._start_s = time.monotonic()
 
-    def look(self) -> Picture:
+    def current_state(self) -> SuiteState:
         """Return the state that was set, at the current time."""
         if self.fails:
             raise RuntimeError("no picture: asked for by the test")
-        return replace(self.picture, utc_ns=self.picture.utc_ns + round((time.monotonic() - self._start_s) * 1e9))
+        return replace(self.state, utc_ns=self.state.utc_ns + round((time.monotonic() - self._start_s) * 1e9))
 
-    def set(self, picture: Picture, history: History | None = None) -> None:
+    def set(self, state: SuiteState, history: History | None = None) -> None:
         """Set another state."""
-        self.picture = picture
+        self.state = state
         self.history = self.history if history is None else history
 
-    def controls(self, _moved: Callable[[], None]) -> None:
+    def controls(self, _on_move: Callable[[], None]) -> None:
         """None."""
 
 
 @contextlib.contextmanager
 def served(
-    source: SetPictures | None = None,
+    source: StateSource | None = None,
     port: int = 0,
     address: str = "127.0.0.1",
     allowed_hosts: Sequence[str] = (),
     zone: ZoneInfo | None = None,
 ) -> Iterator[PageServer]:
     """Run a server until the end of the ``with`` statement."""
-    shown = SetPictures() if source is None else source
+    shown = StateSource() if source is None else source
     made: Queue[PageServer | BaseException] = Queue()
 
     def run() -> None:

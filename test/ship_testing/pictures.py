@@ -17,7 +17,7 @@ from ship_watch.picture import (
     Event,
     InputShown,
     NisConsistency,
-    Picture,
+    SuiteState,
     Presence,
     Priority,
     Safety,
@@ -125,7 +125,7 @@ def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority
     )
 
 
-def picture(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
+def suite_state(*changed: AngleShown | SourceShown, **changes: Any) -> SuiteState:
     """Return a suite with a theodolite in normal state: five angles SAFE, eight sources IN, no alert.
 
     The given angles and sources replace those of their names; sources that are OUT are first.
@@ -137,7 +137,7 @@ def picture(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
             angles[one.name] = one
         else:
             sources[one.name] = one
-    well = Picture(
+    well = SuiteState(
         utc_ns=NOW_NS,
         angles=tuple(angles.values()),
         ages_s={"stars": 0.5, "lights": 0.6, "ins": 0.1},
@@ -167,7 +167,7 @@ SHIFTED_SENSOR_ALERT = replace(
 SHIFTED_SENSOR_INPUT = InputShown(SHIFTED_SENSOR.topics[0], 2.0, 0.1, 0.6, 1, 81, {"gate": 9, "attitude_conflict": 72})
 
 
-def state_with_mounting_shift(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
+def state_with_mounting_shift(*changed: AngleShown | SourceShown, **changes: Any) -> SuiteState:
     """Return a displaced star sensor: the first fault of the design of the page and of the terminal."""
     told = "WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ"
     well = {
@@ -180,10 +180,10 @@ def state_with_mounting_shift(*changed: AngleShown | SourceShown, **changes: Any
     }
     heading = angle("heading", accuracy_95=4.2 * ARCSEC, safety=Safety.CAUTION, reason="one star source")
     roll = angle("roll", accuracy_95=3.7 * ARCSEC, safety=Safety.CAUTION, reason="over the limit")
-    return picture(heading, roll, SHIFTED_SENSOR, *changed, **well | changes)
+    return suite_state(heading, roll, SHIFTED_SENSOR, *changed, **well | changes)
 
 
-def faulty() -> Picture:
+def faulty() -> SuiteState:
     """Return in addition an encoder without messages for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
     angles = angles_timed_out("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
     encoder = out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)

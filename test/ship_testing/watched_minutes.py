@@ -20,7 +20,7 @@ from ship_watch.history import (
     ParameterShown,
     StarsSeen,
 )
-from ship_watch.picture import Event, Picture
+from ship_watch.picture import Event, SuiteState
 
 NOW_NS = 1_404_907_207_000_000_000
 """2014-07-09 12:00:07 UTC, as in the figures of the design."""
@@ -65,7 +65,7 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
     return history
 
 
-def watched_picture(now_ns: int = NOW_NS) -> Picture:
+def simulated_state(now_ns: int = NOW_NS) -> SuiteState:
     """Return the suite state at the end of it."""
     good = source("star.fore", topics=("star/fore/observations",))
     bad = replace(SHIFTED_SENSOR, out_since_ns=now_ns - int(SHIFT_AGE_S * 1e9))

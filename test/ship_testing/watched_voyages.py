@@ -14,7 +14,7 @@ from typing import Any
 from ship_bags.mcap.bag_reader import read_bag
 from ship_replay.commands.replay import main as replay
 from ship_simulation.inject_command import main as inject
-from ship_watch.picture import Event, Picture, Presence
+from ship_watch.picture import Event, SuiteState, Presence
 from ship_watch.topics import monitored_topic
 from ship_watch.watch import SuiteMonitor
 
@@ -79,16 +79,16 @@ class MonitoredVoyage:
     back: dict[str, list[float]] = field(default_factory=dict)
     seen: dict[str, list[Any]] = field(default_factory=dict)
     guilty: list[tuple[float, str]] = field(default_factory=list)
-    at_s: dict[float, Picture] = field(default_factory=dict)
+    at_s: dict[float, SuiteState] = field(default_factory=dict)
 
     def events(self, kind: str) -> list[tuple[float, str]]:
         """Return (time, text) of all events of a kind, the oldest first."""
-        found: list[Event] = [event for event in self.picture().events if event.kind == kind]
+        found: list[Event] = [event for event in self.last_state().events if event.kind == kind]
         return [((event.utc_ns - self.start_ns) * 1e-9, event.text) for event in reversed(found)]
 
-    def picture(self) -> Picture:
+    def last_state(self) -> SuiteState:
         """Return the suite state at the end."""
-        return self.watch.look(self.end_ns)
+        return self.watch.current_state(self.end_ns)
 
 
 def replayed(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
@@ -140,7 +140,7 @@ def watched(*paths: Path) -> MonitoredVoyage:
         if seen is None:
             seen, due_ns = MonitoredVoyage(SuiteMonitor(), time_ns), time_ns
         while due_ns <= time_ns:
-            picture = seen.watch.look(due_ns)
+            picture = seen.watch.current_state(due_ns)
             before = _note(seen, picture, before, (due_ns - seen.start_ns) * 1e-9)
             due_ns += STEP_NS
         seen.watch.take(topic, message, time_ns)
@@ -149,11 +149,11 @@ def watched(*paths: Path) -> MonitoredVoyage:
     return seen
 
 
-def _note(seen: MonitoredVoyage, picture: Picture, before: dict[str, Presence], time_s: float) -> dict[str, Presence]:
+def _note(seen: MonitoredVoyage, state: SuiteState, before: dict[str, Presence], time_s: float) -> dict[str, Presence]:
     """Record a suite state; return the presence of each source in it."""
     if abs(time_s - round(time_s)) < 1e-6:
-        seen.at_s[float(round(time_s))] = picture
-    for source in picture.sources:
+        seen.at_s[float(round(time_s))] = state
+    for source in state.sources:
         was = before.get(source.name, Presence.IN)
         if source.presence is Presence.OUT and was is not Presence.OUT:
             seen.out.setdefault(source.name, []).append(time_s)
@@ -162,4 +162,4 @@ def _note(seen: MonitoredVoyage, picture: Picture, before: dict[str, Presence], 
                 seen.guilty.append((time_s, source.name))
         elif source.presence is Presence.IN and was is Presence.OUT:
             seen.back.setdefault(source.name, []).append(time_s)
-    return {source.name: source.presence for source in picture.sources}
+    return {source.name: source.presence for source in state.sources}

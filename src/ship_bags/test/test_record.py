@@ -46,7 +46,7 @@ class TestClockWatch:
     def steps(self, offsets_ns, reading_ns=1000):
         watch = ClockWatch()
         looks = [(number * 10**8, offset_ns) for number, offset_ns in enumerate(offsets_ns)]
-        return [watch.look(steady, steady + offset, steady + reading_ns) for steady, offset in looks]
+        return [watch.detect_step(steady, steady + offset, steady + reading_ns) for steady, offset in looks]
 
     def test_a_running_clock_does_not_step(self):
         # Slewed by 500 ppm, the most that adjtime allows: 50 µs in each 100 ms.
@@ -58,10 +58,10 @@ class TestClockWatch:
 
     def test_a_pause_between_the_two_readings_is_no_step(self):
         watch = ClockWatch()
-        assert watch.look(0, 10**18, 1000) is None
+        assert watch.detect_step(0, 10**18, 1000) is None
         # The process slept for 2 s after it read the steady clock.
-        assert watch.look(10**8, 10**18 + 10**8 + 2 * 10**9, 10**8 + 2 * 10**9) is None
-        assert watch.look(2 * 10**8, 10**18 + 2 * 10**8, 2 * 10**8 + 1000) is None
+        assert watch.detect_step(10**8, 10**18 + 10**8 + 2 * 10**9, 10**8 + 2 * 10**9) is None
+        assert watch.detect_step(2 * 10**8, 10**18 + 2 * 10**8, 2 * 10**8 + 1000) is None
 
 
 # -- live ---------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import NS_PER_S, make_header
 from ship_monitor.after import recorded_pictures
-from ship_monitor.after.recorded_pictures import RecordedPictures
+from ship_monitor.after.recorded_pictures import BagPlayback
 from ship_monitor.after.recorded_suite import THINNED_NS, RecordedSuite
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, write_imu_bag
 from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
@@ -35,7 +35,7 @@ def suite(bag):
 
 @pytest.fixture
 def pictures(suite):
-    return RecordedPictures(suite, Limits())
+    return BagPlayback(suite, Limits())
 
 
 def whole(pictures):
@@ -104,16 +104,16 @@ class TestWhatIsRead:
         inputs = RecordedSuite(write_imu_bag(tmp_path / "inputs.mcap", 10))
         (note,) = inputs.notes
         assert note.startswith("inputs.mcap contains no ship/attitude and no theodolite/pointing, only inputs:")
-        assert RecordedPictures(inputs, Limits()).place == note
+        assert BagPlayback(inputs, Limits()).location == note
         assert RecordedSuite(write_suite(tmp_path / "simulated.mcap", 2, truth=True)).notes == ()
 
     def test_truth_or_scenario_means_simulated(self, tmp_path, suite):
-        assert RecordedPictures(suite, Limits()).label == "BAG"
+        assert BagPlayback(suite, Limits()).label == "BAG"
         with_truth = RecordedSuite(write_suite(tmp_path / "truth.mcap", 2, truth=True))
         with_scenario = RecordedSuite(
             write_imu_bag(tmp_path / "scenario.mcap", 2, attachments=[("scenario.yaml", b"seed: 1")])
         )
-        labels = [RecordedPictures(each, Limits()).label for each in (with_truth, with_scenario)]
+        labels = [BagPlayback(each, Limits()).label for each in (with_truth, with_scenario)]
         assert labels == ["SIMULATED · bag"] * 2
 
     def test_damaged_messages_are_skipped_with_one_line(self, tmp_path, capsys):
@@ -126,7 +126,7 @@ class TestWhatIsRead:
         assert capsys.readouterr().err.count("message skipped: topic 'ship/attitude'") == 1
 
 
-class TestPictures:
+class TestBagPlayback:
     @pytest.mark.slow
     @pytest.mark.parametrize("at_s", [0.0, 10.0, 250.0, 599.0, 700.3, 900.0])
     def test_state_at_a_time_equals_that_after_ten_minutes(self, suite, pictures, at_s):
@@ -134,7 +134,7 @@ class TestPictures:
         shown = whole(pictures)
         time_ns = min(START_NS + round(at_s * NS_PER_S), suite.end_ns)
         watch = monitor_after(suite, max(time_ns - round(KEPT_S * NS_PER_S), 0), time_ns)
-        assert shown == watch.look(time_ns)
+        assert shown == watch.current_state(time_ns)
         assert pictures.history.ribbons == watch.history.ribbons
         heading = next(angle for angle in shown.angles if angle.name == "heading")
         assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
@@ -203,10 +203,10 @@ class TestPictures:
                 writer.write("ship/attitude", ship_attitude(stamp_ns), stamp_ns)
                 if second in (5, 300):
                     writer.write("ship/alignment", alignment(stamp_ns, 1.0 + 1e-6 * second), stamp_ns)
-        pictures = RecordedPictures(RecordedSuite(tmp_path / "long.mcap"), Limits())
+        pictures = BagPlayback(RecordedSuite(tmp_path / "long.mcap"), Limits())
         for at_s, expected in ((1400.0, (1.0003, 1.000005)), (200.0, (1.000005, 1.000005))):
             pictures.go_to(at_s)
-            pictures.look()
+            pictures.current_state()
             (state,) = pictures.history.alignment
             assert (state.value, state.nominal) == pytest.approx(expected, abs=1e-9)
         pictures.go_to(1.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_monitor.after.recorded_pictures import RecordedPictures
+from ship_monitor.after.recorded_pictures import BagPlayback
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser
@@ -41,7 +41,7 @@ def bag(tmp_path_factory):
 
 
 def page_of(path):
-    return served(RecordedPictures(RecordedSuite(path), Limits()))
+    return served(BagPlayback(RecordedSuite(path), Limits()))
 
 
 def press(browser, key, *, shift=False):

@@ -10,8 +10,8 @@ from ship_monitor.page.alignment_panel import state_text
 from ship_testing import browser as browser_module
 from ship_testing import pictures
 from ship_testing.browser import Browser
-from ship_testing.page_runs import SetPictures, served
-from ship_testing.watched_minutes import watched_history, watched_picture
+from ship_testing.page_runs import StateSource, served
+from ship_testing.watched_minutes import watched_history, simulated_state
 from ship_watch.history import ParameterShown
 from ship_watch.picture import Event, InputShown, Presence
 
@@ -25,7 +25,7 @@ NAMES = {
 
 def hostile(name):
     """Return a state and a history with the name in place of all names and texts from the network."""
-    well = watched_picture()
+    well = simulated_state()
     sources = [replace(each, name=f"{name} {number}", reason=name) for number, each in enumerate(well.sources)]
     sources = [replace(each, disagreement=name, presence=Presence.OUT) for each in sources[:2]] + sources[2:]
     picture = replace(
@@ -92,7 +92,7 @@ DRAWN = f"""{FIGURES}.flatMap((each) => [each.title?.text ?? '',
 @pytest.mark.parametrize("kind", NAMES)
 def test_names_are_never_executed_in_the_page(browser, kind, caplog):
     name = NAMES[kind]
-    source = SetPictures()
+    source = StateSource()
     source.set(*hostile(name))
     source.label = source.name = source.place = name
     with served(source) as server:

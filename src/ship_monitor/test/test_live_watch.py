@@ -144,7 +144,7 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
 
     def words():
         ship.say("ship/attitude", attitude(next(times)))
-        shown = [viewer.look().angles for viewer in viewers]
+        shown = [viewer.current_state().angles for viewer in viewers]
         return [[(angle.limit, angle.safety, angle.reason) for angle in angles[:3]] for angles in shown]
 
     try:

@@ -15,8 +15,8 @@ from ship_monitor.page.tables import InputsPanel
 from ship_testing import browser as browser_module
 from ship_testing import pictures
 from ship_testing.browser import Browser
-from ship_testing.page_runs import SetPictures, served
-from ship_testing.watched_minutes import watched_history, watched_picture
+from ship_testing.page_runs import StateSource, served
+from ship_testing.watched_minutes import watched_history, simulated_state
 from ship_watch.picture import ANGLES, Safety
 
 pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
@@ -37,7 +37,7 @@ def browser():
 
 @pytest.fixture
 def source():
-    return SetPictures()
+    return StateSource()
 
 
 @pytest.fixture
@@ -159,7 +159,7 @@ def test_phone_layout(browser, page):
 def test_values_change_without_reload(browser, source, page):
     browser.open(page)
     browser.until(LIVE)
-    well = pictures.picture()
+    well = pictures.suite_state()
     heading = replace(well.angles[0], value=1.0, safety=Safety.UNSAFE, reason="all stars refused")
     source.set(replace(well, angles=(heading, *well.angles[1:])))
     browser.until("document.querySelector('#heading .digits').textContent === '057.30'")  # 1 rad
@@ -259,7 +259,7 @@ def test_hovering_shows_all_digits_in_the_colours_of_the_theme(browser, page):
 
 
 def test_names_from_the_network_are_plain_text(browser, source, page):
-    well = pictures.picture()
+    well = pictures.suite_state()
     evil = "</script><img src=x onerror=window.hit=1>"
     source.set(replace(well, sources=(replace(well.sources[0], name=evil), *well.sources[1:])))
     browser.open(page)
@@ -281,7 +281,7 @@ def test_many_sources_are_counted_and_out_ones_are_visible(browser, source, page
 
 @pytest.mark.slow
 def test_suite_without_a_theodolite_has_no_empty_tiles(browser, source, page):
-    well = pictures.picture()
+    well = pictures.suite_state()
     source.set(replace(well, angles=well.angles[:3], pointing_by=""))
     browser.open(page)
     browser.until(LIVE)
@@ -307,7 +307,7 @@ def test_old_data_have_no_ticks_ages_or_counts(browser, source, page, is_linked)
     browser.until(LIVE)
     assert OLD_COLOUR not in [colour(browser, each) for each in GREY]
     if is_linked:
-        source.set(pictures.picture(*pictures.angles_timed_out(*ANGLES, age_s=19.0)))
+        source.set(pictures.suite_state(*pictures.angles_timed_out(*ANGLES, age_s=19.0)))
         browser.until("document.documentElement.classList.contains('stale')")
     else:
         source.fails = True
@@ -381,7 +381,7 @@ def test_local_time_is_shown_with_utc(browser, source):
 
 
 def test_waiting_page_names_output_and_location(browser, source, page):
-    source.set(replace(pictures.picture(), waiting_for="ship/attitude", utc_ns=0))
+    source.set(replace(pictures.suite_state(), waiting_for="ship/attitude", utc_ns=0))
     browser.open(page)
     browser.until("document.querySelector('#alert-text').textContent === 'waiting for ship/attitude'")
     assert browser.text("#alert-sub") == "namespace /demo, domain 0"
@@ -419,7 +419,7 @@ TITLES = [
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("theme", ["dusk", "night"])
 def test_panels_are_drawn_when_they_become_visible(browser, source, page, theme, size, tmp_path):
-    source.set(watched_picture(), watched_history())
+    source.set(simulated_state(), watched_history())
     browser.open(f"{page}?theme={theme}", *SIZES[size])
     browser.until("monitor.isLinked()")
     assert browser.evaluate(f"{INSIDE}.filter((each) => each.tagName === 'CANVAS').length") == 0, "they rest"
@@ -465,7 +465,7 @@ MARKED = f"""(() => {{
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_click_on_a_tile_shows_its_budget_and_error(browser, source, page, size):
-    source.set(watched_picture(), watched_history())
+    source.set(simulated_state(), watched_history())
     browser.open(page, *SIZES[size])
     browser.until("monitor.isLinked()")
     browser.evaluate("document.querySelector('#roll').click()")
@@ -476,7 +476,7 @@ def test_click_on_a_tile_shows_its_budget_and_error(browser, source, page, size)
 
 @pytest.mark.slow
 def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source, page):
-    source.set(watched_picture(), watched_history())
+    source.set(simulated_state(), watched_history())
     browser.open(page, 1280, 1600)
     browser.until("monitor.isLinked()")
     # Number of plots in the document at each text: texts in between keep the link while plots are made.
@@ -503,7 +503,7 @@ def counted(browser, each):
 
 @pytest.mark.slow
 def test_mark_is_in_every_panel_until_escape(browser, source, page):
-    source.set(watched_picture(), watched_history())
+    source.set(simulated_state(), watched_history())
     browser.open(page, 1280, 4000)  # all panels in sight
     browser.until("monitor.isLinked()")
     browser.until(f"{FIGURES}.length === 14")
@@ -535,7 +535,7 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
 
 @pytest.mark.slow
 def test_change_of_theme_keeps_the_mark(browser, source, page):
-    source.set(watched_picture(), watched_history())
+    source.set(simulated_state(), watched_history())
     browser.open(page)
     browser.until("monitor.isLinked()")
     browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
@@ -557,7 +557,7 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
             update(self, *arguments, **options)
 
         monkeypatch.setattr(kind, "update", noted)
-    source.set(watched_picture(), watched_history())
+    source.set(simulated_state(), watched_history())
     browser.open(page)
     browser.until("monitor.isLinked()")
     for where, wanted, unwanted in (

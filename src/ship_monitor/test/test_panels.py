@@ -16,11 +16,11 @@ from ship_monitor.page.sky import boresight
 from ship_monitor.page.sky_panel import places_in_field, used_star_mask
 from ship_monitor.page.tables import event_row, input_row, reasons_text
 from ship_monitor.page.themes import THEMES
-from ship_testing.watched_minutes import SHIFT_AGE_S, NOW_NS, watched_history, watched_picture
+from ship_testing.watched_minutes import SHIFT_AGE_S, NOW_NS, watched_history, simulated_state
 from ship_watch.history import History, ParameterShown
 from ship_watch.picture import Event, InputShown, Presence
 
-PICTURE = watched_picture()
+PICTURE = simulated_state()
 GUILTY, GOOD = PICTURE.sources[0], PICTURE.sources[1]
 
 

@@ -14,7 +14,7 @@ from tornado.websocket import websocket_connect
 
 from ship_bags.errors import BadInput
 from ship_monitor.page.server import PageServer
-from ship_testing.page_runs import SetPictures, served
+from ship_testing.page_runs import StateSource, served
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_error_page_is_black(page):
 
 
 def test_failed_page_is_not_white_and_retries():
-    source = SetPictures()
+    source = StateSource()
     source.fails = True
     with served(source) as page:
         status, text = get(page, "/?theme=night")

@@ -64,9 +64,9 @@ def ends(connection):
     return True
 
 
-def until(look, limit_s=30.0):
+def until(condition, limit_s=30.0):
     deadline_s = time.monotonic() + limit_s
-    while not look():
+    while not condition():
         assert time.monotonic() < deadline_s
         time.sleep(0.1)
 

@@ -13,7 +13,7 @@ from ship_testing import pictures
 from ship_watch.history import History, SafetyPoint
 from ship_watch.picture import ANGLES, Presence, Priority, Safety
 
-WELL = pictures.picture()
+WELL = pictures.suite_state()
 
 
 def with_angle(name, **changes):
@@ -116,7 +116,7 @@ def test_first_of_several_alerts_is_shown_and_all_are_listed():
 
 def test_mounting_shift_is_shown_at_its_source():
     shifted = pictures.source("star.starboard", mounting_shift=51.0 * ARCSEC)
-    rows = shown(pictures.picture(shifted), History(), "LIVE", "")["sources"]["rows"]
+    rows = shown(pictures.suite_state(shifted), History(), "LIVE", "")["sources"]["rows"]
     assert next(row["sub"] for row in rows if row["name"] == "star.starboard") == "mounting shifted by 51.0″"
 
 
@@ -154,14 +154,14 @@ def test_consequence_is_below_its_cause_without_a_banner():
 
 def test_overloaded_node_has_the_banner_of_its_consequences():
     behind = needing("star.fore", "lights", cause="ship_attitude", reason="ship_attitude is behind")
-    sources = shown(pictures.picture(*behind), History(), "LIVE", "")["sources"]
+    sources = shown(pictures.suite_state(*behind), History(), "LIVE", "")["sources"]
     assert sources["out"] == [("ship_attitude", "ship_attitude is behind")]
     assert [row["is_because"] for row in sources["rows"][:3]] == [True, True, False]
 
 
 def test_number_of_banners_is_limited():
     out = [pictures.out(name, "no data", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
-    banners = shown(pictures.picture(*out), History(), "LIVE", "")["sources"]["out"]
+    banners = shown(pictures.suite_state(*out), History(), "LIVE", "")["sources"]["out"]
     assert [text for _, text in banners[:2]] == ["ins OUT", "star.fore OUT"]
     assert banners[2][1] == "3 more OUT"
 
@@ -173,7 +173,7 @@ def test_overall_safety():
 
 
 def test_sources_are_unknown_if_all_outputs_are_old():
-    old = pictures.picture(*pictures.angles_timed_out(*ANGLES, age_s=19.0))
+    old = pictures.suite_state(*pictures.angles_timed_out(*ANGLES, age_s=19.0))
     told = shown(old, History(), "LIVE", "")
     assert told["is_stale"]
     assert (told["sources"]["is_known"], told["sources"]["head"]) == (False, "last: 8 of 8 in")

@@ -25,7 +25,7 @@ class Suite:
     def tick(self):
         self.ticks += 1
 
-    def look(self):
+    def current_state(self):
         return self.picture
 
     def acknowledge(self, alert_id, instance):

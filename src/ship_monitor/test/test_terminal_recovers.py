@@ -42,10 +42,10 @@ class Bridge:
     def heading(self):
         return next(row for row in self.rows() if row.startswith(" HEADING"))
 
-    async def until(self, look):
+    async def until(self, condition):
         """Continue until the view meets a condition."""
         deadline_s = time.monotonic() + LIMIT_S
-        while not look():
+        while not condition():
             assert time.monotonic() < deadline_s, "\n".join(self.rows())
             for time_ns in itertools.islice(self._times, 3):
                 self.ship.say("ship/attitude", attitude(time_ns))

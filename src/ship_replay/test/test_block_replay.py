@@ -138,7 +138,7 @@ def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.
     bag, adopted, spoilt = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
     with read_bag(bag) as opened:
         start_ns = opened.start_ns or 0
-    look = ShipAttitudeAdapter._look
+    look = ShipAttitudeAdapter._decide
 
     def spoilt_look(self: ShipAttitudeAdapter, now_ns: int, waiting_ns: int) -> Any:
         self.recovery._config = replace(self.recovery._config, confirm_s=30.0)

@@ -56,7 +56,7 @@ def test_three_sensors_meet_twelve_arcseconds_after_ten_minutes():
     assert found["available"] == found["settled"]
 
 
-def look(statistics, since_s, level_arcsec, error_arcsec, status=Status.VALID):
+def record_output(statistics, since_s, level_arcsec, error_arcsec, status=Status.VALID):
     level = np.full(3, level_arcsec) * ARCSEC
     report = IntegrityReport(0, IntegrityState.NO_LIMIT, level, (), np.zeros(0), 5.0, (), "", 0.0)
     statistics.look_at_output(since_s, status, report, np.full(3, error_arcsec) * ARCSEC, ARCSEC**2 * np.eye(3))
@@ -64,12 +64,12 @@ def look(statistics, since_s, level_arcsec, error_arcsec, status=Status.VALID):
 
 def test_what_is_beyond_and_what_is_available_is_counted():
     watched = VoyageStatistics(limit=12.0 * ARCSEC)
-    look(watched, 100.0, 50.0, 1.0)
-    look(watched, 700.0, 11.0, 1.0)
-    look(watched, 701.0, 13.0, 6.0)
-    look(watched, 702.0, 4.0, -4.5)
-    look(watched, 703.0, np.nan, 1.0)
-    look(watched, 704.0, 4.0, 100.0, Status.DEGRADED)
+    record_output(watched, 100.0, 50.0, 1.0)
+    record_output(watched, 700.0, 11.0, 1.0)
+    record_output(watched, 701.0, 13.0, 6.0)
+    record_output(watched, 702.0, 4.0, -4.5)
+    record_output(watched, 703.0, np.nan, 1.0)
+    record_output(watched, 704.0, 4.0, 100.0, Status.DEGRADED)
     assert (watched.seconds, watched.settled, watched.available) == (6, 5, 2)
     assert (watched.beyond_sigmas, watched.beyond_level) == (1, 1)
     assert watched.worst_over_level == pytest.approx(4.5 / 4.0)
@@ -79,8 +79,8 @@ def test_what_is_beyond_and_what_is_available_is_counted():
 def test_an_exclusion_and_an_unresolved_fault_count_once_each_time():
     watched = VoyageStatistics(limit=np.inf)
     for since_s, excluded in ((1.0, {"star.fore"}), (2.0, {"star.fore"}), (3.0, set()), (4.0, {"star.fore", "ins"})):
-        watched.look_at_sources(since_s, frozenset(excluded))
+        watched.record_exclusions(since_s, frozenset(excluded))
     assert watched.exclusions == [(1.0, "star.fore"), (4.0, "ins"), (4.0, "star.fore")]
     for since_s, status in ((5.0, 2), (605.0, 0), (606.0, 2), (607.0, 2), (608.0, 0), (609.0, 2)):
-        watched.look_at_status(since_s, Status(status), "why")
+        watched.record_status(since_s, Status(status), "why")
     assert watched.doubts == [(606.0, "why"), (609.0, "why")]

@@ -99,7 +99,7 @@ def write_hostile(path, name, offset_rad, units="rad"):
     return path
 
 
-def looked_at(page, name):
+def view_page(page, name):
     """Return the text of a page as shown by a browser, without any code run or other request."""
     with contextlib.closing(Browser()) as browser:
         browser.open(page.as_uri())
@@ -123,4 +123,4 @@ def test_nothing_of_a_name_runs_in_the_pages(kind, tmp_path, capsys):
     assert compare([str(a), str(b), "--out", str(tmp_path / "compare.html")]) == 0, capsys.readouterr().err
     assert report([str(a), "--out", str(tmp_path / "report.html")]) == 0, capsys.readouterr().err
     for page in ("compare.html", "report.html"):
-        looked_at(tmp_path / page, name)
+        view_page(tmp_path / page, name)

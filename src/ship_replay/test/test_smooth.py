@@ -176,7 +176,7 @@ def test_bad_input_is_one_line(bag, tmp_path, capsys):
 def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch):
     """The filter is corrupted after 15 s and replaced about half a minute later: two segments, no attitude is lost."""
     bag, out = simulated(tmp_path, SCENARIO.replace("duration_s: 12.0", "duration_s: 60.0")), tmp_path / "out.mcap"
-    look, adapters = ShipAttitudeAdapter._look, set()
+    look, adapters = ShipAttitudeAdapter._decide, set()
     (start_ns, _), *_ = messages(bag, "ins/imu")
 
     def spoilt_look(self, now_ns, waiting_ns):

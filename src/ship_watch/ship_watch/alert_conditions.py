@@ -12,7 +12,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch.alert_states import Condition
 from ship_watch.functions import ATTITUDE, POINTING, FunctionShown, functions, still
 from ship_watch.limits import InputLimits, Limits
-from ship_watch.picture import ITS_NODE, Picture, Presence, Priority, SourceShown
+from ship_watch.picture import ITS_NODE, SuiteState, Presence, Priority, SourceShown
 
 STARS_OUT = "stars.out"
 
@@ -89,7 +89,7 @@ class Machine:
     disk_free_gb: float = math.nan
 
 
-def conditions(picture: Picture, limits: Limits, machine: Machine | None = None) -> list[Condition]:
+def conditions(state: SuiteState, limits: Limits, machine: Machine | None = None) -> list[Condition]:
     """Return all present situations, for :meth:`ship_watch.alerts.AlertList.update`.
 
     They are derived from the safety without hold: the list of alerts has delays of its own. An accuracy over its limit
@@ -100,23 +100,23 @@ def conditions(picture: Picture, limits: Limits, machine: Machine | None = None)
         limits: limits of the ship.
         computer: state of the computer; None for no data.
     """
-    shown = functions(replace(picture, angles=tuple(angle.without_hold for angle in picture.angles)))
+    shown = functions(replace(state, angles=tuple(angle.without_hold for angle in state.angles)))
     machine = machine or Machine()
     return [
-        *_output_conditions(picture, shown, limits),
-        *_source_conditions(picture, shown),
-        *_unreported(picture),
-        *_age_conditions(picture, limits),
-        *(found for source in picture.sources for found in _rate_conditions(source, limits.input_limits(source.name))),
-        *_clock_conditions(picture, limits),
+        *_output_conditions(state, shown, limits),
+        *_source_conditions(state, shown),
+        *_unreported(state),
+        *_age_conditions(state, limits),
+        *(found for source in state.sources for found in _rate_conditions(source, limits.input_limits(source.name))),
+        *_clock_conditions(state, limits),
         *_node_conditions(machine.statuses, limits),
         *_disk_conditions(machine, limits),
     ]
 
 
-def _output_conditions(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits) -> Iterable[Condition]:
+def _output_conditions(suite_state: SuiteState, shown: tuple[FunctionShown, ...], limits: Limits) -> Iterable[Condition]:
     """Yield the situations of outputs without data and of functions not SAFE; a source that is OUT may explain them."""
-    outs = (STARS_OUT, *(f"{source.name}.out" for source in picture.sources))
+    outs = (STARS_OUT, *(f"{source.name}.out" for source in suite_state.sources))
     for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
         members = [one for one in shown if one.output == output and one.safety]
         above = () if output == ATTITUDE else ("attitude.silent", "attitude.degraded")
@@ -145,22 +145,22 @@ def _is_over_for_a_moment(function: FunctionShown, limits: Limits) -> bool:
     return function.priority is Priority.WARNING and function.over_s < limits.alerts.over_after_s
 
 
-def _source_conditions(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
+def _source_conditions(suite_state: SuiteState, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
     """Yield the situations of sources: OUT by a fault of their own, corrected, or reinstated with a shifted mounting.
 
     All star sensors OUT for the same reason are one situation.
     """
-    faulty = _faulty_sources(picture)
-    stars = [source for source in picture.sources if source.name.startswith("star.")]
+    faulty = _faulty_sources(suite_state)
+    stars = [source for source in suite_state.sources if source.name.startswith("star.")]
     stars_out = [source for source in faulty if source.name.startswith("star.")]
     if len(stars) == len(stars_out) >= 2 and len({still(source.reason) for source in stars_out}) == 1:
         names = {source.name for source in stars_out}
-        yield _out(STARS_OUT, "", stars_out[0], [one for one in shown if one.because_of in names], picture, ())
+        yield _out(STARS_OUT, "", stars_out[0], [one for one in shown if one.because_of in names], suite_state, ())
     for source in faulty:
         under = (STARS_OUT,) if source in stars else ()
         taken = [one for one in shown if one.because_of == source.name]
-        yield _out(f"{source.name}.out", source.name, source, taken, picture, under)
-    for source in picture.sources:
+        yield _out(f"{source.name}.out", source.name, source, taken, suite_state, under)
+    for source in suite_state.sources:
         if source.presence is Presence.IN and source.disagreement:
             text = f"{source.name}: {source.disagreement}, corrected"
             yield Condition(f"{source.name}.mended", Priority.CAUTION, source.name, text)
@@ -172,9 +172,9 @@ def _source_conditions(picture: Picture, shown: tuple[FunctionShown, ...]) -> It
             )
 
 
-def _unreported(picture: Picture) -> Iterable[Condition]:
+def _unreported(suite_state: SuiteState) -> Iterable[Condition]:
     """Yield the sources whose state is unknown because the node that reads them has stopped reporting."""
-    for source in picture.sources:
+    for source in suite_state.sources:
         if source.presence is Presence.OUT and source.because_of == ITS_NODE:
             yield Condition(
                 f"{source.name}.unreported", Priority.WARNING, source.name,
@@ -184,7 +184,7 @@ def _unreported(picture: Picture) -> Iterable[Condition]:
 
 
 def _out(
-    id_: str, name: str, source: SourceShown, taken: list[FunctionShown], picture: Picture, under: tuple[str, ...]
+    id_: str, name: str, source: SourceShown, taken: list[FunctionShown], suite_state: SuiteState, under: tuple[str, ...]
 ) -> Condition:
     base = _OUT_PRIORITY.get(source.name.partition(".")[0], Priority.WARNING)
     if source.reason in _EXTERNAL_REASONS:
@@ -198,19 +198,19 @@ def _out(
     if source.reason.endswith(_NO_DATA_ENDINGS):
         value, unit = source.age_s, "s"
     if is_late:
-        delays_s = [one.latency_s for one in picture.inputs if one.topic in source.topics]
+        delays_s = [one.latency_s for one in suite_state.inputs if one.topic in source.topics]
         value, unit = max(delays_s, default=math.nan), "s"
     return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), under=under, lost=lost)
 
 
-def _age_conditions(picture: Picture, limits: Limits) -> Iterable[Condition]:
+def _age_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Condition]:
     """Yield the situations of stars and lights that were last used too long ago; a source that is OUT explains them."""
-    outs = tuple(f"{source.name}.out" for source in picture.sources)
+    outs = tuple(f"{source.name}.out" for source in suite_state.sources)
     for what, limit_s, above in (
         ("stars", limits.stars_age_s, ("attitude.silent",)),
         ("lights", limits.lights_age_s, ("pointing.silent",)),
     ):
-        age_s = picture.ages_s.get(what, math.nan)
+        age_s = suite_state.ages_s.get(what, math.nan)
         if math.isfinite(age_s) and age_s > limit_s:
             yield Condition(
                 f"{what}.old", Priority.CAUTION, "", f"no {what} used for more than {limit_s:g} s", age_s, limit_s, "s",
@@ -226,9 +226,9 @@ def _rate_conditions(source: SourceShown, limits: InputLimits) -> Iterable[Condi
         )
 
 
-def _clock_conditions(picture: Picture, limits: Limits) -> Iterable[Condition]:
+def _clock_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Condition]:
     """Yield the situation of stamps in the future: the clock of an instrument or of the computer is wrong."""
-    ahead = [one for one in picture.inputs if one.latency_s < -limits.machine.clock_offset_s]
+    ahead = [one for one in suite_state.inputs if one.latency_s < -limits.machine.clock_offset_s]
     if ahead:
         worst = min(ahead, key=lambda one: one.latency_s)
         yield Condition(
@@ -281,8 +281,8 @@ def _disk_conditions(machine: Machine, limits: Limits) -> Iterable[Condition]:
         )
 
 
-def _faulty_sources(picture: Picture) -> list[SourceShown]:
-    return [one for one in picture.sources if one.presence is Presence.OUT and not one.because_of]
+def _faulty_sources(suite_state: SuiteState) -> list[SourceShown]:
+    return [one for one in suite_state.sources if one.presence is Presence.OUT and not one.because_of]
 
 
 def _alert_text(taken: Iterable[FunctionShown], cause: str) -> str:

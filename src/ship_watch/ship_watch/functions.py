@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_watch.limits import Limits
-from ship_watch.picture import AngleShown, Picture, Presence, Priority, Safety, SourceShown
+from ship_watch.picture import AngleShown, SuiteState, Presence, Priority, Safety, SourceShown
 from ship_watch.states import OVER_THE_LIMIT
 
 ATTITUDE, POINTING = "attitude", "pointing"
@@ -96,9 +96,9 @@ def still(text: str) -> str:
     return _RUNNING.sub("", text).replace("accepted again", "rejected in a row")
 
 
-def functions(picture: Picture) -> tuple[FunctionShown, ...]:
+def functions(suite_state: SuiteState) -> tuple[FunctionShown, ...]:
     """Return the functions of a suite; the pointing only if the suite has a theodolite."""
-    angles = {angle.name: angle for angle in picture.angles}
+    angles = {angle.name: angle for angle in suite_state.angles}
     is_asked = {
         ATTITUDE: math.isfinite(angles["heading"].age_s) or not math.isfinite(angles["azimuth"].age_s)
         if "azimuth" in angles else True,
@@ -117,7 +117,7 @@ def functions(picture: Picture) -> tuple[FunctionShown, ...]:
             # Without the attitude there is no pointing: it has the cause of the lost attitude.
             because_of = next((one.because_of for one in lost_before if one.because_of), ATTITUDE)
         words = (*_THEODOLITE, *_SHIP) if output == POINTING else _SHIP
-        sources = tuple(one for one in picture.sources if one.name.partition(".")[0] in words)
+        sources = tuple(one for one in suite_state.sources if one.name.partition(".")[0] in words)
         over_s = max(angles[member].over_s for member in members)
         found.append(
             FunctionShown(name, output, safety, worst, because_of, bool(safety) and worst.is_old, over_s, sources)
@@ -140,13 +140,13 @@ class Branch:
     text: str
 
 
-def diagnostic_entries(picture: Picture, limits: Limits) -> tuple[Branch, ...]:
+def diagnostic_entries(suite_state: SuiteState, limits: Limits) -> tuple[Branch, ...]:
     """Return the functions with their limits, each followed by the sources it depends on."""
     limit_arcsec = {
         "heading": limits.heading_arcsec, "tilt": limits.tilt_arcsec, "pointing": limits.pointing_arcsec
     }
     branches = []
-    for function in functions(picture):
+    for function in functions(suite_state):
         path = f"{function.name} within {limit_arcsec[function.name]:g}″"
         branches.append(Branch(path, _level(function), _function_text(function)))
         configured = (source for source in function.sources if source.presence is not Presence.OFF)

@@ -243,7 +243,7 @@ class OverallState:
 
 
 @dataclass(frozen=True)
-class Picture:
+class SuiteState:
     """State of a suite at one time.
 
     Attributes:
@@ -290,7 +290,7 @@ class Picture:
         return OverallState(worst, reason if len(names) == len(self.angles) else f"{reason} ({', '.join(names)})")
 
 
-class Pictures(Protocol):
+class SuiteStateSource(Protocol):
     """Source of suite states for a display: a running suite or a bag."""
 
     @property
@@ -308,6 +308,6 @@ class Pictures(Protocol):
         """Namespace and domain, or bag, for the display while it waits for data."""
         ...
 
-    def look(self) -> Picture:
+    def current_state(self) -> SuiteState:
         """Return the current state. Displays call it twice a second; a source for several displays caches it."""
         ...

@@ -12,7 +12,7 @@ from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.names import LONGEST_NAME, MOST_NAMES
-from ship_watch.picture import AngleShown, NisConsistency, Picture, Presence, Safety, SourceShown
+from ship_watch.picture import AngleShown, NisConsistency, SuiteState, Presence, Safety, SourceShown
 
 STATE_TOPIC = "ship/suite_state"
 STATE_TYPE = "ship_msgs/msg/SuiteState"
@@ -27,23 +27,23 @@ _PRESENCES = tuple(Presence)
 _LONGEST_TEXT = 4 * LONGEST_NAME
 
 
-def state_fields(picture: Picture) -> dict[str, Any]:
+def state_fields(state: SuiteState) -> dict[str, Any]:
     """Return the fields of a SuiteState message for :meth:`ship_bags.message_factory.MessageFactory.make`."""
     return {
-        "header": {"stamp": picture.utc_ns, "frame_id": ""},
-        "angles": [_angle_fields(angle) for angle in picture.angles],
-        **{f"{name}_age_s": picture.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")},
-        "pointing_by": picture.pointing_by,
-        "horizon": picture.horizon,
-        "sources": [_source_fields(source) for source in picture.sources],
-        "waiting_for": picture.waiting_for,
+        "header": {"stamp": state.utc_ns, "frame_id": ""},
+        "angles": [_angle_fields(angle) for angle in state.angles],
+        **{f"{name}_age_s": state.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")},
+        "pointing_by": state.pointing_by,
+        "horizon": state.horizon,
+        "sources": [_source_fields(source) for source in state.sources],
+        "waiting_for": state.waiting_for,
     }
 
 
-def change_of_state(picture: Picture) -> tuple[Any, ...]:
+def change_of_state(state: SuiteState) -> tuple[Any, ...]:
     """Return the part of a state whose change is published at once: safety of angles, presence and order of sources."""
-    angles = tuple((angle.name, angle.safety, angle.is_old) for angle in picture.angles)
-    return angles, tuple((source.name, source.presence, source.because_of) for source in picture.sources)
+    angles = tuple((angle.name, angle.safety, angle.is_old) for angle in state.angles)
+    return angles, tuple((source.name, source.presence, source.because_of) for source in state.sources)
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,11 @@ class PublishedState:
         """True if it is young enough to be shown."""
         return now_ns - self.arrived_ns <= LONGEST_AGE_NS
 
-    def shown_in(self, picture: Picture, now_ns: int) -> Picture:
+    def shown_in(self, state: SuiteState, now_ns: int) -> SuiteState:
         """Return a state with this published one in it. Ages grow only if the next message is overdue."""
         overdue_s = max(0, now_ns - self.arrived_ns - PERIOD_NS) * 1e-9
         return replace(
-            picture,
+            state,
             angles=tuple(replace(angle, age_s=angle.age_s + overdue_s) for angle in self.angles),
             ages_s={name: age_s + overdue_s for name, age_s in self.ages_s.items()},
             sources=tuple(replace(source, age_s=source.age_s + overdue_s) for source in self.sources),

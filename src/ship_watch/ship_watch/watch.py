@@ -30,7 +30,7 @@ from ship_watch.picture import (
     ITS_NODE,
     AlertShown,
     AngleShown,
-    Picture,
+    SuiteState,
     Safety,
     SourceShown,
     SourceStanding,
@@ -215,13 +215,13 @@ class SuiteMonitor:
 
     # -- state ----------------------------------------------------------------------------------------------
 
-    def look(self, now_ns: int) -> Picture:
+    def current_state(self, now_ns: int) -> SuiteState:
         """Return the state at the caller's time; it does not depend on how often it is requested."""
         self._evaluate_until(now_ns)
         utc_ns = now_ns + self._utc_offset_ns
         sources = [self._with_own_news(each, now_ns) for each in self._book.shown(self._standings(now_ns), now_ns)]
         shown = [self._shown(name, claim, now_ns) for name, claim in self._claims(sources, now_ns).items()]
-        picture = Picture(
+        suite_state = SuiteState(
             utc_ns=utc_ns if self._newest_ns else 0,
             angles=tuple(shown),
             ages_s={
@@ -238,7 +238,7 @@ class SuiteMonitor:
             waiting_for="" if self._attitude.is_received else self._attitude.topic,
         )
         published = self._current_state(now_ns)
-        return picture if published is None else published.shown_in(picture, now_ns)
+        return suite_state if published is None else published.shown_in(suite_state, now_ns)
 
     def _current_state(self, now_ns: int) -> PublishedState | None:
         """Return the published state if it is current; None without an alert node, or if its last state is too old."""

@@ -14,7 +14,7 @@ from ship_testing.pictures import (
     angles_without_data,
     out,
     over,
-    picture,
+    suite_state,
     angles_timed_out,
     source,
 )
@@ -24,7 +24,7 @@ from ship_watch.alert_states import Condition
 from ship_watch.alerts import AlertBook
 from ship_watch.functions import functions, diagnostic_entries
 from ship_watch.limits import InputLimits, Limits
-from ship_watch.picture import Picture, Presence, Priority, Safety
+from ship_watch.picture import SuiteState, Presence, Priority, Safety
 
 S = 1_000_000_000
 PAGE = Path(__file__).parents[3] / "docs/explanation/alerts.md"
@@ -39,50 +39,50 @@ def node(name: str, level: int = 2, **values: str) -> Machine:
 
 ATTITUDE, ANGLES_OF_POINTING = ("heading", "pitch", "roll"), ("azimuth", "elevation")
 
-CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
-    ("attitude.silent", "alarm"): (picture(*angles_timed_out(*ATTITUDE)), None),
-    ("attitude.silent", "warning"): (picture(*angles_without_data(*ATTITUDE, *ANGLES_OF_POINTING)), None),
-    ("attitude.degraded", "alarm"): (picture(lost("heading")), None),
-    ("attitude.degraded", "warning"): (picture(over("roll")), None),
-    ("attitude.degraded", "caution"): (picture(angle("pitch", **UNCHECKED)), None),
-    ("pointing.silent", "alarm"): (picture(*angles_timed_out(*ANGLES_OF_POINTING)), None),
-    ("pointing.silent", "warning"): (picture(*angles_without_data(*ANGLES_OF_POINTING)), None),
-    ("pointing.degraded", "alarm"): (picture(lost("elevation")), None),
-    ("pointing.degraded", "warning"): (picture(over("azimuth")), None),
-    ("pointing.degraded", "caution"): (picture(angle("azimuth", **UNCHECKED)), None),
-    ("stars.out", "warning"): (picture(out("star.fore", "no data"), out("star.starboard", "no data")), None),
-    ("ins.out", "warning"): (picture(out("ins", "81 rejected in a row")), None),
-    ("star.ID.out", "warning"): (picture(out("star.fore", "excluded")), None),
-    ("star.ID.out", "caution"): (picture(out("star.fore", "no stars")), None),
-    ("reference.ID.out", "warning"): (picture(out("reference.mast", "no data")), None),
-    ("star.ID.remounted", "caution"): (picture(source("star.fore", mounting_shift=51.0 * ARCSEC)), None),
-    ("reference.ID.remounted", "caution"): (picture(source("reference.mast", mounting_shift=51.0 * ARCSEC)), None),
-    ("encoder.out", "warning"): (picture(out("encoder", "no data")), None),
-    ("lights.out", "caution"): (picture(out("lights", "7 rejected in a row")), None),
-    ("baselines.out", "caution"): (picture(out("baselines", "no data")), None),
-    ("ship_attitude.out", "caution"): (picture(out("ship_attitude", "invalid")), None),
-    ("gnss.out", "caution"): (picture(out("gnss", "no data")), None),
-    ("weather.out", "caution"): (picture(out("weather", "no data")), None),
-    ("SOURCE.unreported", "warning"): (picture(out("star.fore", "not reported", because_of="its node")), None),
-    ("SOURCE.mended", "caution"): (picture(source("lights", disagreement="names exchanged")), None),
-    ("SOURCE.rate", "caution"): (picture(source("gnss", rate_hz=1.0)), None),
-    ("stars.old", "caution"): (picture(ages_s={"stars": 31.0, "lights": 0.5}), None),
-    ("lights.old", "caution"): (picture(ages_s={"stars": 0.5, "lights": 31.0}), None),
-    ("clock.ahead", "warning"): (picture(inputs=(late_input("ins/imu", -0.06),)), None),
-    ("NODE.box", "warning"): (picture(), node("black box", lost="12")),
-    ("NODE.clock", "warning"): (picture(), node("clock")),
-    ("NODE.stamps", "warning"): (picture(), node("stamps")),
-    ("NODE.name", "warning"): (picture(), node("name")),
-    ("NODE.overload", "warning"): (picture(), node("overload")),
-    ("NODE.recovered", "caution"): (picture(), node("recovery", level=0, **{"recovered after [s]": "86"})),
-    ("NODE.software", "caution"): (picture(), node("callbacks")),
-    ("NODE.sink.ID", "warning"): (picture(), node("sink bridge")),
-    ("NODE.source.ID", "caution"): (picture(), node("source gyro")),
-    ("disk.full", "warning"): (picture(), Machine(disk_free_gb=9.0)),
+CASES: dict[tuple[str, str], tuple[SuiteState, Machine | None]] = {
+    ("attitude.silent", "alarm"): (suite_state(*angles_timed_out(*ATTITUDE)), None),
+    ("attitude.silent", "warning"): (suite_state(*angles_without_data(*ATTITUDE, *ANGLES_OF_POINTING)), None),
+    ("attitude.degraded", "alarm"): (suite_state(lost("heading")), None),
+    ("attitude.degraded", "warning"): (suite_state(over("roll")), None),
+    ("attitude.degraded", "caution"): (suite_state(angle("pitch", **UNCHECKED)), None),
+    ("pointing.silent", "alarm"): (suite_state(*angles_timed_out(*ANGLES_OF_POINTING)), None),
+    ("pointing.silent", "warning"): (suite_state(*angles_without_data(*ANGLES_OF_POINTING)), None),
+    ("pointing.degraded", "alarm"): (suite_state(lost("elevation")), None),
+    ("pointing.degraded", "warning"): (suite_state(over("azimuth")), None),
+    ("pointing.degraded", "caution"): (suite_state(angle("azimuth", **UNCHECKED)), None),
+    ("stars.out", "warning"): (suite_state(out("star.fore", "no data"), out("star.starboard", "no data")), None),
+    ("ins.out", "warning"): (suite_state(out("ins", "81 rejected in a row")), None),
+    ("star.ID.out", "warning"): (suite_state(out("star.fore", "excluded")), None),
+    ("star.ID.out", "caution"): (suite_state(out("star.fore", "no stars")), None),
+    ("reference.ID.out", "warning"): (suite_state(out("reference.mast", "no data")), None),
+    ("star.ID.remounted", "caution"): (suite_state(source("star.fore", mounting_shift=51.0 * ARCSEC)), None),
+    ("reference.ID.remounted", "caution"): (suite_state(source("reference.mast", mounting_shift=51.0 * ARCSEC)), None),
+    ("encoder.out", "warning"): (suite_state(out("encoder", "no data")), None),
+    ("lights.out", "caution"): (suite_state(out("lights", "7 rejected in a row")), None),
+    ("baselines.out", "caution"): (suite_state(out("baselines", "no data")), None),
+    ("ship_attitude.out", "caution"): (suite_state(out("ship_attitude", "invalid")), None),
+    ("gnss.out", "caution"): (suite_state(out("gnss", "no data")), None),
+    ("weather.out", "caution"): (suite_state(out("weather", "no data")), None),
+    ("SOURCE.unreported", "warning"): (suite_state(out("star.fore", "not reported", because_of="its node")), None),
+    ("SOURCE.mended", "caution"): (suite_state(source("lights", disagreement="names exchanged")), None),
+    ("SOURCE.rate", "caution"): (suite_state(source("gnss", rate_hz=1.0)), None),
+    ("stars.old", "caution"): (suite_state(ages_s={"stars": 31.0, "lights": 0.5}), None),
+    ("lights.old", "caution"): (suite_state(ages_s={"stars": 0.5, "lights": 31.0}), None),
+    ("clock.ahead", "warning"): (suite_state(inputs=(late_input("ins/imu", -0.06),)), None),
+    ("NODE.box", "warning"): (suite_state(), node("black box", lost="12")),
+    ("NODE.clock", "warning"): (suite_state(), node("clock")),
+    ("NODE.stamps", "warning"): (suite_state(), node("stamps")),
+    ("NODE.name", "warning"): (suite_state(), node("name")),
+    ("NODE.overload", "warning"): (suite_state(), node("overload")),
+    ("NODE.recovered", "caution"): (suite_state(), node("recovery", level=0, **{"recovered after [s]": "86"})),
+    ("NODE.software", "caution"): (suite_state(), node("callbacks")),
+    ("NODE.sink.ID", "warning"): (suite_state(), node("sink bridge")),
+    ("NODE.source.ID", "caution"): (suite_state(), node("source gyro")),
+    ("disk.full", "warning"): (suite_state(), Machine(disk_free_gb=9.0)),
 }
 
 
-def told(shown: Picture, machine: Machine | None = None) -> dict[str, Condition]:
+def told(shown: SuiteState, machine: Machine | None = None) -> dict[str, Condition]:
     """Return id → situation of those that have an alert after 20 s."""
     book = AlertBook(Limits().alerts)
     found = conditions(shown, LIMITS, machine)
@@ -111,7 +111,7 @@ def test_documented_table_matches_the_code() -> None:
 
 
 def test_accuracy_over_its_limit_refers_to_the_error_budget() -> None:
-    (found,) = told(picture(over("roll"))).values()
+    (found,) = told(suite_state(over("roll"))).values()
     assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
 
 
@@ -119,38 +119,38 @@ def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
     """The diagnostics of a function within its limit again have the current reason."""
     reason = "within 3″ again; SAFE in 4 s"
     well_again = replace(over("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
-    branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(picture(well_again), PICTURED)}
+    branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(suite_state(well_again), PICTURED)}
     assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ (95 %), limit 3″")
 
 
 def test_alert_uses_the_safety_without_hold() -> None:
     """The displayed safety has a hold; alerts have a hold of their own and use the safety without hold."""
     well_again = replace(over("roll", "ins", share=0.98), now=(Safety.SAFE, ""))
-    assert conditions(picture(well_again), LIMITS) == []
+    assert conditions(suite_state(well_again), LIMITS) == []
     worse_now = replace(over("roll"), now=(Safety.UNSAFE, "invalid"))
-    (found,) = conditions(picture(worse_now), LIMITS)
+    (found,) = conditions(suite_state(worse_now), LIMITS)
     assert (found.priority, found.text) == (Priority.ALARM, "Tilt lost: invalid")
 
 
 def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
     """A brief excess is no alert of the output, but the alert of a source that causes it names it at once."""
     moment = {"over_s": 4.9}
-    assert conditions(picture(replace(over("roll"), **moment)), LIMITS) == []
-    assert list(told(picture(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
-    by_ins = conditions(picture(out("ins", "no data"), replace(over("roll", "ins"), **moment)), LIMITS)
+    assert conditions(suite_state(replace(over("roll"), **moment)), LIMITS) == []
+    assert list(told(suite_state(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
+    by_ins = conditions(suite_state(out("ins", "no data"), replace(over("roll", "ins"), **moment)), LIMITS)
     assert [each.lost for each in by_ins] == [{"tilt"}]
 
 
 def test_all_well_is_no_alert() -> None:
     """No alert without faults, also with good statuses of nodes."""
-    assert conditions(picture(), LIMITS, node("black box", 0)) == []
-    assert conditions(picture(), LIMITS, node("callbacks", 1)) == []
+    assert conditions(suite_state(), LIMITS, node("black box", 0)) == []
+    assert conditions(suite_state(), LIMITS, node("callbacks", 1)) == []
 
 
 def test_alert_of_a_source_names_the_lost_functions() -> None:
     """INS without data, heading, tilt and pointing lost: one alarm that names the INS and the lost functions."""
     angles = [lost(name, "ins") for name in (*ATTITUDE, "azimuth", "elevation")]
-    found = told(picture(out("ins", "no data", age_s=4.0), *angles))
+    found = told(suite_state(out("ins", "no data", age_s=4.0), *angles))
     assert list(found) == ["ins.out"]
     alert = found["ins.out"]
     assert (alert.priority, alert.source) == (Priority.ALARM, "ins")
@@ -162,7 +162,7 @@ def test_alert_of_a_source_names_the_lost_functions() -> None:
 def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None:
     """Drones on deck and no INS data: the pointing is lost because of the INS, not of the lights."""
     angles = [lost(name, "ins") for name in ATTITUDE] + [lost(name, "lights") for name in ANGLES_OF_POINTING]
-    shown = picture(out("lights", "no lights"), out("ins", "no data"), *angles)
+    shown = suite_state(out("lights", "no lights"), out("ins", "no data"), *angles)
     found = told(shown)
     assert {id_: one.priority for id_, one in found.items()} == {
         "ins.out": Priority.ALARM,
@@ -175,26 +175,26 @@ def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None
 def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
     """Two reasons are two situations; sensors that need another source are covered by its alert."""
     taken = over("heading", "star.fore")
-    both = told(picture(out("star.fore", "no data"), out("star.starboard", "no data"), taken))
+    both = told(suite_state(out("star.fore", "no data"), out("star.starboard", "no data"), taken))
     assert list(both) == ["stars.out"]
     assert both["stars.out"].text == "Heading over its limit: all star sensors no data"
     assert both["stars.out"].becomes_alarm
-    two = told(picture(out("star.fore", "no data"), out("star.starboard", "81 rejected in a row"), taken))
+    two = told(suite_state(out("star.fore", "no data"), out("star.starboard", "81 rejected in a row"), taken))
     assert sorted(two) == ["star.fore.out", "star.starboard.out"]
     needs = [out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("fore", "starboard")]
-    assert list(told(picture(out("ins", "no data"), *needs))) == ["ins.out"]
+    assert list(told(suite_state(out("ins", "no data"), *needs))) == ["ins.out"]
 
 
 def test_ended_node_is_one_situation() -> None:
     """No attitude, no reports of its sources, invalid pointing: one alarm."""
     gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.fore", "star.starboard")]
     angles = [*angles_timed_out(*ATTITUDE), lost("azimuth"), lost("elevation")]
-    assert list(told(picture(*gone, *angles))) == ["attitude.silent"]
+    assert list(told(suite_state(*gone, *angles))) == ["attitude.silent"]
 
 
 def test_suite_with_pointing_only_needs_no_attitude() -> None:
     """A suite with a pointing that never published an attitude has no attitude functions."""
-    shown = picture(*angles_without_data(*ATTITUDE))
+    shown = suite_state(*angles_without_data(*ATTITUDE))
     assert told(shown) == {}
     assert [one.safety for one in functions(shown)] == [None, None, Safety.SAFE]
 
@@ -203,7 +203,7 @@ def test_texts_have_no_changing_figures() -> None:
     """The next update has the same text for the same situation."""
     texts = set()
     for count in (5, 81):
-        shown = picture(
+        shown = suite_state(
             out("star.fore", f"{count} rejected in a row", disagreement=f"right +{count}″", age_s=count),
             angle("heading", **{**UNCHECKED, "reason": f"no stars for {count} s"}),
         )
@@ -214,10 +214,10 @@ def test_texts_have_no_changing_figures() -> None:
 def test_black_box_may_lose_entries_within_the_limit() -> None:
     """Lost entries within the limit are no alert; a black box that ended always is one."""
     patient = replace(LIMITS, machine=replace(LIMITS.machine, box_lost=20))
-    assert conditions(picture(), patient, node("black box", lost="12")) == []
-    assert len(conditions(picture(), patient, node("black box", lost="21"))) == 1
-    assert len(conditions(picture(), patient, node("black box"))) == 1
-    assert len(conditions(picture(), patient, node("black box", lost="many"))) == 1
+    assert conditions(suite_state(), patient, node("black box", lost="12")) == []
+    assert len(conditions(suite_state(), patient, node("black box", lost="21"))) == 1
+    assert len(conditions(suite_state(), patient, node("black box"))) == 1
+    assert len(conditions(suite_state(), patient, node("black box", lost="many"))) == 1
 
 
 def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
@@ -225,22 +225,22 @@ def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
     late = out("ship_attitude", "81 rejected in a row: late", topics=("ship/attitude",))
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
     angles = [lost(name, "ship_attitude") for name in ANGLES_OF_POINTING]
-    (found,) = told(picture(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
+    (found,) = told(suite_state(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
     assert (found.text, found.value, found.unit) == ("Pointing lost: ship_attitude arrives late", 1.0, "s")
-    (alone,) = told(picture(late)).values()
+    (alone,) = told(suite_state(late)).values()
     assert alone.text == "ship_attitude out: arrives late"
 
 
 def test_lost_functions_come_before_those_over_their_limit() -> None:
     """The worst function comes first in the text, in any order of the functions."""
-    (found,) = told(picture(out("ins", "no data"), over("heading", "ins"), lost("roll", "ins"))).values()
+    (found,) = told(suite_state(out("ins", "no data"), over("heading", "ins"), lost("roll", "ins"))).values()
     assert found.text == "Tilt lost, heading over its limit: ins no data"
 
 
 def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
     """Each function is listed with its limit and its sources; the source that causes a loss is an error."""
     angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
-    shown = picture(out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
+    shown = suite_state(out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(shown, PICTURED)}
     assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy, limit 5″")
     assert branches["heading within 5″/ins"] == (2, "out: 81 rejected in a row, up +100″, therefore heading lost")
@@ -249,5 +249,5 @@ def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
     assert branches["pointing within 10″"] == (0, "safe: 5.3″ (95 %), limit 10″")
     assert branches["pointing within 10″/ins"][0] == 1
     assert "heading within 5″/lights" not in branches
-    off = picture(source("gnss", presence=Presence.OFF))
+    off = suite_state(source("gnss", presence=Presence.OFF))
     assert not any(branch.path.endswith("/gnss") for branch in diagnostic_entries(off, PICTURED))

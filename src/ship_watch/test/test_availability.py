@@ -31,7 +31,7 @@ def safe_share(outputs: Path, limits: Limits) -> float:
         due_ns = due_ns or time_ns + round(START_UP_S * SECOND)
         while due_ns <= time_ns:
             if not 69.0 < (due_ns - first_ns) * 1e-9 < 100.0:
-                angles = watch.look(due_ns).angles
+                angles = watch.current_state(due_ns).angles
                 words.append(all(angle.safety is Safety.SAFE for angle in angles[1:3]))
             due_ns += SECOND // 10
         watch.take(topic, message, time_ns)

@@ -67,7 +67,7 @@ def test_memory_is_bounded_for_unlimited_names(caplog):
         if number % MOST_NAMES == MOST_NAMES - 1:
             sizes.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
-    picture, history = watch.look(now_ns), watch.history
+    picture, history = watch.current_state(now_ns), watch.history
     assert len(picture.sources) <= MOST_NAMES + 3
     assert len(picture.inputs) <= MOST_NAMES
     assert all(len(of) <= MOST_NAMES for of in (history.innovations, history.beacons, history.stars, history.budgets))

@@ -9,7 +9,7 @@ CAUTION = {"safety": Safety.CAUTION, "accuracy_95": 1.0}
 
 
 def test_all_angles_safe_is_safe_without_a_reason() -> None:
-    assert pictures.picture().overall == OverallState(Safety.SAFE, "")
+    assert pictures.suite_state().overall == OverallState(Safety.SAFE, "")
 
 
 def test_worst_angle_decides() -> None:
@@ -21,20 +21,20 @@ def test_worst_angle_decides() -> None:
 def test_shortest_of_several_reasons_is_given() -> None:
     heading = pictures.angle("heading", reason="no stars for 31 s", **CAUTION)
     roll = pictures.angle("roll", reason="one star source", **CAUTION)
-    assert pictures.picture(heading, roll).overall.text == "one star source (roll)"
+    assert pictures.suite_state(heading, roll).overall.text == "one star source (roll)"
 
 
 def test_reason_of_all_angles_has_no_names() -> None:
-    behind = pictures.picture(*(pictures.angle(name, reason="BEHIND", **CAUTION) for name in pictures.ANGLES))
+    behind = pictures.suite_state(*(pictures.angle(name, reason="BEHIND", **CAUTION) for name in pictures.ANGLES))
     assert behind.overall == OverallState(Safety.CAUTION, "BEHIND")
 
 
 def test_without_an_angle_nothing_is_safe() -> None:
-    assert replace(pictures.picture(), angles=()).overall.safety is Safety.UNSAFE
+    assert replace(pictures.suite_state(), angles=()).overall.safety is Safety.UNSAFE
 
 
 def test_faulty_source_is_named_before_its_consequence() -> None:
     """The cause is named although its text is longer than that of the consequence."""
     heading = pictures.angle("heading", reason="star.starboard excluded", because_of="star.starboard", **CAUTION)
     roll = pictures.angle("roll", reason="over the limit", **CAUTION)
-    assert pictures.picture(heading, roll).overall.text == "star.starboard excluded (heading)"
+    assert pictures.suite_state(heading, roll).overall.text == "star.starboard excluded (heading)"

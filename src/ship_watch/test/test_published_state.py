@@ -8,8 +8,8 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_geometry.rotations import ARCSEC
-from ship_testing.pictures import NOW_NS, lost, out, over, picture, angles_timed_out, source
-from ship_watch.picture import Picture, Presence, Safety
+from ship_testing.pictures import NOW_NS, lost, out, over, suite_state, angles_timed_out, source
+from ship_watch.picture import SuiteState, Presence, Safety
 from ship_watch.published_state import (
     LONGEST_AGE_NS,
     PERIOD_NS,
@@ -20,17 +20,17 @@ from ship_watch.published_state import (
 )
 
 PICTURES = {
-    "all well": picture(),
-    "two faults": picture(
+    "all well": suite_state(),
+    "two faults": suite_state(
         out("star.fore", "81 rejected in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
         out("lights", "needs ship_attitude", because_of="ship_attitude"), lost("heading", "ins"), over("roll"),
         source("star.starboard", mounting_shift=51.0 * ARCSEC), source("gnss", presence=Presence.OFF),
     ),
-    "silent": picture(*angles_timed_out("heading", "pitch", "roll"), ages_s={"stars": math.inf, "lights": math.nan, "ins": 7.0}),
+    "silent": suite_state(*angles_timed_out("heading", "pitch", "roll"), ages_s={"stars": math.inf, "lights": math.nan, "ins": 7.0}),
 }
 
 
-def through_a_message(shown: Picture, elapsed_ns: int = 0) -> Picture:
+def through_a_message(shown: SuiteState, elapsed_ns: int = 0) -> SuiteState:
     """Return the state of a viewer whose own state is different, after receiving the published one."""
     message = RosidlFactory().make(STATE_TYPE, **state_fields(shown))
     own = replace(shown, angles=(), sources=(), ages_s={}, pointing_by="?", horizon="?", waiting_for="?")
@@ -43,7 +43,7 @@ def same(first: object, second: object) -> bool:
 
 
 @pytest.mark.parametrize("shown", PICTURES.values(), ids=list(PICTURES))
-def test_received_state_equals_the_published_one(shown: Picture) -> None:
+def test_received_state_equals_the_published_one(shown: SuiteState) -> None:
     """All fields of angles, ages and sources are equal, except fields of an angle that only alerts use."""
     received = through_a_message(shown)
     assert same(received.sources, shown.sources)
@@ -89,4 +89,4 @@ def test_safety_and_presence_are_changes_and_figures_are_not() -> None:
     assert change_of_state(running) == change_of_state(well)
     worse = replace(well, angles=(replace(well.angles[0], safety=Safety.CAUTION), *well.angles[1:]))
     assert change_of_state(worse) != change_of_state(well)
-    assert change_of_state(picture(out("ins", "no data"))) != change_of_state(well)
+    assert change_of_state(suite_state(out("ins", "no data"))) != change_of_state(well)

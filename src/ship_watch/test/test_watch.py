@@ -75,7 +75,7 @@ def at(seconds: float) -> int:
 
 
 def test_missing_output_is_named_before_the_first_message() -> None:
-    picture = SuiteMonitor().look(5 * SECOND)
+    picture = SuiteMonitor().current_state(5 * SECOND)
     assert [angle.name for angle in picture.angles] == list(ANGLES[:3])
     assert all(angle.safety is Safety.UNSAFE and angle.is_old for angle in picture.angles)
     assert {angle.reason for angle in picture.angles} == {"waiting for ship/attitude"}
@@ -85,7 +85,7 @@ def test_missing_output_is_named_before_the_first_message() -> None:
 
 
 def test_good_suite_is_safe_and_has_its_time() -> None:
-    picture = monitor_after(10.0).look(at(10.3))
+    picture = monitor_after(10.0).current_state(at(10.3))
     assert [angle.safety for angle in picture.angles] == [Safety.SAFE] * 3
     heading = picture.angles[0]
     assert heading.accuracy_95 == pytest.approx(1.96 * ARCSEC)
@@ -102,11 +102,11 @@ def test_good_suite_is_safe_and_has_its_time() -> None:
 
 def test_old_output_is_unsafe() -> None:
     watch = monitor_after(10.0)
-    assert not watch.look(at(10.9)).angles[0].is_old
-    old = watch.look(at(11.0)).angles[0]
+    assert not watch.current_state(at(10.9)).angles[0].is_old
+    old = watch.current_state(at(11.0)).angles[0]
     assert old.is_old
     assert (old.safety, old.reason) == (Safety.UNSAFE, "no data on ship/attitude")
-    much_later = watch.look(at(3600.0))
+    much_later = watch.current_state(at(3600.0))
     assert much_later.angles[0].age_s == pytest.approx(3590.0)
     assert all(source.presence is not Presence.IN for source in much_later.sources)
     assert {source.reason for source in much_later.sources if source.presence is Presence.OUT} == {"not reported"}
@@ -116,18 +116,18 @@ def test_repeated_output_gets_old() -> None:
     watch = monitor_after(10.0)
     for tenth in range(1, 21):
         watch.take("ship/attitude", attitude(UTC + 10 * SECOND), at(10.0 + tenth / 10))
-    assert watch.look(at(12.0)).angles[0].is_old
+    assert watch.current_state(at(12.0)).angles[0].is_old
 
 
 def test_old_output_recovers_after_five_seconds() -> None:
     watch = monitor_after(10.0)
-    watch.look(at(12.0))
+    watch.current_state(at(12.0))
     go_on(watch, 12.5, 17.0)
-    held = watch.look(at(17.0)).angles[0]
+    held = watch.current_state(at(17.0)).angles[0]
     assert held.safety is Safety.UNSAFE
     assert not held.is_old
     go_on(watch, 17.1, 18.0)
-    assert watch.look(at(18.0)).angles[0].safety is Safety.SAFE
+    assert watch.current_state(at(18.0)).angles[0].safety is Safety.SAFE
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every
     for tenth in range(300):
         second, is_over = tenth / 10, 200 <= tenth < 200 + 10 * seconds and tenth % every == 0
         go_on(watch, second, second, sigma_arcsec=3.0 if is_over else 1.0)
-        picture = watch.look(at(second))
+        picture = watch.current_state(at(second))
         shown |= {angle.safety for angle in picture.angles if second > 15}
         book.take(conditions(picture, Limits()), at(second), picture.utc_ns)
     assert shown == {Safety.SAFE, Safety.CAUTION}
@@ -156,7 +156,7 @@ def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every
 def test_nan_is_unsafe_in_each_angle() -> None:
     watch = monitor_after(10.0)
     watch.take("ship/attitude", attitude(UTC + 10_500_000_000, pitch=math.nan), at(10.5))
-    words = {angle.name: angle.safety for angle in watch.look(at(10.5)).angles}
+    words = {angle.name: angle.safety for angle in watch.current_state(at(10.5)).angles}
     assert words == {"heading": Safety.SAFE, "pitch": Safety.UNSAFE, "roll": Safety.SAFE}
 
 
@@ -171,7 +171,7 @@ def test_covariance_of_zeros_means_unknown_accuracy() -> None:
     watch = monitor_after(10.0)
     watch.take("ship/attitude", attitude(UTC + 10_500_000_000, sigma_arcsec=0.0), at(10.5))
     watch.take("theodolite/pointing", pointing(UTC + 10_500_000_000, np.zeros(9)), at(10.5))
-    angles = watch.look(at(10.5)).angles
+    angles = watch.current_state(at(10.5)).angles
     assert len(angles) == 5
     assert all(math.isnan(angle.accuracy_95) for angle in angles)
     assert {(angle.safety, angle.reason) for angle in angles} == {(Safety.UNSAFE, "accuracy unknown")}
@@ -207,18 +207,18 @@ def test_variance_of_zero_means_unknown_accuracy() -> None:
     message = attitude(UTC + 10_500_000_000)
     message.covariance[4] = 0.0
     watch.take("ship/attitude", message, at(10.5))
-    assert [angle.safety for angle in watch.look(at(10.5)).angles] == [Safety.SAFE, Safety.UNSAFE, Safety.SAFE]
+    assert [angle.safety for angle in watch.current_state(at(10.5)).angles] == [Safety.SAFE, Safety.UNSAFE, Safety.SAFE]
 
 
 def test_old_or_missing_integrity_is_no_integrity_data() -> None:
     watch = monitor_after(10.0)
     for tenth in range(101, 140):
         watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
-        told = watch.look(at(tenth / 10)).angles[0]
+        told = watch.current_state(at(tenth / 10)).angles[0]
         assert (told.safety, told.reason) == ((0, "") if tenth <= 130 else (1, "no integrity data"))
     watch = SuiteMonitor()
     watch.take("ship/attitude", attitude(UTC), at(0.0))
-    assert watch.look(at(0.1)).angles[0].safety is Safety.CAUTION
+    assert watch.current_state(at(0.1)).angles[0].safety is Safety.CAUTION
 
 
 def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -> None:
@@ -230,9 +230,9 @@ def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -
             watch.take("ship/integrity", integrity(ns), at(tenth / 10))
             watch.take("input_health", health(ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), at(tenth / 10))
             watch.take("input_health", health(ns, "star/bow/solution", 51, 4.0, tenth / 10 - 9.8), at(tenth / 10))
-    early = {source.name: source for source in watch.look(at(11.8)).sources}
+    early = {source.name: source for source in watch.current_state(at(11.8)).sources}
     assert early["star.bow"].presence is Presence.IN
-    picture = watch.look(at(13.0))
+    picture = watch.current_state(at(13.0))
     assert [(source.name, source.reason) for source in picture.sources if source.presence is Presence.OUT] == [
         ("star.bow", "no data")
     ]
@@ -248,7 +248,7 @@ def test_stars_are_not_the_cause_if_all_messages_stop() -> None:
     watch.take("ship/innovation", told, at(10.0))
     reasons = set()
     for tenth in range(100, 200):
-        picture = watch.look(at(tenth / 10))
+        picture = watch.current_state(at(tenth / 10))
         reasons |= {source.reason for source in picture.sources if source.presence is Presence.OUT}
         reasons |= {angle.reason for angle in picture.angles}
     assert reasons == {"", "no data on ship/attitude", "not reported"}
@@ -257,11 +257,11 @@ def test_stars_are_not_the_cause_if_all_messages_stop() -> None:
 def test_excluded_source_is_out_and_in_again() -> None:
     watch = monitor_after(10.0)
     watch.take("ship/integrity", integrity(UTC + 10 * SECOND, 2, ("star.bow",)), at(10.05))
-    source = watch.look(at(10.1)).sources[0]
+    source = watch.current_state(at(10.1)).sources[0]
     assert (source.name, source.presence, source.reason) == ("star.bow", Presence.OUT, "excluded")
     watch.take("ship/integrity", integrity(UTC + 11 * SECOND), at(10.5))
-    assert all(source.presence is not Presence.OUT for source in watch.look(at(10.6)).sources)
-    assert [event.text for event in watch.look(at(10.7)).events if event.kind == "source"] == [
+    assert all(source.presence is not Presence.OUT for source in watch.current_state(at(10.6)).sources)
+    assert [event.text for event in watch.current_state(at(10.7)).events if event.kind == "source"] == [
         "star.bow IN", "star.bow OUT, excluded"
     ]  # fmt: skip
 
@@ -272,16 +272,16 @@ def test_events_do_not_depend_on_requests() -> None:
         for watch in (looked_at, left_alone):
             go_on(watch, float(seconds), seconds + 0.9, sigma_arcsec=9.0 if seconds % 13 == 5 else 1.0)
         for tenth in range(9):
-            looked_at.look(at(seconds + 0.9 + tenth / 100))
-    assert looked_at.look(at(40.0)) == left_alone.look(at(40.0))
-    assert any("CAUTION" in event.text or "UNSAFE" in event.text for event in left_alone.look(at(40.0)).events)
+            looked_at.current_state(at(seconds + 0.9 + tenth / 100))
+    assert looked_at.current_state(at(40.0)) == left_alone.current_state(at(40.0))
+    assert any("CAUTION" in event.text or "UNSAFE" in event.text for event in left_alone.current_state(at(40.0)).events)
 
 
 def test_restart_of_a_bag_resets_the_history() -> None:
     watch = monitor_after(30.0)
     for tenth in range(200):
         watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(31.0 + tenth / 10))
-    picture = watch.look(at(50.9))
+    picture = watch.current_state(at(50.9))
     assert picture.utc_ns == UTC + 19_900_000_000
     assert not any(angle.is_old for angle in picture.angles)
     assert picture.events[-1].text == "time went back: history cleared"
@@ -290,7 +290,7 @@ def test_restart_of_a_bag_resets_the_history() -> None:
 def test_limits_of_the_ship_are_used() -> None:
     watch = SuiteMonitor(Limits(heading_arcsec=1.5))
     go_on(watch, 0.0, 3.0)
-    words = [(angle.safety, angle.reason) for angle in watch.look(at(3.0)).angles]
+    words = [(angle.safety, angle.reason) for angle in watch.current_state(at(3.0)).angles]
     assert words == [(Safety.CAUTION, "over the limit"), (Safety.SAFE, ""), (Safety.SAFE, "")]
 
 
@@ -299,17 +299,17 @@ def test_reason_of_a_caution_is_current_at_any_time() -> None:
     watch = SuiteMonitor(Limits(tilt_arcsec=4.0))
     go_on(watch, 0.0, 10.0)
     go_on(watch, 10.1, 12.0, sigma_arcsec=2.1)
-    assert {(angle.safety, angle.reason) for angle in watch.look(at(12.0)).angles[1:]} == {
+    assert {(angle.safety, angle.reason) for angle in watch.current_state(at(12.0)).angles[1:]} == {
         (Safety.CAUTION, "over the limit")
     }
     for tenth in range(121, 170):
         go_on(watch, tenth / 10, tenth / 10)
-        (pitch,) = (angle for angle in watch.look(at(tenth / 10)).angles if angle.name == "pitch")
+        (pitch,) = (angle for angle in watch.current_state(at(tenth / 10)).angles if angle.name == "pitch")
         left_s = math.ceil(round(17.1 - tenth / 10, 6))  # the safety is evaluated before the message of its time
         assert (pitch.safety, pitch.reason) == (Safety.CAUTION, f"within 4″ again; SAFE in {left_s} s")
     go_on(watch, 17.0, 17.2)
-    assert watch.look(at(17.2)).angles[1].safety is Safety.SAFE
-    told = [event.text for event in watch.look(at(17.2)).events if event.subject == "pitch"]
+    assert watch.current_state(at(17.2)).angles[1].safety is Safety.SAFE
+    told = [event.text for event in watch.current_state(at(17.2)).events if event.subject == "pitch"]
     assert told[:2] == ["pitch CAUTION → SAFE", "pitch SAFE → CAUTION, over the limit"]
 
 
@@ -369,7 +369,7 @@ def test_rejected_stars_keep_a_sensor_with_solutions_in(status: int, presence: P
             watch.take("star/innovation", rejection(ns, "star.bow", Reason.MISIDENTIFIED), at(fifth / 5))
         watch.take("star/innovation", rejection(ns, "star.joint", Reason.MISIDENTIFIED), at(fifth / 5))
         watch.take("star/bow/solution", solution(ns, status), at(fifth / 5))
-    sources = {source.name: source for source in watch.look(at(15.9)).sources}
+    sources = {source.name: source for source in watch.current_state(at(15.9)).sources}
     assert sources["star.bow"].presence is presence
     assert sources["star.bow"].reason == ("" if presence is Presence.IN else "29 rejected in a row: too few stars")
     assert "star.joint" not in sources
@@ -384,12 +384,12 @@ def test_consequence_keeps_its_cause_until_it_is_in_again() -> None:
         if fifth <= 60:
             watch.take("ship/integrity", integrity(ns, 2, ("ins",)), now)
             watch.take("ship/innovation", rejection(ns, "star.bow", Reason.GAP), now)
-    picture = watch.look(at(12.1))
+    picture = watch.current_state(at(12.1))
     assert [(source.name, source.reason, source.because_of) for source in picture.sources[:2]] == [
         ("ins", "excluded", ""), ("star.bow", "needs ins", "ins")
     ]  # fmt: skip
     watch.take("ship/integrity", integrity(UTC + 13 * SECOND), at(12.2))
-    source = watch.look(at(12.3)).sources[0]
+    source = watch.current_state(at(12.3)).sources[0]
     assert (source.name, source.presence, source.because_of) == ("star.bow", Presence.OUT, "ins")
     for fifth in range(70, 80):
         used_ns = UTC + fifth * SECOND // 5
@@ -398,7 +398,7 @@ def test_consequence_keeps_its_cause_until_it_is_in_again() -> None:
         watch.take("ship/innovation", used, at(fifth / 5))
         watch.take("input_health", health(used_ns, "star/bow/solution", fifth + 1), at(fifth / 5))
         watch.take("input_health", health(used_ns, "ins/imu", 20 * fifth, 100.0, 0.1), at(fifth / 5))
-    outs = [(s.name, s.reason) for s in watch.look(at(15.7)).sources if s.presence is Presence.OUT]
+    outs = [(s.name, s.reason) for s in watch.current_state(at(15.7)).sources if s.presence is Presence.OUT]
     assert outs == []
 
 
@@ -407,7 +407,7 @@ def test_restart_of_a_node_is_one_event() -> None:
     for second in range(11, 15):
         for topic in ("star/bow/solution", "reference/gyro/imu", "star/stern/solution"):
             watch.take("input_health", health(UTC + second * SECOND, topic, 5 * (second - 11)), at(second))
-    told = [event.text for event in watch.look(at(15.0)).events if event.kind == "node"]
+    told = [event.text for event in watch.current_state(at(15.0)).events if event.kind == "node"]
     assert told == ["ship_attitude started"]
 
 
@@ -423,13 +423,13 @@ def test_alerts_are_sorted_and_survive_a_reset() -> None:
     watch = monitor_after(1.0)
     array = SimpleNamespace(header=stamp(UTC), alerts=[alert(3, 0), alert(3, 2), alert(1, 1), alert(1, 2, 5)])
     watch.take("ship/alerts", array, at(1.0))
-    shown = watch.look(at(1.1)).alerts or ()
+    shown = watch.current_state(at(1.1)).alerts or ()
     assert [(one.priority, one.state) for one in shown] == [(2, 1), (1, 1), (2, 3), (0, 3)]
     watch.reset()
-    assert watch.look(at(2.0)).alerts == shown
+    assert watch.current_state(at(2.0)).alerts == shown
     watch.take("ship/alerts", SimpleNamespace(header=stamp(UTC), alerts=[]), at(2.0))
-    assert watch.look(at(2.1)).alerts == ()
-    texts = [event.text for event in watch.look(at(2.1)).events if event.kind == "alert"]
+    assert watch.current_state(at(2.1)).alerts == ()
+    texts = [event.text for event in watch.current_state(at(2.1)).events if event.kind == "alert"]
     assert "star.bow.2 is over" in texts
 
 
@@ -444,14 +444,14 @@ def test_buffers_are_bounded_by_ten_minutes() -> None:
     points = watch.history.innovations["star.bow"]
     assert (len(points), points[0].utc_ns) == (601, UTC + 899 * SECOND)
     assert len(watch.history.ribbons) == 601
-    assert len(watch.look(at(1500)).events) <= 200
+    assert len(watch.current_state(at(1500)).events) <= 200
 
 
 def test_single_stamp_of_another_year_sets_the_time_only_briefly() -> None:
     watch = monitor_after(10.0)
     watch.take("input_health", health(UTC + 10**17, "ins/imu", 1000, 100.0, 0.1), at(10.05))
     go_on(watch, 10.1, 17.0)
-    assert watch.look(at(17.0)).utc_ns == UTC + 17 * SECOND
+    assert watch.current_state(at(17.0)).utc_ns == UTC + 17 * SECOND
 
 
 def behind(ns: int, node: str, text: str) -> SimpleNamespace:
@@ -473,7 +473,7 @@ def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
             watch.take("ship/attitude", attitude(ns, status=3, heading=math.nan), now)
             watch.take("ship/innovation", behind(ns, "ins", f"320 messages cut: {text}"), now)
             watch.take("ship/innovation", behind(ns, "ship_attitude", text), now)
-    picture = watch.look(at(13.9))
+    picture = watch.current_state(at(13.9))
     (heading, *_), (star, ins, *_) = picture.angles, picture.sources
     assert (heading.safety, heading.reason, heading.because_of) == (Safety.UNSAFE, text, "")
     assert (star.name, star.presence, star.reason) == ("star.bow", Presence.OUT, "ship_attitude is behind")
@@ -484,10 +484,10 @@ def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
     assert alert.text == f"Heading and tilt lost: {still}"
     # The node is no longer overloaded; the sensor is IN again after ten measurements.
     watch.take("ship/attitude", attitude(UTC + 14 * SECOND), at(14.0))
-    picture = watch.look(at(14.1))
+    picture = watch.current_state(at(14.1))
     assert picture.sources[0].because_of == "ship_attitude"
     go_on(watch, 14.2, 21.0)
-    picture = watch.look(at(21.0))
+    picture = watch.current_state(at(21.0))
     assert all(source.presence is not Presence.OUT for source in picture.sources)
     assert {angle.safety for angle in picture.angles} == {Safety.SAFE}
 
@@ -500,7 +500,7 @@ def test_source_out_before_an_overload_keeps_its_own_fault() -> None:
         watch.take("input_health", health(ns, "star/bow/solution", 5 * second), at(second))
         watch.take("ship/attitude", attitude(ns, status=2), at(second))
     watch.take("ship/innovation", behind(UTC + 17 * SECOND, "ship_attitude", "ship_attitude is 3.2 s behind"), at(17.1))
-    picture = watch.look(at(17.2))
+    picture = watch.current_state(at(17.2))
     (star, *_) = picture.sources
     assert (star.name, star.reason, star.because_of) == ("star.bow", "excluded", "")
     assert {angle.now for angle in picture.angles[:3]} == {(Safety.CAUTION, "ship_attitude is 3.2 s behind")}
@@ -509,31 +509,31 @@ def test_source_out_before_an_overload_keeps_its_own_fault() -> None:
 
 def published(watch: SuiteMonitor, seconds: float) -> SimpleNamespace:
     """Return the SuiteState message of a monitor, as published by the alert node."""
-    return RosidlFactory().make(STATE_TYPE, **state_fields(watch.look(at(seconds))))
+    return RosidlFactory().make(STATE_TYPE, **state_fields(watch.current_state(at(seconds))))
 
 
 def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
     """While the state of another monitor is published, its angles and events replace those of this one."""
     other, watch = monitor_after(20.0, sigma_arcsec=4.0), monitor_after(20.0)
-    assert {angle.safety for angle in watch.look(at(20.0)).angles} == {Safety.SAFE}
+    assert {angle.safety for angle in watch.current_state(at(20.0)).angles} == {Safety.SAFE}
     watch.take_state(published(other, 20.0), at(20.1))
-    shown = watch.look(at(20.3))
+    shown = watch.current_state(at(20.3))
     assert [(angle.safety, angle.reason, angle.since_ns) for angle in shown.angles] == [
-        (angle.safety, angle.reason, angle.since_ns) for angle in other.look(at(20.0)).angles
+        (angle.safety, angle.reason, angle.since_ns) for angle in other.current_state(at(20.0)).angles
     ]
     events = [event.text for event in shown.events if event.kind == "state"]
     assert "heading SAFE → CAUTION, over the limit" in events
     assert watch.history.ribbons[-1].words["heading"] is Safety.SAFE  # of the second before
     go_on(watch, 20.2, 22.0)
-    assert {angle.safety for angle in watch.look(at(22.0)).angles} == {Safety.CAUTION}
+    assert {angle.safety for angle in watch.current_state(at(22.0)).angles} == {Safety.CAUTION}
     # Two seconds without a state: its own safety again, at once.
     go_on(watch, 22.1, 22.5)
-    assert {angle.safety for angle in watch.look(at(22.5)).angles} == {Safety.SAFE}
+    assert {angle.safety for angle in watch.current_state(at(22.5)).angles} == {Safety.SAFE}
     # The state is published again and displayed; after the end of the alert node it is no longer used.
     watch.take_state(published(other, 20.0), at(22.6))
-    assert {angle.safety for angle in watch.look(at(22.6)).angles} == {Safety.CAUTION}
+    assert {angle.safety for angle in watch.current_state(at(22.6)).angles} == {Safety.CAUTION}
     watch.forget_alerts()
-    assert {angle.safety for angle in watch.look(at(22.7)).angles} == {Safety.SAFE}
+    assert {angle.safety for angle in watch.current_state(at(22.7)).angles} == {Safety.SAFE}
 
 
 def test_output_that_stops_with_its_node_has_no_source_as_cause() -> None:
@@ -547,5 +547,5 @@ def test_output_that_stops_with_its_node_has_no_source_as_cause() -> None:
             watch.take("input_health", missing, at(ns / SECOND))
             watch.take("input_health", health(UTC + ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), at(ns / SECOND))
         watch.take("ship/attitude", attitude(UTC + ns, 100.0), at(ns / SECOND))
-    assert {angle.reason for angle in watch.look(at(10.0)).angles} == {"star.bow never received"}
-    assert {angle.reason for angle in watch.look(at(20.0)).angles} == {"no data on ship/attitude"}
+    assert {angle.reason for angle in watch.current_state(at(10.0)).angles} == {"star.bow never received"}
+    assert {angle.reason for angle in watch.current_state(at(20.0)).angles} == {"no data on ship/attitude"}

@@ -110,10 +110,10 @@ class Recorder:
             now_s = time.monotonic()
             if now_s >= next_discovery_s:
                 self._discover()
-                self._parameters.look()
+                self._parameters.update()
                 next_discovery_s = now_s + _DISCOVERY_PERIOD_S
             if now_s >= next_flush_s:
-                self._look_at_clock()
+                self._check_clock()
                 self._bag.flush()
                 # If a flush takes longer than its period, the same time must be left to receive.
                 spent_s = time.monotonic() - now_s
@@ -153,7 +153,7 @@ class Recorder:
         deadline_s = time.monotonic() + _HEAR_OUT_S
         while self._parameters.pending and time.monotonic() < deadline_s:
             executor.spin_once(timeout_sec=_DISCOVERY_PERIOD_S)
-            self._parameters.look()
+            self._parameters.update()
         self._parameters.close()
 
     def _discover(self) -> None:
@@ -219,9 +219,9 @@ class Recorder:
             self._bag.write_raw(topic, type_name, data, now_ns, sent_ns)
         self._before_clock.clear()
 
-    def _look_at_clock(self) -> None:
+    def _check_clock(self) -> None:
         before_ns, clock_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        step_ns = self._clock_watch.look(before_ns, clock_ns, after_ns)
+        step_ns = self._clock_watch.detect_step(before_ns, clock_ns, after_ns)
         if step_ns is not None:
             self._say_step("the system clock", step_ns, clock_ns)
 
@@ -248,7 +248,7 @@ class ClockWatch:
     def __init__(self) -> None:
         self._offset_ns: int | None = None
 
-    def look(self, steady_before_ns: int, clock_ns: int, steady_after_ns: int) -> int | None:
+    def detect_step(self, steady_before_ns: int, clock_ns: int, steady_after_ns: int) -> int | None:
         """Return the step of the clock since the last call, ns; None if there was none.
 
         Args:

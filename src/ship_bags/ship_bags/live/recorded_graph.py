@@ -143,7 +143,7 @@ class ParameterCollector:
         """True if a query is pending."""
         return bool(self._asked)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Query new nodes, process answers, give up nodes after the timeout."""
         for name, namespace in self._node.get_node_names_and_namespaces():
             full = full_name(name, namespace)

@@ -17,13 +17,13 @@ from ship_monitor.after.recorded_suite import Recorded, RecordedSuite
 from ship_monitor.after.time_controls import TimeControls
 from ship_watch.history import KEPT_S, History
 from ship_watch.limits import Limits
-from ship_watch.picture import Picture
+from ship_watch.picture import SuiteState
 from ship_watch.watch import SuiteMonitor
 
 QUICK_NS = 60 * NS_PER_S
 """History that is read at once for a new time, ns: NIS consistency uses the last minute."""
 
-LOOK_S = 0.2
+MAX_READ_S = 0.2
 """Maximum time for reading the ten minutes in one update, s."""
 
 
@@ -49,7 +49,7 @@ class _Replay:
         return True
 
 
-class RecordedPictures:
+class BagPlayback:
     """Playback of a recorded suite in one browser (:class:`ship_monitor.page.page_source.PageSource`).
 
     It starts at the end of the bag.
@@ -62,7 +62,7 @@ class RecordedPictures:
     def __init__(self, suite: RecordedSuite, limits: Limits) -> None:
         self._suite, self._limits = suite, limits
         self._time_ns = suite.end_ns
-        self._last_look_s = time.monotonic()
+        self._last_update_s = time.monotonic()
         self._controls = TimeControls((suite.end_ns - suite.start_ns) / NS_PER_S, " · ".join(suite.notes), self._move)
         self._tell_moved: Callable[[], None] = lambda: None
         self._shown: _Replay | None = None
@@ -79,7 +79,7 @@ class RecordedPictures:
         return self._suite.path.stem or self._suite.path.name
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Text about missing data in the bag, or the name of the bag."""
         return self._suite.notes[0] if self._suite.notes else f"bag {self._suite.path.name}"
 
@@ -105,19 +105,19 @@ class RecordedPictures:
             self._shown = self._whole = None
         self._time_ns = wanted_ns
 
-    def look(self) -> Picture:
+    def current_state(self) -> SuiteState:
         """Return the state at the displayed time, which advances while the bag is played."""
         now_s = time.monotonic()
-        self._play(now_s - self._last_look_s)
-        self._last_look_s = now_s
+        self._play(now_s - self._last_update_s)
+        self._last_update_s = now_s
         is_new = self._shown is None
         shown = self._current_replay()
         shown.hear(self._time_ns)
         # A new time is displayed before the ten minutes are read.
-        if not is_new and self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + LOOK_S):
+        if not is_new and self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + MAX_READ_S):
             shown = self._shown = self._whole
             self._whole = None
-        return shown.watch.look(self._time_ns)
+        return shown.watch.current_state(self._time_ns)
 
     def controls(self, moved: Callable[[], None]) -> UIElement:
         """Return slider and buttons for the time; ``on_move`` is called after a change by the user."""

@@ -15,7 +15,7 @@ from ship_watch.alerts import AlertBook, AlertChange
 from ship_watch.functions import Branch, diagnostic_entries
 from ship_watch.limits import Limits
 from ship_watch.names import has_room
-from ship_watch.picture import AlertShown, Picture
+from ship_watch.picture import AlertShown, SuiteState
 from ship_watch.watch import SuiteMonitor
 
 LONGEST_PAUSE_NS = 5 * NS_PER_S
@@ -46,16 +46,16 @@ class AlertKeeper:
     """
 
     def __init__(
-        self, limits: Limits, state: Path | None, now_ns: int, say: Callable[[str], None], files: Files = DISK
+        self, limits: Limits, state_file: Path | None, now_ns: int, say: Callable[[str], None], files: Files = DISK
     ) -> None:
-        self._limits, self._state, self._say, self._files = limits, state, say, files
+        self._limits, self._state_file, self._say, self._files = limits, state_file, say, files
         self._watch = SuiteMonitor(limits)
         self._statuses: dict[tuple[str, str], tuple[NodeStatus, int]] = {}
-        self._disk_free_gb, self._disk_looked_ns = math.nan, now_ns - _DISK_PERIOD_NS
-        self._looked_ns = now_ns
+        self._disk_free_gb, self._disk_checked_ns = math.nan, now_ns - _DISK_PERIOD_NS
+        self._updated_ns = now_ns
         self._is_unsaved = False
         self._book = self._read(now_ns)
-        self.picture: Picture = self._watch.look(now_ns)
+        self.suite_state: SuiteState = self._watch.current_state(now_ns)
 
     @property
     def alerts(self) -> tuple[AlertShown, ...]:
@@ -77,7 +77,7 @@ class AlertKeeper:
         self._watch.reset()
         self._statuses.clear()
         self._book = AlertBook(self._limits.alerts, self._book.saved(), now_ns)
-        self._looked_ns = now_ns
+        self._updated_ns = now_ns
 
     def update(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
         """Update the alerts; return the changes.
@@ -86,11 +86,11 @@ class AlertKeeper:
             now_ns: steady time, ns.
             clock_ns: UTC of the computer's clock, ns; used until the suite has a time.
         """
-        if now_ns - self._looked_ns > LONGEST_PAUSE_NS:
+        if now_ns - self._updated_ns > LONGEST_PAUSE_NS:
             self.reset(now_ns)
-        self._looked_ns = now_ns
-        self.picture = self._watch.look(now_ns)
-        found = conditions(self.picture, self._limits, self._machine(now_ns))
+        self._updated_ns = now_ns
+        self.suite_state = self._watch.current_state(now_ns)
+        found = conditions(self.suite_state, self._limits, self._machine(now_ns))
         return self._kept(self._book.take(found, now_ns, self._utc_ns(clock_ns)))
 
     def acknowledge(self, id_: str, instance: int, clock_ns: int) -> tuple[AlertChange | None, str]:
@@ -106,14 +106,14 @@ class AlertKeeper:
 
     def tree(self) -> tuple[Branch, ...]:
         """Return functions and their inputs as diagnostic entries, from the last update."""
-        return diagnostic_entries(self.picture, self._limits)
+        return diagnostic_entries(self.suite_state, self._limits)
 
     def _utc_ns(self, clock_ns: int) -> int:
-        return self.picture.utc_ns or clock_ns
+        return self.suite_state.utc_ns or clock_ns
 
     def _machine(self, now_ns: int) -> Machine:
-        if self._limits.machine.disk_path and now_ns - self._disk_looked_ns >= _DISK_PERIOD_NS:
-            self._disk_looked_ns = now_ns
+        if self._limits.machine.disk_path and now_ns - self._disk_checked_ns >= _DISK_PERIOD_NS:
+            self._disk_checked_ns = now_ns
             try:
                 self._disk_free_gb = shutil.disk_usage(self._limits.machine.disk_path).free / 1e9
             except OSError as problem:
@@ -130,27 +130,27 @@ class AlertKeeper:
     def _read(self, now_ns: int) -> AlertBook:
         """Return the alerts of the file; an empty list without a file, or if it cannot be read."""
         try:
-            if self._state is None:
+            if self._state_file is None:
                 return AlertBook(self._limits.alerts, (), now_ns)
-            document: dict[str, Any] = json.loads(self._files.read(self._state))
+            document: dict[str, Any] = json.loads(self._files.read(self._state_file))
             if (document["format"], document["version"]) != (_FORMAT, _VERSION):
                 raise ValueError(f"expected format {_FORMAT}, version {_VERSION}")
             return AlertBook(self._limits.alerts, document["alerts"], now_ns)
         except FileNotFoundError:
             return AlertBook(self._limits.alerts, (), now_ns)
         except (OSError, ValueError, TypeError, KeyError) as problem:
-            self._say(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state)))
+            self._say(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file)))
             return AlertBook(self._limits.alerts, (), now_ns)
 
     def _kept(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
         """Return the changes after writing the file, if there are any or the last write failed."""
-        if self._state is not None and (changes or self._is_unsaved):
+        if self._state_file is not None and (changes or self._is_unsaved):
             document = {"format": _FORMAT, "version": _VERSION, "alerts": self._book.saved()}
             try:
-                self._files.write(self._state, json.dumps(document, indent=1).encode())
+                self._files.write(self._state_file, json.dumps(document, indent=1).encode())
                 self._is_unsaved = False
             except OSError as problem:
                 if not self._is_unsaved:
-                    self._say(f"{self._state}: alerts cannot be saved: {problem.strerror}; retried at each update")
+                    self._say(f"{self._state_file}: alerts cannot be saved: {problem.strerror}; retried at each update")
                 self._is_unsaved = True
         return changes

@@ -38,7 +38,7 @@ from ship_watch.picture import AlertShown, Priority
 from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_of_state, state_fields
 from ship_watch.topics import monitored_topic
 
-LOOK_NS = NS_PER_S // 5
+UPDATE_PERIOD_NS = NS_PER_S // 5
 """Period of the updates, ns."""
 
 _NAME = "alerts"
@@ -111,13 +111,13 @@ class AlertNode:
         state_file: file of the alerts; None for none.
     """
 
-    def __init__(self, node: Node, limits: Limits, state: Path | None) -> None:
+    def __init__(self, node: Node, limits: Limits, state_file: Path | None) -> None:
         self._node = node
         self._full_name = node.get_fully_qualified_name()
         self._factory = RosidlFactory()
         self._guard = ExceptionGuard(node.get_logger(), time.monotonic_ns)
         self._reader = TopicReader("alerts_reader", node.get_namespace(), _wanted)
-        self._keeper = AlertKeeper(limits, state, steady_ns(), lambda text: node.get_logger().error(text))
+        self._keeper = AlertKeeper(limits, state_file, steady_ns(), lambda text: node.get_logger().error(text))
         latched = QoSProfile(
             depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
         )
@@ -131,7 +131,7 @@ class AlertNode:
         self._is_stopped = False
         kept = ", ".join(alert.id for alert in self._keeper.alerts)
         known = f"; restored: {kept}" if kept else ""
-        node.get_logger().info(f"alerts of {self._reader.place}; saved in {state or 'no file'}{known}")
+        node.get_logger().info(f"alerts of {self._reader.location}; saved in {state_file or 'no file'}{known}")
         self._publish()
 
     def stop(self) -> None:
@@ -148,8 +148,8 @@ class AlertNode:
                 now_ns = steady_ns()
                 heartbeat().beat(now_ns)
                 if now_ns >= next_look_ns:
-                    next_look_ns = now_ns + LOOK_NS
-                    self._guard.call("the suite", self._look)
+                    next_look_ns = now_ns + UPDATE_PERIOD_NS
+                    self._guard.call("the suite", self._update)
                 if now_ns >= next_report_ns:
                     next_report_ns = now_ns + _REPORT_NS
                     self._guard.call("diagnostics", self._report)
@@ -158,7 +158,7 @@ class AlertNode:
             executor.shutdown()
             self._reader.close()
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         taken = self._reader.take()
         if taken.time_went_back:
             self._keeper.reset(steady_ns())
@@ -229,11 +229,11 @@ class AlertNode:
 
     def _publish_state(self, now_ns: int) -> None:
         """Publish the state from which the alerts are derived: at once after a change, else twice a second."""
-        picture = self._keeper.picture
-        change = change_of_state(picture)
+        suite_state = self._keeper.suite_state
+        change = change_of_state(suite_state)
         if change != self._published_change or now_ns - self._published_ns >= PERIOD_NS:
             self._published_ns, self._published_change = now_ns, change
-            self._states.publish(self._factory.make(STATE_TYPE, **state_fields(picture)))
+            self._states.publish(self._factory.make(STATE_TYPE, **state_fields(suite_state)))
 
     def _report(self) -> None:
         alerts = self._keeper.alerts
@@ -250,7 +250,7 @@ class AlertNode:
 
     def _utc_ns(self) -> int:
         """Return the suite's time, UTC, ns; the computer's until the suite has one."""
-        return self._keeper.picture.utc_ns or time.time_ns()
+        return self._keeper.suite_state.utc_ns or time.time_ns()
 
 
 def _wanted(topic: str, type_name: str) -> int:

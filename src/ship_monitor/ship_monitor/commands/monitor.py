@@ -11,13 +11,13 @@ from ship_bags.errors import BadInput
 from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import on_end_signals
 from ship_bags.renamed_topics import add_remap
-from ship_monitor.after.recorded_pictures import RecordedPictures
+from ship_monitor.after.recorded_pictures import BagPlayback
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.commands.time_zone import add_time_zone
 from ship_monitor.foxglove.server import FoxgloveServer
 from ship_monitor.live.live_watch import LiveWatch
 from ship_monitor.page.app import page_maker
-from ship_monitor.page.picture_source import PictureSource
+from ship_monitor.page.picture_source import PageSource
 from ship_monitor.page.server import PageServer
 from ship_monitor.page.themes import THEMES
 from ship_watch.limits import Limits, read_limits
@@ -102,7 +102,7 @@ def _run(parsed: argparse.Namespace) -> int:
             left_open.callback(foxglove.close)
         watch = LiveWatch("monitor", parsed.namespace, limits, foxglove)
         left_open.callback(watch.close)
-        return _serve(parsed, lambda: watch, watch.tick, watch.place, foxglove)
+        return _serve(parsed, lambda: watch, watch.tick, watch.location, foxglove)
 
 
 def _foxglove_server(parsed: argparse.Namespace) -> FoxgloveServer:
@@ -118,14 +118,14 @@ def _show_bag(parsed: argparse.Namespace, limits: Limits) -> int:
     try:
         for note in suite.notes:
             print(f"monitor: {note}", flush=True)
-        return _serve(parsed, lambda: RecordedPictures(suite, limits), lambda: None, str(suite.path))
+        return _serve(parsed, lambda: BagPlayback(suite, limits), lambda: None, str(suite.path))
     finally:
         suite.close()
 
 
 def _serve(
     parsed: argparse.Namespace,
-    open_source: Callable[[], PictureSource],
+    open_source: Callable[[], PageSource],
     tick: Callable[[], None],
     shown: str,
     foxglove: FoxgloveServer | None = None,

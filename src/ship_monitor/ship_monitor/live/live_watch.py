@@ -17,7 +17,7 @@ from ship_monitor.live.reader import KEPT, Taken, TopicReader, steady_ns
 from ship_monitor.live.relayed_topics import RelayedTopics, TopicReceiver
 from ship_watch.history import History
 from ship_watch.limits import Limits
-from ship_watch.picture import Picture
+from ship_watch.picture import SuiteState
 from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
 from ship_watch.topics import monitored_topic
 from ship_watch.watch import SuiteMonitor
@@ -28,7 +28,7 @@ TAKE_PERIOD_S = 0.2
 _RELAYED_BETWEEN = 4
 """Number of forwarding steps for each reading of topics: twenty a second."""
 
-_PICTURE_NS = 200_000_000
+_STATE_PERIOD_NS = 200_000_000
 _CLOSE_TIMEOUT_S = 5.0
 
 
@@ -49,9 +49,9 @@ class LiveWatch:
         self._reader = TopicReader(node_name, namespace, messages_wanted)
         self._relayed = None if receiver is None else RelayedTopics(self._reader, receiver)
         self._watch = SuiteMonitor(limits)
-        self._picture: Picture | None = None
+        self._suite_state: SuiteState | None = None
         self._has_rejected_state = False
-        self._picture_ns = 0
+        self._suite_state_ns = 0
         self._pending: SimpleQueue[Taken] = SimpleQueue()
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._read, name="topics", daemon=True)
@@ -84,15 +84,15 @@ class LiveWatch:
                 logging.getLogger(__name__).warning(text, STATE_TOPIC, problem)
             self._has_rejected_state = True
 
-    def look(self) -> Picture:
+    def current_state(self) -> SuiteState:
         """Return the current state; calls within 0.2 s share one."""
         now_ns = steady_ns()
-        if self._picture is None or now_ns - self._picture_ns > _PICTURE_NS:
+        if self._suite_state is None or now_ns - self._suite_state_ns > _STATE_PERIOD_NS:
             # Messages read already are processed before the state is evaluated.
             self.tick()
             now_ns = steady_ns()
-            self._picture, self._picture_ns = self._watch.look(now_ns), now_ns
-        return self._picture
+            self._suite_state, self._suite_state_ns = self._watch.current_state(now_ns), now_ns
+        return self._suite_state
 
     def _read(self) -> None:
         """Read and forward topics until closed."""
@@ -132,9 +132,9 @@ class LiveWatch:
         return self._reader.namespace.strip("/") or "ship"
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Namespace and domain of the reader, as text."""
-        return self._reader.place
+        return self._reader.location
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
         """Acknowledge one instance of an alert; return the result in words. It may wait for seconds."""

@@ -147,7 +147,7 @@ class TopicReader:
         return self._output_ns - self._clock_ns < _AFTERWARDS_NS
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Namespace and domain, and other namespaces with a suite, as text."""
         where = f"namespace {self.namespace}, domain {self.domain_id}"
         others = [f"/{name}" for name in self._elsewhere if f"/{name}" != self.namespace]

@@ -14,7 +14,7 @@ from bokeh.models import Column, ColumnDataSource, CustomJS
 from jinja2 import Template
 
 from ship_monitor.page.panels import Panels, build_panels
-from ship_monitor.page.picture_source import PictureSource
+from ship_monitor.page.picture_source import PageSource
 from ship_monitor.page.shown import shown
 from ship_monitor.page.themes import THEMES, Theme
 from ship_watch.picture import ANGLES
@@ -55,7 +55,7 @@ class Page:
         zone: time zone of the local time; None for UTC only.
     """
 
-    def __init__(self, document: Document, theme: Theme, source: PictureSource, zone: ZoneInfo | None) -> None:
+    def __init__(self, document: Document, theme: Theme, source: PageSource, zone: ZoneInfo | None) -> None:
         self._source, self._theme, self._zone = source, theme, zone
         self._document = document
         self._panels: Panels | None = None
@@ -99,14 +99,14 @@ class Page:
 
     def _draw(self) -> None:
         if self._panels is not None and not self._is_paused:
-            self._drawn = self._picture
+            self._drawn = self._suite_state
             self._panels.update(self._source.history, self._drawn)
 
     def _make_panels(self) -> None:
         """Make the panels, and show their frames; each panel follows when it becomes visible in the browser."""
         self._say()
         self._panels = build_panels(self._theme, is_stepwise=True, is_bag="BAG" in self._source.label.upper())
-        self._drawn = self._picture
+        self._drawn = self._suite_state
         self._panels.update(self._source.history, self._drawn)
         self._below.children = [self._panels.layout]
 
@@ -122,9 +122,9 @@ class Page:
 
     def _text(self) -> str:
         source = self._source
-        self._picture = source.look()
-        local = local_clock(self._picture.utc_ns, self._zone)
-        told = shown(self._picture, source.history, source.label, source.place, local)
+        self._suite_state = source.current_state()
+        local = local_clock(self._suite_state.utc_ns, self._zone)
+        told = shown(self._suite_state, source.history, source.label, source.place, local)
         told["is_paused"] = self._is_paused or (self._panels is not None and self._panels.times.is_paused)
         return json.dumps(told, allow_nan=False)
 
@@ -139,7 +139,7 @@ class Page:
             return
         if choice["live"]:
             self._panels.times.go_live()
-            self._drawn = self._picture
+            self._drawn = self._suite_state
         if self._pending_angle:
             self._panels.choose(self._pending_angle)
             self._pending_angle = ""
@@ -154,7 +154,7 @@ class Page:
 
 
 def page_maker(
-    open_source: Callable[[], PictureSource], default_theme: str, zone: ZoneInfo | None = None
+    open_source: Callable[[], PageSource], default_theme: str, zone: ZoneInfo | None = None
 ) -> Callable[[Document], None]:
     """Return a function that fills the document of a browser.
 
@@ -191,7 +191,7 @@ def colours(theme: Theme) -> str:
     return "".join(f"--{name.replace('_', '-')}:{value};" for name, value in pairs)
 
 
-def _variables(theme: Theme, source: PictureSource, first: str) -> dict[str, Any]:
+def _variables(theme: Theme, source: PageSource, first: str) -> dict[str, Any]:
     return {
         "theme": theme,
         "themes": tuple(THEMES),

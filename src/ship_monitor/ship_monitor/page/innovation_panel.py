@@ -26,7 +26,7 @@ from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import BAND, MS, TimeAxis, Trail, band
 from ship_watch.history import History, InnovationPoint, newer
-from ship_watch.picture import Picture, Presence, SourceShown
+from ship_watch.picture import SuiteState, Presence, SourceShown
 
 LATELY_NS = 10_000_000_000
 """Window of the means at a plot, ns; its height is determined by six windows."""
@@ -51,7 +51,7 @@ class InnovationPanel:
             self.box, lambda name, is_last: _SourceRow(theme, times, name, has_axis=is_last)
         )
 
-    def update(self, history: History, picture: Picture, marked: str, *, has_truth: bool) -> None:
+    def update(self, history: History, suite_state: SuiteState, marked: str, *, has_truth: bool) -> None:
         """Draw the new points; the subtitle states if there is no truth.
 
         Args:
@@ -60,12 +60,12 @@ class InnovationPanel:
             marked: marked source; empty for none.
             has_truth: True if the errors against truth are known.
         """
-        sources = {source.name: source for source in picture.sources}
+        sources = {source.name: source for source in suite_state.sources}
         shown = [name for name, points in history.innovations.items() if any(point.axes for point in points)]
         shown.sort(key=lambda name: (not name.startswith("star"), name))
         rows = self.plots.grow(shown)
         for name, row in rows.items():
-            row.update(history.innovations[name], sources.get(name), picture.utc_ns, is_marked=name == marked)
+            row.update(history.innovations[name], sources.get(name), suite_state.utc_ns, is_marked=name == marked)
         self.plots.show()
         nothing = "" if rows else "no innovations yet. "
         markers = "means, ″ · ● up, z · ■ right, x · ✕ rejected"

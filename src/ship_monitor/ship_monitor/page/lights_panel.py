@@ -9,7 +9,7 @@ from ship_monitor.page.curves import fixed_step, signed
 from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, ResidualBars, frame, narrow_height, empty_plot, words
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, BeaconPoint, newer
-from ship_watch.picture import Picture
+from ship_watch.picture import SuiteState
 
 SHOWN_NS = 60_000_000_000
 STEPS_MM = (2.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0)
@@ -54,14 +54,14 @@ class LightsPanel:
         )
         self.box = PanelBox(theme, "Lights on the detector", [self.figure])
 
-    def update(self, history: History, picture: Picture, marked: str) -> None:
+    def update(self, history: History, suite_state: SuiteState, marked: str) -> None:
         """Draw the last minute; the lights are highlighted if they are marked."""
         frame(self._theme, self.figure, marked == "lights")
         self._last.glyph.line_width = 4 if marked == "lights" else 2
         shown = {
             name: lately
             for name, points in sorted(history.beacons.items())
-            if (lately := newer(points, picture.utc_ns - SHOWN_NS))
+            if (lately := newer(points, suite_state.utc_ns - SHOWN_NS))
         }
         if not shown:
             for source in (self._past, self._now, self._bar):
@@ -73,7 +73,7 @@ class LightsPanel:
         half = fixed_step(1.05 * max(places), STEPS_MM)
         for side in (self._x, self._z):
             side.update(start=-half, end=half)
-        self._draw_past(shown, picture.utc_ns)
+        self._draw_past(shown, suite_state.utc_ns)
         self._draw_last(shown, half)
         self.box.say("last 60 s · bar at a light: its residual")
 

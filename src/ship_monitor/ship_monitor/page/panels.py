@@ -20,7 +20,7 @@ from ship_monitor.page.tables import EventsPanel, InputsPanel
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import TimeAxis
 from ship_watch.history import KEPT_S, History
-from ship_watch.picture import Picture
+from ship_watch.picture import SuiteState
 
 
 class Panels:
@@ -76,28 +76,28 @@ class Panels:
         """Show the budget and highlight the error of an angle, one of :data:`ship_watch.suite_state.ANGLES`."""
         self._budget.choose(angle)
 
-    def update(self, history: History, picture: Picture) -> None:
+    def update(self, history: History, suite_state: SuiteState) -> None:
         """Draw the new data in the visible panels.
 
         Args:
             history: data of the plots.
             suite_state: state of the suite.
         """
-        for name in self._follow(history, picture):
+        for name in self._follow(history, suite_state):
             if self.seen is None and name not in self._placed:
                 self._place(name)
             if name in self._placed:
-                self._draw(name, history, picture)
+                self._draw(name, history, suite_state)
 
-    def place_next(self, history: History, picture: Picture) -> bool:
+    def place_next(self, history: History, suite_state: SuiteState) -> bool:
         """Draw part of a visible, incomplete panel and put it into its frame; return False if all are complete.
 
         It is drawn before it is placed: otherwise a browser could refer to models that drawing has replaced.
         """
-        name = next((each for each in self._follow(history, picture) if each not in self._complete), None)
+        name = next((each for each in self._follow(history, suite_state) if each not in self._complete), None)
         if name is not None:
             with batched_model_changes(self.layout):
-                self._draw(name, history, picture)
+                self._draw(name, history, suite_state)
                 if name not in self._placed:
                     self._place(name)
         return name is not None
@@ -112,9 +112,9 @@ class Panels:
         styles = {"grid-area": name, "min-height": "0"}
         self.frames[name].update(children=[self._boxes[name].layout], styles=styles)
 
-    def _follow(self, history: History, picture: Picture) -> list[str]:
+    def _follow(self, history: History, suite_state: SuiteState) -> list[str]:
         """Update the time axis and the visible frames; return the visible panels."""
-        self.times.follow(picture.utc_ns)
+        self.times.follow(suite_state.utc_ns)
         is_simulated, has_telescope = has_truth(history), bool(history.beacons)
         self.frames["error"].visible = is_simulated
         self.frames["lights"].visible = has_telescope
@@ -124,17 +124,17 @@ class Panels:
     def _is_in_sight(self, name: str) -> bool:
         return (self.seen is None or name in self.seen) and bool(self.frames[name].visible)
 
-    def _draw(self, name: str, history: History, picture: Picture) -> None:
+    def _draw(self, name: str, history: History, suite_state: SuiteState) -> None:
         marked, is_simulated = self.marked, bool(self.frames["error"].visible)
         draw: dict[str, Callable[[], Any]] = {
-            "innovations": lambda: self._innovations.update(history, picture, marked, has_truth=is_simulated),
+            "innovations": lambda: self._innovations.update(history, suite_state, marked, has_truth=is_simulated),
             "error": lambda: self._errors.update(history, self._budget.chosen),
             "budget": lambda: self._budget.update(history, marked),
-            "sky": lambda: self._sky.update(history, picture, marked),
-            "lights": lambda: self._lights.update(history, picture, marked),
-            "events": lambda: self._events.update(picture, marked),
+            "sky": lambda: self._sky.update(history, suite_state, marked),
+            "lights": lambda: self._lights.update(history, suite_state, marked),
+            "events": lambda: self._events.update(suite_state, marked),
             "alignment": lambda: self._alignment.update(history, marked),
-            "inputs": lambda: self._inputs.update(picture, marked),
+            "inputs": lambda: self._inputs.update(suite_state, marked),
         }
         draw[name]()
 

@@ -9,10 +9,10 @@ from typing import Protocol
 from bokeh.models.ui import UIElement
 
 from ship_watch.history import History
-from ship_watch.picture import Pictures
+from ship_watch.picture import SuiteStateSource
 
 
-class PictureSource(Pictures, Protocol):
+class PageSource(SuiteStateSource, Protocol):
     """Interface of a running suite or a bag for the page."""
 
     @property

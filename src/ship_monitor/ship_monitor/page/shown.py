@@ -9,7 +9,7 @@ from typing import Any
 from ship_geometry.rotations import ARCSEC
 from ship_watch import words
 from ship_watch.history import History, SafetyPoint
-from ship_watch.picture import ANGLES, ITS_NODE, AlertShown, AngleShown, Picture, Presence, Safety, SourceShown
+from ship_watch.picture import ANGLES, ITS_NODE, AlertShown, AngleShown, SuiteState, Presence, Safety, SourceShown
 from ship_watch.states import OVER_THE_LIMIT
 
 RIBBON_S = 600
@@ -29,7 +29,7 @@ _ALERT_STATES = {
 }
 
 
-def shown(picture: Picture, history: History, label: str, place: str, local: str = "") -> dict[str, Any]:
+def shown(suite_state: SuiteState, history: History, label: str, location: str, local: str = "") -> dict[str, Any]:
     """Return the content of the first screen, ready for JSON.
 
     Args:
@@ -39,26 +39,26 @@ def shown(picture: Picture, history: History, label: str, place: str, local: str
         location: namespace and domain, for a page that waits for data.
         local: local time, displayed under UTC; empty for none.
     """
-    has_lights = any(angle.name in _OF_THEODOLITE for angle in picture.angles)
-    waiting = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
+    has_lights = any(angle.name in _OF_THEODOLITE for angle in suite_state.angles)
+    waiting = f"waiting for {suite_state.waiting_for}" if suite_state.waiting_for else ""
     return {
         "label": label,
-        "utc": words.utc_clock(picture.utc_ns),
+        "utc": words.utc_clock(suite_state.utc_ns),
         "local": local,
-        "is_stale": picture.is_old,
-        "overall": {"safety": picture.overall.safety.name, "text": picture.overall.text},
+        "is_stale": suite_state.is_old,
+        "overall": {"safety": suite_state.overall.safety.name, "text": suite_state.overall.text},
         "waiting": waiting,
-        "place": place if waiting else "",
-        "alert": _alert_line(picture.alerts),
-        "angles": {angle.name: _tile(angle) for angle in picture.angles},
+        "place": location if waiting else "",
+        "alert": _alert_line(suite_state.alerts),
+        "angles": {angle.name: _tile(angle) for angle in suite_state.angles},
         "ages": [
             [name, words.age_text(age_s), _finite(age_s)]
-            for name, age_s in picture.ages_s.items()
+            for name, age_s in suite_state.ages_s.items()
             if name != "lights" or has_lights
         ],
-        "foot": _foot(picture),
-        "sources": _sources(picture.sources, is_known=not picture.is_old),
-        "ribbons": _ribbons(history, picture),
+        "foot": _foot(suite_state),
+        "sources": _sources(suite_state.sources, is_known=not suite_state.is_old),
+        "ribbons": _ribbons(history, suite_state),
     }
 
 
@@ -98,11 +98,11 @@ def _tip(angle: AngleShown) -> list[str]:
     return lines
 
 
-def _foot(picture: Picture) -> str:
+def _foot(suite_state: SuiteState) -> str:
     """Return the text below the ages: method of the pointing and horizon of the tilt."""
-    by = picture.pointing_by
+    by = suite_state.pointing_by
     parts = [by if not by or by.startswith("no ") else f"by {by}"]
-    parts.append(f"horizon: {picture.horizon}" if picture.horizon else "")
+    parts.append(f"horizon: {suite_state.horizon}" if suite_state.horizon else "")
     return " · ".join(filter(None, parts))
 
 
@@ -192,13 +192,13 @@ def _finite(seconds: float) -> float | None:
     return seconds if seconds < float("inf") else None
 
 
-def _ribbons(history: History, picture: Picture) -> dict[str, Any]:
+def _ribbons(history: History, suite_state: SuiteState) -> dict[str, Any]:
     """Return the intervals of equal safety of each angle, as fractions of the last ten minutes: 0 start, 1 now."""
-    end_s = picture.utc_ns // _NS_PER_S
+    end_s = suite_state.utc_ns // _NS_PER_S
     start_s = end_s - RIBBON_S
     points = [point for point in history.ribbons if point.utc_ns // _NS_PER_S >= start_s]
     ticks = range(-(-start_s // _TICK_S) * _TICK_S, end_s + 1, _TICK_S) if end_s else ()
-    told = {angle.name for angle in picture.angles}
+    told = {angle.name for angle in suite_state.angles}
     return {
         "ticks": [[(at_s - start_s) / RIBBON_S, words.utc_clock(at_s * _NS_PER_S)[:5]] for at_s in ticks],
         "rows": [
@@ -211,7 +211,7 @@ def _ribbons(history: History, picture: Picture) -> dict[str, Any]:
         ],
         "marks": [
             (source.out_since_ns / _NS_PER_S - start_s) / RIBBON_S
-            for source in picture.sources
+            for source in suite_state.sources
             if source.presence is Presence.OUT and source.out_since_ns // _NS_PER_S >= start_s
         ],
     }

@@ -13,7 +13,7 @@ from ship_monitor.page.marking import with_mark
 from ship_monitor.page.sky import boresight, moon_direction, on_map
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, StarsSeen
-from ship_watch.picture import Picture, Presence, SourceShown
+from ship_watch.picture import SuiteState, Presence, SourceShown
 
 FIELDS_SHOWN = 3
 """Maximum number of fields of view."""
@@ -45,7 +45,7 @@ class SkyPanel:
         )
         self.box = PanelBox(theme, "Sky", [both])
 
-    def update(self, history: History, picture: Picture, marked: str) -> None:
+    def update(self, history: History, suite_state: SuiteState, marked: str) -> None:
         """Draw the last exposures.
 
         Args:
@@ -53,7 +53,7 @@ class SkyPanel:
             suite_state: state with the sources and the attitude.
             marked: marked source; its field is drawn before those of other sources that are IN. Empty for none.
         """
-        sources = {source.name: source for source in picture.sources}
+        sources = {source.name: source for source in suite_state.sources}
         shown = [name for name, seen in sorted(history.stars.items()) if len(seen.u)]
         shown = sorted(shown, key=lambda name: (not _is_out(sources.get(name)), name != marked))[:FIELDS_SHOWN]
         if shown != list(self._fields):
@@ -62,7 +62,7 @@ class SkyPanel:
             self._columns.css = _columns_css(has_fields=bool(shown))
         for name, field in self._fields.items():
             field.update(_short(name), history.stars[name], sources.get(name), len(shown), is_marked=name == marked)
-        told = self._map.update(history, picture, sources, marked)
+        told = self._map.update(history, suite_state, sources, marked)
         self.box.say(f"fields of view not to scale · bars: residuals{told}")
 
 
@@ -118,7 +118,7 @@ class _SkyMap:
         )
         words(self.figure, self._names, text_color="colour", text_baseline="middle")
 
-    def update(self, history: History, picture: Picture, sources: dict[str, SourceShown], marked: str) -> str:
+    def update(self, history: History, suite_state: SuiteState, sources: dict[str, SourceShown], marked: str) -> str:
         """Draw the directions of the sensors; return an addition to the subtitle."""
         theme = self._theme
         squares: dict[str, list[object]] = {"xs": [], "ys": [], "colour": [], "dash": [], "width": []}
@@ -127,7 +127,7 @@ class _SkyMap:
         for name, seen in sorted(history.stars.items()):
             direction = (seen.azimuth, seen.elevation)
             if not np.isfinite(direction).all():
-                direction = boresight(name, history.alignment, picture.angles)
+                direction = boresight(name, history.alignment, suite_state.angles)
             if not np.isfinite(direction).all():
                 continue
             x, y = on_map(*direction)
@@ -145,20 +145,20 @@ class _SkyMap:
             stars["marker"] += ["circle" if one and not is_bad else "x" for one in used]
             text = with_mark(f"✕ {_short(name)}" if is_bad else _short(name), name == marked)
             _append(names, x + 1.4 * half, y, text, colour)
-        heading = next((angle.value for angle in picture.angles if angle.name == "heading"), math.nan)
+        heading = next((angle.value for angle in suite_state.angles if angle.name == "heading"), math.nan)
         bow = [on_map(heading, elevation) for elevation in (0.5 * math.pi, 0.0)] if math.isfinite(heading) else []
         self._bow.data = {"x": [x for x, _ in bow], "y": [y for _, y in bow]}
         if bow:
             _append(names, 1.04 * bow[1][0], 1.06 * bow[1][1], "bow", theme.second_text)
-        told = self._draw_moon(history, picture, names)
+        told = self._draw_moon(history, suite_state, names)
         self._squares.data, self._stars.data, self._names.data = squares, stars, names
         return told
 
-    def _draw_moon(self, history: History, picture: Picture, names: dict[str, list[object]]) -> str:
-        if history.position is None or not picture.utc_ns:
+    def _draw_moon(self, history: History, suite_state: SuiteState, names: dict[str, list[object]]) -> str:
+        if history.position is None or not suite_state.utc_ns:
             self._moon.data = {"x": [], "y": []}
             return self._no_moon
-        direction = moon_direction(picture.utc_ns, *history.position)
+        direction = moon_direction(suite_state.utc_ns, *history.position)
         if direction is None or not direction[1] > 0.0:
             self._moon.data = {"x": [], "y": []}
             return " · Moon below the horizon" if direction else ""

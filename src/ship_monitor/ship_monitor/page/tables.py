@@ -10,7 +10,7 @@ from ship_geometry.time_scales import utc_text
 from ship_monitor.page.figures import NARROW, PanelBox
 from ship_monitor.page.marking import is_about, with_mark
 from ship_monitor.page.themes import FONT, Theme
-from ship_watch.picture import Event, InputShown, Picture, Presence, SourceShown
+from ship_watch.picture import Event, InputShown, SuiteState, Presence, SourceShown
 
 EVENTS_SHOWN = 16
 REASONS_SHOWN = 4
@@ -27,11 +27,11 @@ class EventsPanel:
         self._table = _table(theme)
         self.box = PanelBox(theme, "Events", [self._table])
 
-    def update(self, picture: Picture, marked: str) -> None:
+    def update(self, suite_state: SuiteState, marked: str) -> None:
         """Write the newest events; those of the marked source are highlighted."""
-        shown = picture.events[:EVENTS_SHOWN]
+        shown = suite_state.events[:EVENTS_SHOWN]
         self._table.text = f"<table>{''.join(event_row(event, marked) for event in shown)}</table>"
-        more = len(picture.events) - len(shown)
+        more = len(suite_state.events) - len(shown)
         self.box.say(f"{more} more" if more else "" if shown else "no events yet")
 
 
@@ -46,15 +46,15 @@ class InputsPanel:
         self._table = _table(theme)
         self.box = PanelBox(theme, "Inputs", [self._table])
 
-    def update(self, picture: Picture, marked: str) -> None:
+    def update(self, suite_state: SuiteState, marked: str) -> None:
         """Write the inputs; rows of a source that is OUT are highlighted, those of the marked source have a frame."""
         faulty_sources = {
-            topic: source for source in picture.sources if source.presence is Presence.OUT for topic in source.topics
+            topic: source for source in suite_state.sources if source.presence is Presence.OUT for topic in source.topics
         }
-        framed = {topic for source in picture.sources if source.name == marked for topic in source.topics}
-        rows = "".join(input_row(shown, faulty_sources, is_marked=shown.topic in framed) for shown in picture.inputs)
+        framed = {topic for source in suite_state.sources if source.name == marked for topic in source.topics}
+        rows = "".join(input_row(shown, faulty_sources, is_marked=shown.topic in framed) for shown in suite_state.inputs)
         self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
-        self.box.say("" if picture.inputs else "no input health data")
+        self.box.say("" if suite_state.inputs else "no input health data")
 
 
 _HEADINGS = (

@@ -20,14 +20,14 @@ from ship_monitor.page.themes import THEMES, Theme
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import Line, Look
 from ship_monitor.terminal.screen import View, selectable_names, screen, shown_alert
-from ship_watch.picture import Picture, Pictures
+from ship_watch.picture import SuiteState, SuiteStateSource
 
 TAKE_S = 0.25
 DRAW_S = 0.5
 NOTE_S = 5.0
 
 
-class Suite(Pictures, Protocol):
+class Suite(SuiteStateSource, Protocol):
     """Source of the terminal view: a suite on the network."""
 
     def tick(self) -> None:
@@ -57,7 +57,7 @@ class _Lines(Widget):
         """Return one row for textual."""
         if y >= len(self._lines):
             return Strip.blank(self.size.width, self._styles.get(Look.TEXT))
-        return Strip([Segment(text, self._styles[look]) for text, look in self._lines[y]])
+        return Strip([Segment(text, self._styles[style]) for text, style in self._lines[y]])
 
 
 class TerminalApp(App[int]):
@@ -90,7 +90,7 @@ class TerminalApp(App[int]):
         super().__init__()
         self._suite, self._theme_name, self._is_ascii, self._zone = suite, theme_name, is_ascii, zone
         self._drawing = _Lines()
-        self._picture: Picture | None = None
+        self._suite_state: SuiteState | None = None
         self._paused_s = math.nan
         self._page = self._chosen = self._note = ""
         self._note_until_s = 0.0
@@ -121,15 +121,15 @@ class TerminalApp(App[int]):
 
     def draw(self) -> None:
         """Draw the current state; while paused, the held state with the current alerts."""
-        now, now_s = self._suite.look(), _now_s()
-        if self._picture is None or math.isnan(self._paused_s):
-            self._picture = now
+        now, now_s = self._suite.current_state(), _now_s()
+        if self._suite_state is None or math.isnan(self._paused_s):
+            self._suite_state = now
         view = View(
             width=self.size.width,
             height=self.size.height,
             name=self._suite.name,
             label=self._suite.label,
-            place=self._suite.place,
+            location=self._suite.place,
             paused_s=now_s - self._paused_s,
             chosen=self._chosen,
             note=self._note if now_s < self._note_until_s else "",
@@ -137,11 +137,11 @@ class TerminalApp(App[int]):
             zone=self._zone,
         )
         if self._page == "help":
-            lines = help_page(self._picture, view)
+            lines = help_page(self._suite_state, view)
         elif self._page == "details":
-            lines = details(self._picture, now.alerts, view)
+            lines = details(self._suite_state, now.alerts, view)
         else:
-            lines = screen(self._picture, now.alerts, view)
+            lines = screen(self._suite_state, now.alerts, view)
         self._drawing.show(lines, styles_of(THEMES[self._theme_name]))
 
     def action_toggle_page(self, page: str) -> None:
@@ -156,9 +156,9 @@ class TerminalApp(App[int]):
 
     def action_choose(self, step: int) -> None:
         """Select the next angle or source."""
-        if self._picture is None:
+        if self._suite_state is None:
             return
-        names = selectable_names(self._picture)
+        names = selectable_names(self._suite_state)
         place = names.index(self._chosen) + step if self._chosen in names else 0 if step > 0 else len(names) - 1
         self._chosen = names[place % len(names)] if names else ""
         self.draw()
@@ -180,7 +180,7 @@ class TerminalApp(App[int]):
 
     def action_acknowledge(self) -> None:
         """Acknowledge the displayed instance of the alert in the alert line."""
-        alert = shown_alert(self._suite.look().alerts)
+        alert = shown_alert(self._suite.current_state().alerts)
         if alert is None or alert.is_acknowledged:
             self._say("no alert to acknowledge")
             return

@@ -16,7 +16,7 @@ from ship_monitor.terminal.screen import (
     words_line,
 )
 from ship_watch import words
-from ship_watch.picture import AlertShown, AngleShown, Picture, SourceShown
+from ship_watch.picture import AlertShown, AngleShown, SuiteState, SourceShown
 
 _BACK = " Enter or Escape: back   a acknowledge   t theme   p pause   q quit"
 
@@ -40,26 +40,26 @@ _HELP = """\
  q         quit"""
 
 
-def help_page(picture: Picture, view: View) -> tuple[Line, ...]:
+def help_page(suite_state: SuiteState, view: View) -> tuple[Line, ...]:
     """Return the help page with terms and keys."""
     texts = [Ink(text, Look.TEXT) for text in _HELP.splitlines()]
-    return _page(picture, view, "help", [view.pen.styled_line(text) for text in texts])
+    return _page(suite_state, view, "help", [view.pen.styled_line(text) for text in texts])
 
 
-def details(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
+def details(suite_state: SuiteState, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
     """Return the details of the selected angle or source; without a selection those of alerts and inputs."""
-    for angle in picture.angles:
+    for angle in suite_state.angles:
         if angle.name == view.chosen:
-            return _page(picture, view, angle.name, _of_angle(angle, picture, view.pen))
-    for source in picture.sources:
+            return _page(suite_state, view, angle.name, _of_angle(angle, suite_state, view.pen))
+    for source in suite_state.sources:
         if source.name == view.chosen:
-            return _page(picture, view, source.name, _of_source(source, picture, view.pen))
-    return _page(picture, view, "alerts", _of_alerts(alerts, picture, view.pen))
+            return _page(suite_state, view, source.name, _of_source(source, suite_state, view.pen))
+    return _page(suite_state, view, "alerts", _of_alerts(alerts, suite_state, view.pen))
 
 
-def _page(picture: Picture, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
+def _page(suite_state: SuiteState, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
     pen = view.pen
-    rows = [top_bar(picture, view), words_line(picture, pen), pen.rule(title), *body][: max(view.height - 1, 0)]
+    rows = [top_bar(suite_state, view), words_line(suite_state, pen), pen.rule(title), *body][: max(view.height - 1, 0)]
     rows += [pen.styled_line()] * (view.height - 1 - len(rows))
     keys = Ink(f" {view.note}", Look.STRONG) if view.note else Ink(_BACK, Look.SECOND)
     return (*rows, pen.styled_line(keys))[-view.height :]
@@ -69,7 +69,7 @@ def _row(pen: Pen, name: str, text: str) -> Line:
     return pen.styled_line(Ink(f" {pen.cell(name, 18)}", Look.SECOND), Ink(text, Look.TEXT))
 
 
-def _of_angle(angle: AngleShown, picture: Picture, pen: Pen) -> list[Line]:
+def _of_angle(angle: AngleShown, suite_state: SuiteState, pen: Pen) -> list[Line]:
     known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > words.DASHES_AFTER_S)
     value = f"{math.degrees(angle.value):.6f}°" if known else words.NO_VALUE
     rows = {
@@ -85,10 +85,10 @@ def _of_angle(angle: AngleShown, picture: Picture, pen: Pen) -> list[Line]:
         "age": words.age_text(angle.age_s),
     }
     made = [_row(pen, name, text) for name, text in rows.items()]
-    return [*made, pen.rule("events"), *event_lines(picture, pen, 200, angle.name)]
+    return [*made, pen.rule("events"), *event_lines(suite_state, pen, 200, angle.name)]
 
 
-def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
+def _of_source(source: SourceShown, suite_state: SuiteState, pen: Pen) -> list[Line]:
     consistency = source.nis_consistency
     residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else words.NO_VALUE
     rows = {
@@ -101,15 +101,15 @@ def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
         "sigma": (consistency.text or f"{consistency.degrees} degrees of freedom") if consistency else words.NO_VALUE,
     }
     inputs = []
-    for each in picture.inputs:
+    for each in suite_state.inputs:
         if each.topic in source.topics:
             inputs += [input_line(each, pen), _row(pen, "   rejected for", reasons_text(each) or words.NO_VALUE)]
-    made = [source_line(source, picture, pen, is_chosen=False), *(_row(pen, name, text) for name, text in rows.items())]
+    made = [source_line(source, suite_state, pen, is_chosen=False), *(_row(pen, name, text) for name, text in rows.items())]
     made += [pen.rule("inputs"), *inputs]
-    return [*made, pen.rule("events"), *event_lines(picture, pen, 200, source.name)]
+    return [*made, pen.rule("events"), *event_lines(suite_state, pen, 200, source.name)]
 
 
-def _of_alerts(alerts: tuple[AlertShown, ...] | None, picture: Picture, pen: Pen) -> list[Line]:
+def _of_alerts(alerts: tuple[AlertShown, ...] | None, suite_state: SuiteState, pen: Pen) -> list[Line]:
     none = "no alerts" if alerts is not None else "no alert node"
     made: list[Line] = []
     for alert in alerts or ():
@@ -119,4 +119,4 @@ def _of_alerts(alerts: tuple[AlertShown, ...] | None, picture: Picture, pen: Pen
             parts = wrap(pen.clean(text), max(pen.width - 6, 1))
             made += [pen.styled_line(Ink(f"     {part}", look)) for part in parts]
     made = made or [pen.styled_line(Ink(f" {none}", Look.SECOND))]
-    return [*made, pen.rule("inputs"), *(input_line(each, pen) for each in picture.inputs)]
+    return [*made, pen.rule("inputs"), *(input_line(each, pen) for each in suite_state.inputs)]

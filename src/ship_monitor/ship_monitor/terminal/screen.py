@@ -10,7 +10,7 @@ from zoneinfo import ZoneInfo
 
 from ship_monitor.terminal.pen import Ink, Line, Look, Pen
 from ship_watch import words
-from ship_watch.picture import AlertShown, AngleShown, InputShown, Picture, Presence, Priority, Safety, SourceShown
+from ship_watch.picture import AlertShown, AngleShown, InputShown, SuiteState, Presence, Priority, Safety, SourceShown
 
 LEAST_WIDTH, LEAST_HEIGHT = 64, 15
 """Smallest terminal with a full screen; a smaller one has one line."""
@@ -51,7 +51,7 @@ class View:
     height: int
     name: str
     label: str
-    place: str
+    location: str
     paused_s: float = math.nan
     chosen: str = ""
     note: str = ""
@@ -64,7 +64,7 @@ class View:
         return Pen(self.width, self.is_ascii)
 
 
-def screen(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
+def screen(suite_state: SuiteState, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
     """Return the first screen: exactly ``view.height`` lines, each as wide as the view.
 
     Args:
@@ -74,18 +74,18 @@ def screen(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) 
     """
     pen = view.pen
     if view.width < LEAST_WIDTH or view.height < LEAST_HEIGHT:
-        return _filled([_one_line(picture, view)], view)
-    top = [top_bar(picture, view), _alert_line(alerts, pen), *_waiting(picture, view), pen.rule()]
-    middle = [*_angles(picture, view), pen.rule(), _ages(picture, pen)]
+        return _filled([_one_line(suite_state, view)], view)
+    top = [top_bar(suite_state, view), _alert_line(alerts, pen), *_waiting(suite_state, view), pen.rule()]
+    middle = [*_angles(suite_state, view), pen.rule(), _ages(suite_state, pen)]
     room = view.height - len(top) - len(middle) - 3
-    source_rows = min(len(picture.sources), max(room - 2, 1))
-    input_rows = len(picture.inputs) if room - source_rows >= len(picture.inputs) + 1 + EVENTS_WANTED else 0
-    bottom = [_sources_rule(picture, pen), *_sources(picture, view, source_rows)]
+    source_rows = min(len(suite_state.sources), max(room - 2, 1))
+    input_rows = len(suite_state.inputs) if room - source_rows >= len(suite_state.inputs) + 1 + EVENTS_WANTED else 0
+    bottom = [_sources_rule(suite_state, pen), *_sources(suite_state, view, source_rows)]
     if input_rows:
-        bottom += [pen.rule("inputs"), *(input_line(each, pen) for each in picture.inputs)]
+        bottom += [pen.rule("inputs"), *(input_line(each, pen) for each in suite_state.inputs)]
     bottom.append(pen.rule("events"))
     event_rows = view.height - len(top) - len(middle) - len(bottom) - 1
-    bottom += event_lines(picture, pen, max(event_rows, 0))
+    bottom += event_lines(suite_state, pen, max(event_rows, 0))
     keys = pen.styled_line(Ink(f" {view.note}", Look.STRONG) if view.note else Ink(KEYS, Look.SECOND))
     return (*_filled([*top, *middle, *bottom], view)[: view.height - 1], keys)
 
@@ -95,14 +95,14 @@ def shown_alert(alerts: tuple[AlertShown, ...] | None) -> AlertShown | None:
     return min(alerts or (), key=lambda alert: alert.urgency, default=None)
 
 
-def selectable_names(picture: Picture) -> tuple[str, ...]:
+def selectable_names(suite_state: SuiteState) -> tuple[str, ...]:
     """Return the names of the selectable angles and sources, from top to bottom."""
-    return (*(angle.name for angle in picture.angles), *(source.name for source in picture.sources))
+    return (*(angle.name for angle in suite_state.angles), *(source.name for source in suite_state.sources))
 
 
-def top_bar(picture: Picture, view: View) -> Line:
+def top_bar(suite_state: SuiteState, view: View) -> Line:
     """Return the row with name, safety and reason of the suite, and the time; PAUSED during a pause."""
-    pen, overall = view.pen, picture.overall
+    pen, overall = view.pen, suite_state.overall
     left = [Ink(" ", Look.TEXT), Ink(view.name, Look.STRONG), Ink(f"  {view.label}  ", Look.SECOND)]
     if not math.isnan(view.paused_s):
         left += [Ink(f" PAUSED {words.age_text(view.paused_s)} ago ", Look.MARKED), Ink("  ", Look.TEXT)]
@@ -110,18 +110,18 @@ def top_bar(picture: Picture, view: View) -> Line:
         Ink(f" {_MARKS[overall.safety]} {overall.safety.name} ", _LOOKS[overall.safety]),
         Ink(f" {overall.text}", Look.TEXT),
     ]
-    local = words.local_clock(picture.utc_ns, view.zone)
+    local = words.local_clock(suite_state.utc_ns, view.zone)
     right = f" {local}  " if local else " "
-    right += f"{words.utc_clock(picture.utc_ns)} UTC "
+    right += f"{words.utc_clock(suite_state.utc_ns)} UTC "
     room = max(view.width - pen.length(right), 0)
     return pen.styled_line(*Pen(room, view.is_ascii).styled_line(*left), Ink(right, Look.STRONG))
 
 
-def words_line(picture: Picture, pen: Pen) -> Line:
+def words_line(suite_state: SuiteState, pen: Pen) -> Line:
     """Return the safety of all angles in one row, for the other pages: HDG + SAFE  PIT ! CAUTION."""
     pieces = [
         piece
-        for angle in picture.angles
+        for angle in suite_state.angles
         for piece in (
             Ink(f" {_SHORT_NAMES.get(angle.name, angle.name)} ", Look.SECOND),
             Ink(f"{_MARKS[angle.safety]} {angle.safety.name}", _LOOKS[angle.safety]),
@@ -141,23 +141,23 @@ def alert_pieces(alert: AlertShown, pen: Pen, text_width: int) -> list[Ink]:
     return [Ink(head + text, look), Ink(f" {words.utc_clock(alert.raised_ns)}  ", Look.SECOND), Ink(state, state_look)]
 
 
-def source_line(source: SourceShown, picture: Picture, pen: Pen, *, is_chosen: bool) -> Line:
+def source_line(source: SourceShown, suite_state: SuiteState, pen: Pen, *, is_chosen: bool) -> Line:
     """Return the row of a source: presence, age, rate, reason; indented below the source that causes it.
 
     Without any current output the row is struck through and has no tick.
     """
     is_out = source.presence is Presence.OUT
-    is_consequence = is_out and source.because_of in {each.name for each in picture.sources if not each.because_of}
+    is_consequence = is_out and source.because_of in {each.name for each in suite_state.sources if not each.because_of}
     consistency = source.nis_consistency.text if source.nis_consistency is not None else ""
     known = [source.reason, source.disagreement] if is_out else [source.disagreement, consistency]
     if is_out and source.because_of and not is_consequence and source.because_of not in source.reason:
         known.append(f"because of {source.because_of}")
     rate = f"{source.rate_hz:7.1f} Hz" if math.isfinite(source.rate_hz) else " " * 10
-    mark = "?" if picture.is_old and not is_out else _SOURCE_MARKS[source.presence]
+    mark = "?" if suite_state.is_old and not is_out else _SOURCE_MARKS[source.presence]
     name = f"{'>' if is_chosen else ' '}{mark} {pen.cell('  ' * is_consequence + source.name, 16)}"
     middle = f" {pen.cell(words.age_text(source.age_s), 8, to_right=True)} {rate}   "
-    look = Look.OUT if is_out else Look.OLD if picture.is_old else Look.TEXT
-    second = Look.OLD if picture.is_old and not is_out else Look.SECOND
+    look = Look.OUT if is_out else Look.OLD if suite_state.is_old else Look.TEXT
+    second = Look.OLD if suite_state.is_old and not is_out else Look.SECOND
     return pen.styled_line(
         Ink(name, Look.MARKED if is_chosen else look),
         Ink(f" {source.presence.value:3}", look),
@@ -183,9 +183,9 @@ def reasons_text(shown: InputShown) -> str:
     return ", ".join(f"{name} {count}" for name, count in sorted(shown.reasons.items()) if count)
 
 
-def event_lines(picture: Picture, pen: Pen, room: int, subject: str = "") -> list[Line]:
+def event_lines(suite_state: SuiteState, pen: Pen, room: int, subject: str = "") -> list[Line]:
     """Return the rows of the newest events, all or those of one subject."""
-    events = [event for event in picture.events if not subject or event.subject == subject]
+    events = [event for event in suite_state.events if not subject or event.subject == subject]
     return [
         pen.styled_line(
             Ink(f" {words.utc_clock(event.utc_ns)}  ", Look.SECOND),
@@ -200,22 +200,22 @@ def _filled(lines: list[Line], view: View) -> tuple[Line, ...]:
     return (*lines, *[empty] * (view.height - len(lines)))[: view.height]
 
 
-def _one_line(picture: Picture, view: View) -> Line:
+def _one_line(suite_state: SuiteState, view: View) -> Line:
     """Return the line of a too small terminal: the worst state."""
-    worst = max(picture.angles, key=lambda angle: angle.safety, default=None)
-    told = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
+    worst = max(suite_state.angles, key=lambda angle: angle.safety, default=None)
+    told = f"waiting for {suite_state.waiting_for}" if suite_state.waiting_for else ""
     if worst is not None and not told:
-        names = [angle.name for angle in picture.angles if angle.safety is worst.safety]
+        names = [angle.name for angle in suite_state.angles if angle.safety is worst.safety]
         told = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(names)}"
     look = Look.TEXT if worst is None else _LOOKS[worst.safety]
-    small = f"  {words.utc_clock(picture.utc_ns)}  too small: {LEAST_WIDTH} by {LEAST_HEIGHT} needed"
+    small = f"  {words.utc_clock(suite_state.utc_ns)}  too small: {LEAST_WIDTH} by {LEAST_HEIGHT} needed"
     return view.pen.styled_line(Ink(told, look), Ink(small, Look.SECOND))
 
 
-def _waiting(picture: Picture, view: View) -> list[Line]:
-    if not picture.waiting_for:
+def _waiting(suite_state: SuiteState, view: View) -> list[Line]:
+    if not suite_state.waiting_for:
         return []
-    told = f" waiting for {picture.waiting_for}: {view.place}"
+    told = f" waiting for {suite_state.waiting_for}: {view.location}"
     return [view.pen.styled_line(Ink(told, Look.MARKED))]
 
 
@@ -229,12 +229,12 @@ def _alert_line(alerts: tuple[AlertShown, ...] | None, pen: Pen) -> Line:
     return pen.styled_line(*alert_pieces(alert, pen, pen.width - 24 - len(counts)), Ink(counts, Look.TEXT))
 
 
-def _angles(picture: Picture, view: View) -> list[Line]:
+def _angles(suite_state: SuiteState, view: View) -> list[Line]:
     header = f"{'':11}{'value':18}{'95 %':>10}{'limit':>7}  {'state':11} why"
-    return [view.pen.styled_line(Ink(header, Look.SECOND)), *(_angle(angle, picture, view) for angle in picture.angles)]
+    return [view.pen.styled_line(Ink(header, Look.SECOND)), *(_angle(angle, suite_state, view) for angle in suite_state.angles)]
 
 
-def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
+def _angle(angle: AngleShown, suite_state: SuiteState, view: View) -> Line:
     pen = view.pen
     number, sense = words.angle_reading(angle)
     # Decimal points and signs are aligned: 034.39, 0.1, +68.74.
@@ -242,7 +242,7 @@ def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
     accuracy = pen.cell(words.accuracy_text(angle), 10, to_right=True)
     limit = pen.cell(words.limit_text(angle.limit), 7, to_right=True)
     is_pointing = angle.name in ("azimuth", "elevation")
-    why = angle.reason or (picture.pointing_by if is_pointing else "")
+    why = angle.reason or (suite_state.pointing_by if is_pointing else "")
     is_chosen = view.chosen == angle.name
     name = f"{'>' if is_chosen else ' '}{angle.name.upper():10}"
     return pen.styled_line(
@@ -256,29 +256,29 @@ def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
     )
 
 
-def _ages(picture: Picture, pen: Pen) -> Line:
-    ages = "   ".join(f"{name} {words.age_text(age_s)}" for name, age_s in picture.ages_s.items())
-    horizon = f"horizon {picture.horizon}" if picture.horizon else ""
-    look, second = (Look.OLD, Look.OLD) if picture.is_old else (Look.TEXT, Look.SECOND)
+def _ages(suite_state: SuiteState, pen: Pen) -> Line:
+    ages = "   ".join(f"{name} {words.age_text(age_s)}" for name, age_s in suite_state.ages_s.items())
+    horizon = f"horizon {suite_state.horizon}" if suite_state.horizon else ""
+    look, second = (Look.OLD, Look.OLD) if suite_state.is_old else (Look.TEXT, Look.SECOND)
     return pen.styled_line(Ink(" ages   ", Look.SECOND), Ink(ages, look), Ink(" " * 7, Look.TEXT), Ink(horizon, second))
 
 
-def _sources_rule(picture: Picture, pen: Pen) -> Line:
-    if picture.is_old:
-        return pen.rule("sources", *("old",) * bool(picture.sources))
-    configured = [source for source in picture.sources if source.presence is not Presence.OFF]
+def _sources_rule(suite_state: SuiteState, pen: Pen) -> Line:
+    if suite_state.is_old:
+        return pen.rule("sources", *("old",) * bool(suite_state.sources))
+    configured = [source for source in suite_state.sources if source.presence is not Presence.OFF]
     present = sum(source.presence is Presence.IN for source in configured)
     return pen.rule("sources", f"{present} of {len(configured)} in")
 
 
-def _sources(picture: Picture, view: View, room: int) -> list[Line]:
+def _sources(suite_state: SuiteState, view: View, room: int) -> list[Line]:
     """Return the rows of the sources that fit, including the selected one; the last row counts the others."""
-    sources = picture.sources
+    sources = suite_state.sources
     shown = room if len(sources) <= room else max(room - 1, 0)
     chosen = next((place for place, source in enumerate(sources) if source.name == view.chosen), 0)
     first = max(0, chosen - shown + 1) if shown else 0
     window = sources[first : first + shown]
-    made = [source_line(source, picture, view.pen, is_chosen=source.name == view.chosen) for source in window]
+    made = [source_line(source, suite_state, view.pen, is_chosen=source.name == view.chosen) for source in window]
     hidden = [*sources[:first], *sources[first + shown :]]
     counts = {
         each: sum(source.presence is each for source in hidden) for each in (Presence.OUT, Presence.IN, Presence.OFF)

@@ -83,7 +83,7 @@ class SavedStart(Generic[Prior]):
         # Bytes of the file from which the core's state has developed; None if there is none.
         self._origin: bytes | None = None
         self._saved_ns = 0
-        self._looked_ns: int | None = None
+        self._last_autosave_ns: int | None = None
         self._read, self._content = self._usable(Path(path)) if path else (None, None)
         self.is_pending = self._content is not None
         if path and not self.is_pending and not self.unreadable:
@@ -97,7 +97,7 @@ class SavedStart(Generic[Prior]):
 
     def restarted(self) -> None:
         """Record that the core was reset: the file may now contain more than the core."""
-        self._origin, self._saved_ns, self._looked_ns = None, 0, None
+        self._origin, self._saved_ns, self._last_autosave_ns = None, 0, None
 
     def save(self) -> str:
         """Write the core's content; return a text about the result.
@@ -111,17 +111,17 @@ class SavedStart(Generic[Prior]):
         self._write(path, content)
         return f"{self._kind.what} saved to {path}"
 
-    def next_look_ns(self, period_s: float) -> int:
+    def next_autosave_ns(self, period_s: float) -> int:
         """Return the timeout-clock time before which :meth:`is_autosave_time` is False."""
         if not self._path or not period_s:
             return _NEVER_NS
-        return 0 if self._looked_ns is None else self._looked_ns + round(period_s * 1e9)
+        return 0 if self._last_autosave_ns is None else self._last_autosave_ns + round(period_s * 1e9)
 
     def is_autosave_time(self, waiting_ns: int, period_s: float) -> bool:
         """Return True if the node should save automatically now: once a period, never with period 0."""
-        if waiting_ns < self.next_look_ns(period_s):
+        if waiting_ns < self.next_autosave_ns(period_s):
             return False
-        is_first, self._looked_ns = self._looked_ns is None, waiting_ns
+        is_first, self._last_autosave_ns = self._last_autosave_ns is None, waiting_ns
         return not is_first
 
     def save_by_itself(self) -> None:

@@ -56,7 +56,7 @@ class BatchAdapter(ReportingAdapter):
             return 0
         if self.saved is None:
             return self.next_slow_ns
-        return min(self.next_slow_ns, self.saved.next_look_ns(self.config.alignment_autosave_s))
+        return min(self.next_slow_ns, self.saved.next_autosave_ns(self.config.alignment_autosave_s))
 
     def evaluate_batch(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> BlockTurn | None:
         """Read and evaluate the leading messages of a batch; None if the first must be processed by itself.

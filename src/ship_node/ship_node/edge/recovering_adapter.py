@@ -24,7 +24,7 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import Published
 
-_LOOK_NS = 1_000_000_000
+_DECISION_PERIOD_NS = 1_000_000_000
 """Period of the decisions by the timeout clock, ns."""
 
 _SHOWN_NS = 60_000_000_000
@@ -52,7 +52,7 @@ class RecoveringAdapter(BatchAdapter):
     def __init__(self, config: Any, *rest: Any) -> None:
         self.recovery = EstimatorRecovery(config.recovery)
         self._last_usable_ns: dict[str, int] = {}
-        self._looked_ns: int | None = None
+        self._last_decision_ns: int | None = None
         self._adopted_ns: int | None = None
         super().__init__(config, *rest)
 
@@ -142,7 +142,7 @@ class RecoveringAdapter(BatchAdapter):
     @property
     def quiet_until_ns(self) -> int:
         """See :class:`BatchAdapter`."""
-        return min(super().quiet_until_ns, 0 if self._looked_ns is None else self._looked_ns + _LOOK_NS)
+        return min(super().quiet_until_ns, 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS)
 
     def _pass_on_contested(self, topic: str) -> None:
         super()._pass_on_contested(topic)
@@ -159,16 +159,16 @@ class RecoveringAdapter(BatchAdapter):
         candidate = self.recovery.candidate
         if candidate is not None:
             candidate.take(lambda: candidate.core.tick(now_ns, waiting_ns))
-        if self._looked_ns is None or waiting_ns - self._looked_ns >= _LOOK_NS:
-            self._looked_ns = waiting_ns
+        if self._last_decision_ns is None or waiting_ns - self._last_decision_ns >= _DECISION_PERIOD_NS:
+            self._last_decision_ns = waiting_ns
             try:
-                published += self._look(now_ns, waiting_ns)
+                published += self._decide(now_ns, waiting_ns)
             except Exception as error:
                 # The outputs of the current estimator are published nevertheless.
                 published.append(self.failed(_RECOVERY, now_ns, failure(error)))
         return published
 
-    def _look(self, now_ns: int, waiting_ns: int) -> list[Published]:
+    def _decide(self, now_ns: int, waiting_ns: int) -> list[Published]:
         """Let the recovery decide; return the messages of an adoption or of a failure of the second estimator."""
         there, before = self._there(waiting_ns), self.recovery.candidate
         is_as_expected = self._is_valid_or_above_limit() or self.behind is not None or not self.may_be_valid(there)
@@ -246,7 +246,7 @@ class RecoveringAdapter(BatchAdapter):
     def _forget_trouble(self) -> None:
         self.recovery.reset()
         self._last_usable_ns.clear()
-        self._looked_ns = None
+        self._last_decision_ns = None
         self._bind()
 
     def _step_time_base(self, step_ns: int, waiting_ns: int) -> None:

@@ -166,9 +166,9 @@ class TimeBase:
             if stamp_ns > clock.newest_ns:
                 clock.newest_ns = stamp_ns
             return None
-        return self._look_at_move(topic, clock, stamp_ns, receive_ns, waiting_ns)
+        return self._process_move(topic, clock, stamp_ns, receive_ns, waiting_ns)
 
-    def _look_at_move(
+    def _process_move(
         self, topic: str, clock: _InputClock, stamp_ns: int, receive_ns: int, waiting_ns: int
     ) -> int | None:
         """Process a message while some clock has moved, or may have; return as :meth:`add_arrival`."""

@@ -204,7 +204,7 @@ class LiveNode:
         self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
         are_two = self._senders[topic].came(information["publication_sequence_number"], time.monotonic_ns())
         if are_two and topic not in self._contested:
-            self._look_at_publishers(topic)
+            self._check_publishers(topic)
 
     def _check_backlog(self) -> None:
         """Cut the waiting messages if the node is behind; report each change to the adapter."""
@@ -221,7 +221,7 @@ class LiveNode:
             waited_ns = 0
         self._calls.overload(current_overload(waited_ns, self._inbox.take_behind()), now_ns, waiting_ns)
 
-    def _look_at_publishers(self, topic: str) -> None:
+    def _check_publishers(self, topic: str) -> None:
         """Report to the adapter whether two publishers send on a topic, by their messages and the graph."""
         name = self._subscriptions[topic].topic_name
         count, senders, names = self.node.count_publishers(name), self._senders[topic], []
@@ -330,7 +330,7 @@ class LiveNode:
         """Run the periodic checks that need no message: publishers of the inputs, clock, exceptions."""
         self._events.came()
         for topic in self._subscriptions:
-            self._look_at_publishers(topic)
+            self._check_publishers(topic)
         self.adapter.health.clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
         statuses = [self._clock.status(), name_status(self.node), self._events.status()]
         self._status_log.see([*statuses, stamps_status(self.adapter.health)])

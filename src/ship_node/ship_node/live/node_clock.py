@@ -22,7 +22,7 @@ _FIRST_CLOCK_TIMEOUT_NS = 5_000_000_000
 LEAST_STEP_NS = 100_000_000
 """Smallest step of the system's clock between two readings that counts, ns: no daemon slews so fast."""
 
-_LONGEST_LOOK_NS = 10_000_000
+_MAX_READING_NS = 10_000_000
 """Maximum time for reading both clocks for which the readings belong together, ns."""
 
 CLOCK_DEPTH = 1000
@@ -76,7 +76,7 @@ class NodeClock:
     def _system_ns(self) -> int:
         """Return the system's time; add a step since the last reading to :attr:`stepped_ns`."""
         before_ns, now_ns, after_ns = self._steady_ns(), time.time_ns(), self._steady_ns()
-        if after_ns - before_ns <= _LONGEST_LOOK_NS:
+        if after_ns - before_ns <= _MAX_READING_NS:
             last_ns, self._ahead_ns = self._ahead_ns, now_ns - before_ns
             if last_ns is not None and abs(self._ahead_ns - last_ns) >= LEAST_STEP_NS:
                 self.stepped_ns += self._ahead_ns - last_ns

@@ -56,8 +56,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.bag is not None and nodes:
         with read_bag(options.bag) as bag:
             check = BagCheck(options.config, nodes, bag, options.namespace, findings)
-            for look in _CHECKS:
-                look(check)
+            for check_part in _CHECKS:
+                check_part(check)
             if not findings.errors:
                 # Known errors would only be reported a second time by their effects.
                 check_trial(check)

@@ -256,12 +256,12 @@ def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
 
     The sky must be the same because errors shared by solutions and other sensors are separated by it.
     """
-    if _looks_at_sky(one) and _looks_at_sky(other):
+    if _needs_sky(one) and _needs_sky(other):
         for name in (field.name for field in dataclasses.fields(SkyConfig) if field.name not in _OF_ONE_NODE):
             yield f"sky.{name}", getattr(one.sky, name), getattr(other.sky, name)
 
 
-def _looks_at_sky(config: Any) -> bool:
+def _needs_sky(config: Any) -> bool:
     """True if a sensor of a node needs the sky over the ship: on the deck, or a camera on the theodolite."""
     on_deck = any(getattr(star, "looks_at_sky", True) for star in getattr(config, "star_sensors", {}).values())
     return hasattr(config, "sky") and (on_deck or bool(getattr(config, "telescopes", {})))

@@ -35,7 +35,7 @@ from ship_watch.topics import source_of_name, source_of_topic
 MOST_POINTS = 1200
 """Maximum number of points of a line."""
 
-STATE_LOOKS = {
+STATE_STYLES = {
     Safety.SAFE: ("#cfe8dc", ""),
     Safety.CAUTION: ("#ffc53d", "//"),
     Safety.UNSAFE: ("#d8352b", "xx"),
@@ -213,7 +213,7 @@ def rejections_svg(recording: Recording, colours: Mapping[str, str]) -> str:
 def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start_ns: int) -> None:
     """Draw the states of an angle as bars at the height of a row, in seconds since `start_ns`."""
     for word, spans in _spans(words).items():
-        fill, hatch = STATE_LOOKS[word]
+        fill, hatch = STATE_STYLES[word]
         bars = [(start - start_ns / NS_PER_S, length) for start, length in spans]
         axes.broken_barh(bars, (row - 0.4, 0.8), facecolor=fill, hatch=hatch, edgecolor="white", lw=0)
 

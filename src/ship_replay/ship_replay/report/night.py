@@ -25,7 +25,7 @@ from ship_watch.alerts import AlertBook, AlertChange
 from ship_watch.history import BudgetPoint, ParameterShown, newer
 from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
-from ship_watch.picture import ANGLES, AlertShown, Event, Picture, Safety
+from ship_watch.picture import ANGLES, AlertShown, Event, SuiteState, Safety
 from ship_watch.topics import monitored_topic
 from ship_watch.watch import SuiteMonitor
 
@@ -40,7 +40,7 @@ OUTPUT_OF_ANGLE = {
 _LONGEST_S = 1.0
 """Maximum time for which the last status of an output counts, s: its age limit."""
 
-_LOOK_NS = NS_PER_S // 2
+_SAMPLE_PERIOD_NS = NS_PER_S // 2
 """Sampling period of the displayed state, and time resolution of alerts computed here, ns."""
 
 _OFTEN_ENOUGH_NS = NS_PER_S // 5
@@ -116,7 +116,7 @@ class Recording:
     budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
     before: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
     after: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
-    last: Picture | None = None
+    last: SuiteState | None = None
     problems: list[str] = field(default_factory=list)
 
     @property
@@ -195,16 +195,16 @@ class _Reading:
             if not topic.startswith(TRUTH_PREFIX) and (row := monitored_topic(topic, bag.topics[name]))
         }
         newest: dict[str, int] = {}
-        next_ns = self._recording.start_ns + _LOOK_NS
+        next_ns = self._recording.start_ns + _SAMPLE_PERIOD_NS
         for record in watched(bag.records(set(rows)), bag, "reading"):
             now_ns = record.log_time_ns
             while next_ns <= now_ns:
-                self._look(next_ns)
-                next_ns += _LOOK_NS
+                self._sample_state(next_ns)
+                next_ns += _SAMPLE_PERIOD_NS
             if rows[record.topic].every or now_ns - newest.get(record.topic, 0) >= _OFTEN_ENOUGH_NS:
                 newest[record.topic] = now_ns
                 self._take(topics[record.topic], record)
-        self._look(self._recording.end_ns)
+        self._sample_state(self._recording.end_ns)
 
     def _take(self, topic: str, record: BagRecord) -> None:
         message = record.decode()
@@ -216,30 +216,30 @@ class _Reading:
             self._note_status(topic, message, record.log_time_ns)
         self._watch.take(topic, message, record.log_time_ns)
         if topic == ALERTS:
-            self._note_recorded(self._watch.look(record.log_time_ns))
+            self._note_recorded(self._watch.current_state(record.log_time_ns))
         if self._watch.history is not self._history:
             self._empty()
             self._history = self._watch.history
 
-    def _look(self, now_ns: int) -> None:
-        picture = self._watch.look(now_ns)
+    def _sample_state(self, now_ns: int) -> None:
+        state = self._watch.current_state(now_ns)
         recording = self._recording
-        for angle in picture.angles:
+        for angle in state.angles:
             is_invalid = self._status.get(OUTPUT_OF_ANGLE[angle.name], (0, ""))[1] == "INVALID"
-            if picture.utc_ns and not angle.is_old and not is_invalid and math.isfinite(angle.accuracy_95):
-                recording.accuracy.setdefault(angle.name, []).append((picture.utc_ns, angle.accuracy_95))
+            if state.utc_ns and not angle.is_old and not is_invalid and math.isfinite(angle.accuracy_95):
+                recording.accuracy.setdefault(angle.name, []).append((state.utc_ns, angle.accuracy_95))
         fresh: list[Event] = []
-        for event in picture.events:
+        for event in state.events:
             if event is self._last_event:
                 break
             fresh.append(event)
         if fresh:
             self._last_event = fresh[0]
             recording.events += reversed(fresh)
-        if not recording.alerts_are_recorded and picture.utc_ns:
-            changes = self._book.take(conditions(picture, recording.limits), now_ns, picture.utc_ns)
-            recording.alerts += [AlertTold(picture.utc_ns, change.what, change.alert) for change in _grave(changes)]
-        recording.last = picture
+        if not recording.alerts_are_recorded and state.utc_ns:
+            changes = self._book.take(conditions(state, recording.limits), now_ns, state.utc_ns)
+            recording.alerts += [AlertTold(state.utc_ns, change.what, change.alert) for change in _grave(changes)]
+        recording.last = state
         self._empty()
 
     def _empty(self) -> None:
@@ -294,15 +294,15 @@ class _Reading:
             if more:
                 self._recording.rejections.append(Rejection(stamp_ns, topic, str(reason), "node", more, is_note))
 
-    def _note_recorded(self, picture: Picture) -> None:
+    def _note_recorded(self, state: SuiteState) -> None:
         """Record the changes of published alerts."""
-        alerts = {(alert.id, alert.instance): alert for alert in picture.alerts or ()}
+        alerts = {(alert.id, alert.instance): alert for alert in state.alerts or ()}
         for key, alert in alerts.items():
             if key not in self._last_alerts or self._last_alerts[key].state != alert.state:
                 what = AlertState(alert.state).name.lower().replace("_", " ")
                 self._recording.alerts.append(AlertTold(alert.changed_ns, what, alert))
         self._recording.alerts += [
-            AlertTold(picture.utc_ns, "over", alert) for key, alert in self._last_alerts.items() if key not in alerts
+            AlertTold(state.utc_ns, "over", alert) for key, alert in self._last_alerts.items() if key not in alerts
         ]
         self._last_alerts = alerts
 

@@ -126,18 +126,18 @@ class VoyageStatistics:
     _excluded: frozenset[str] = frozenset()
     _is_degraded: bool = False
 
-    def look_at_sources(self, since_s: float, excluded: frozenset[str]) -> None:
+    def record_exclusions(self, since_s: float, excluded: frozenset[str]) -> None:
         """Record the excluded sources after a measurement."""
         self.exclusions += [(since_s, name) for name in sorted(excluded - self._excluded)]
         self._excluded = excluded
 
-    def look_at_status(self, since_s: float, status: Status, text: str) -> None:
+    def record_status(self, since_s: float, status: Status, text: str) -> None:
         """Record the beginning of a DEGRADED status."""
         if status is Status.DEGRADED and not self._is_degraded and since_s >= SETTLED_S:
             self.doubts.append((since_s, text))
         self._is_degraded = status is Status.DEGRADED
 
-    def look_at_output(
+    def record_output(
         self, since_s: float, status: Status, report: IntegrityReport, error: FloatArray, covariance: FloatArray
     ) -> None:
         """Compare an output with the truth: error and covariance of its angles, rad, shapes (3,) and (3, 3)."""
@@ -185,12 +185,12 @@ def _sail_ship(run: SimulatedRun, statistics: VoyageStatistics) -> None:
     for outcome in attitude_outcomes(core, run, _stamps_each_second(run, rows)):
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
-            statistics.look_at_sources(since_s, frozenset(core.state.excluded))
+            statistics.record_exclusions(since_s, frozenset(core.state.excluded))
             if core.state.unresolved_fault is not None:
-                statistics.look_at_status(since_s, Status.DEGRADED, core.state.unresolved_fault.text)
+                statistics.record_status(since_s, Status.DEGRADED, core.state.unresolved_fault.text)
         for estimate in outcome.estimates:
             truth_nd = run.truth.rotation_nd[rows[estimate.time_ns]]
-            _look(statistics, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False)
+            _record_output(statistics, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False)
 
 
 def _stamps_each_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
@@ -210,15 +210,15 @@ def _sail_theodolite(run: SimulatedRun, statistics: VoyageStatistics) -> None:
     for outcome in pointing_outcomes(core, run):
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
-            statistics.look_at_sources(since_s, frozenset(core.state.fault_state.exclusions))
+            statistics.record_exclusions(since_s, frozenset(core.state.fault_state.exclusions))
         for estimate in outcome.estimates:
             if estimate.time_ns in wanted and estimate.status is not Status.INVALID:
                 truth_nm = truth.mount.rotation_nm[rows[estimate.time_ns]]
                 report = core.integrity(estimate)
-                _look(statistics, run, estimate, report, estimate.rotation_nm, truth_nm, cos_elevation=True)
+                _record_output(statistics, run, estimate, report, estimate.rotation_nm, truth_nm, cos_elevation=True)
 
 
-def _look(
+def _record_output(
     statistics: VoyageStatistics,
     run: SimulatedRun,
     estimate: AttitudeEstimate | PointingEstimate,
@@ -234,8 +234,8 @@ def _look(
     if cos_elevation:
         to_angles[0] *= np.cos(second)
     error = to_angles @ log_rotation(truth @ rotation.T)
-    statistics.look_at_status(since_s, estimate.status, estimate.text)
-    statistics.look_at_output(since_s, estimate.status, report, error, to_angles @ estimate.covariance_n @ to_angles.T)
+    statistics.record_status(since_s, estimate.status, estimate.text)
+    statistics.record_output(since_s, estimate.status, report, error, to_angles @ estimate.covariance_n @ to_angles.T)
 
 
 def by_kind(results: list[Result]) -> Iterator[tuple[str, list[Result]]]:
