@@ -50,11 +50,11 @@ def test_the_peers_fail_with_fewer_than_four_stars_in_a_sensor_where_star_vector
     for scene in scenes()[:4]:
         rows = trials.some_stars(scene, counts)
         seen = trials.views(scene, rows)
-        assert two_boresights(seen, scene.told) is None
-        assert two_boresights_by_iteration(seen, scene.told) is None
+        assert two_boresights(seen, scene.erfa_sky) is None
+        assert two_boresights_by_iteration(seen, scene.erfa_sky) is None
         fewest = seen[int(np.argmin(counts))]
-        assert refraction_on_observed(fewest, scene.told) is None
-        assert refraction_on_reference(fewest, scene.told) is None
+        assert refraction_on_observed(fewest, scene.erfa_sky) is None
+        assert refraction_on_reference(fewest, scene.erfa_sky) is None
         assert trials.joint_solution(scene, rows, with_ins=True).status is SolutionStatus.VALID
 
 
@@ -97,7 +97,7 @@ def without_errors(scene: trials.Scene) -> tuple[list[SensorView], list[FloatArr
     seen, truths = [], []
     for view in trials.views(scene, trials.some_stars(scene, (8, 8))):
         rotation_ns = scene.rotation_nd @ view.rotation_ds
-        seen.append(replace(view, measured_s=scene.told.directions(view.stars) @ rotation_ns))
+        seen.append(replace(view, measured_s=scene.erfa_sky.directions(view.stars) @ rotation_ns))
         truths.append(rotation_ns)
     return seen, truths
 
@@ -106,17 +106,17 @@ def test_the_peers_are_exact_without_errors_and_refraction_converges_in_few_roun
     for scene in scenes()[:6]:
         seen, truths = without_errors(scene)
         for view, truth in zip(seen, truths, strict=True):
-            found = refraction_on_observed(view, scene.told)
+            found = refraction_on_observed(view, scene.erfa_sky)
             assert found is not None
             rotation_ns, rounds = found
             # ERFA inverts its own formula of refraction to a milliarcsecond.
             assert error_arcsec(rotation_ns, truth) < 0.01
             assert 1 <= rounds <= 5
             # The first attitude, without air, is off by a minute of arc: the rounds do something.
-            airless = refraction_on_reference(view, scene.told.without_air())
+            airless = refraction_on_reference(view, scene.erfa_sky.without_air())
             assert airless is not None
             assert error_arcsec(airless, truth) > 20.0
-        for joined in (two_boresights(seen, scene.told), two_boresights_by_iteration(seen, scene.told)):
+        for joined in (two_boresights(seen, scene.erfa_sky), two_boresights_by_iteration(seen, scene.erfa_sky)):
             assert joined is not None
             assert error_arcsec(joined, scene.rotation_nd) < 0.01
 
@@ -126,7 +126,7 @@ def test_all_star_vectors_in_scipys_solution_of_wahbas_problem_give_what_star_at
         rows = trials.some_stars(scene, (8, 8))
         seen = trials.views(scene, rows)
         measured_d = np.concatenate([view.measured_s @ view.rotation_ds.T for view in seen])
-        reference_n = np.concatenate([scene.told.directions(view.stars) for view in seen])
+        reference_n = np.concatenate([scene.erfa_sky.directions(view.stars) for view in seen])
         peer, _ = Rotation.align_vectors(reference_n, measured_d)
         ours = trials.joint_solution(scene, rows, with_ins=False)
         assert ours.star_count == 16
@@ -137,12 +137,12 @@ def test_all_star_vectors_in_scipys_solution_of_wahbas_problem_give_what_star_at
 def test_two_stars_suffice_for_a_boresight_by_geometry_and_one_does_not() -> None:
     scene = scenes()[0]
     seen = trials.views(scene, trials.some_stars(scene, (2, 2)))
-    found = two_boresights(seen, scene.told, FEWEST_BY_GEOMETRY)
+    found = two_boresights(seen, scene.erfa_sky, FEWEST_BY_GEOMETRY)
     assert found is not None
     apart = wrap_pi(angles_from_rotation(found) - angles_from_rotation(scene.rotation_nd))
     assert np.max(np.abs(apart)) < 60.0 * ARCSEC
     one = trials.views(scene, trials.some_stars(scene, (1, 8)))
-    assert two_boresights(one, scene.told, FEWEST_BY_GEOMETRY) is None
+    assert two_boresights(one, scene.erfa_sky, FEWEST_BY_GEOMETRY) is None
 
 
 # -- clouds -----------------------------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ def environment(tmp_path_factory):
             yield environment
 
 
-def asked(environment, command, *arguments):
+def run_command(environment, command, *arguments):
     """Return (exit code, stdout, stderr)."""
     ended = subprocess.run(
         [*executable("ship_bringup", command), *arguments, "--timeout", "15"],
@@ -48,64 +48,64 @@ def asked(environment, command, *arguments):
 
 
 def test_services_are_listed_and_called(environment):
-    assert asked(environment, "call", NODE) == (0, "load_alignment\nreset\nsave_alignment\n", "")
-    assert asked(environment, "call", NODE, "reset") == (0, "done: the filter was reset\n", "")
-    code, said, _ = asked(environment, "call", NODE, "save_alignment")
+    assert run_command(environment, "call", NODE) == (0, "load_alignment\nreset\nsave_alignment\n", "")
+    assert run_command(environment, "call", NODE, "reset") == (0, "done: the filter was reset\n", "")
+    code, said, _ = run_command(environment, "call", NODE, "save_alignment")
     assert code == 1
     assert said.startswith("not done: parameter 'alignment_file' is empty")
 
 
 def test_an_alert_is_acknowledged_by_its_id_and_instance(environment):
-    code, listed, _ = asked(environment, "call", "/alpha/alerts")
+    code, listed, _ = run_command(environment, "call", "/alpha/alerts")
     assert code == 0
     assert listed == "acknowledge id=<string> instance=<uint32>\nsilence\n"
-    code, said, _ = asked(environment, "call", "/alpha/alerts", "acknowledge", "id=there.is.none", "instance=7")
+    code, said, _ = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=there.is.none", "instance=7")
     assert code == 1
     assert said.startswith("not done: ")
-    code, _, told = asked(environment, "call", "/alpha/alerts", "acknowledge", "id=x")
+    code, _, told = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x")
     assert (code, told) == (2, "call: service 'acknowledge' needs instance=<uint32>\n")
-    code, _, told = asked(environment, "call", "/alpha/alerts", "acknowledge", "id=x", "instance=one")
+    code, _, told = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x", "instance=one")
     assert (code, told) == (2, "call: field 'instance' of service 'acknowledge': 'one' is no uint32\n")
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(environment):
-    code, _, told = asked(environment, "call", "/alpha/ship_atitude", "reset")
+    code, _, told = run_command(environment, "call", "/alpha/ship_atitude", "reset")
     assert (code, told.count("\n")) == (2, 1)
     assert told.startswith(f"call: no node '/alpha/ship_atitude': did you mean '{NODE}'? There are ")
-    code, _, told = asked(environment, "call", NODE, "restet")
+    code, _, told = run_command(environment, "call", NODE, "restet")
     assert (code, "did you mean 'reset'?" in told) == (2, True)
-    code, _, told = asked(environment, "param", NODE, "gate.probabilty")
+    code, _, told = run_command(environment, "param", NODE, "gate.probabilty")
     said = f"param: node {NODE}: no parameter 'gate.probabilty': did you mean 'gate.probability'?\n"
     assert (code, told) == (2, said)
 
 
 def test_parameters_are_listed_with_units_read_and_set(environment):
-    code, listed, _ = asked(environment, "param", NODE)
+    code, listed, _ = run_command(environment, "param", NODE)
     assert code == 0
     assert re.search(r"^  alignment_max_age_d +30\.0 +\[0, 36500\] +.*\[d\]$", listed, re.MULTILINE)
     assert re.search(r"^  star_sensors\.fore\.azimuth_deg +0\.0 ", listed, re.MULTILINE)
-    set_ = asked(environment, "param", NODE, "gate.probability", "0.999")
+    set_ = run_command(environment, "param", NODE, "gate.probability", "0.999")
     assert set_ == (0, "gate.probability = 0.999, was 0.9999\n", "")
-    assert re.match(r"  gate\.probability\* +0\.999 ", asked(environment, "param", NODE, "gate.probability")[1])
+    assert re.match(r"  gate\.probability\* +0\.999 ", run_command(environment, "param", NODE, "gate.probability")[1])
 
 
 def test_a_source_is_removed_and_added_again(environment):
-    assert asked(environment, "param", NODE, "sources_off", "star.fore") == (0, "sources_off = star.fore, was []\n", "")
-    assert asked(environment, "param", NODE, "sources_off", "[]") == (0, "sources_off = [], was star.fore\n", "")
-    code, _, told = asked(environment, "param", NODE, "sources_off", "fore")
+    assert run_command(environment, "param", NODE, "sources_off", "star.fore") == (0, "sources_off = star.fore, was []\n", "")
+    assert run_command(environment, "param", NODE, "sources_off", "[]") == (0, "sources_off = [], was star.fore\n", "")
+    code, _, told = run_command(environment, "param", NODE, "sources_off", "fore")
     assert code == 1
     assert told.startswith("param: refused: parameter 'sources_off': there is no source 'fore': expected some of star.")
-    code, _, told = asked(environment, "param", NODE, "sources_off", "ins")
+    code, _, told = run_command(environment, "param", NODE, "sources_off", "ins")
     assert (code, "stop what publishes ins/imu" in told) == (1, True)
 
 
 def test_a_rejection_has_the_reason_of_the_node(environment):
-    code, _, told = asked(environment, "param", NODE, "gate.probability", "7")
+    code, _, told = run_command(environment, "param", NODE, "gate.probability", "7")
     assert (code, told.count("\n")) == (1, 1)
     assert told.startswith("param: refused: parameter 'gate.probability' = 7.0 is out of its range [0.5, ")
-    code, _, told = asked(environment, "param", NODE, "lag_s", "3")
+    code, _, told = run_command(environment, "param", NODE, "lag_s", "3")
     assert (code, told.startswith("param: refused: parameter 'lag_s' cannot be changed")) == (1, True)
-    code, _, told = asked(environment, "param", NODE, "gate.probability", "high")
+    code, _, told = run_command(environment, "param", NODE, "gate.probability", "high")
     assert code == 2
     assert re.fullmatch(r"param: parameter 'gate\.probability' is .*: expected a number\n", told)
 

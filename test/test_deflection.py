@@ -126,7 +126,7 @@ def test_gravitys_horizon_differs_by_the_deflection_and_is_consistent() -> None:
         geodetic, gravity = estimates
         assert (geodetic.horizon, gravity.horizon) == (Horizon.GEODETIC, Horizon.GRAVITY)
         xi, eta = run.truth.deflection[-1]
-        latitude_deg, _ = run.truth.track.degrees(run.ins.time_ns[-1:])
+        latitude_deg, _ = run.truth.track.latitude_longitude_deg(run.ins.time_ns[-1:])
         turn_n = np.array([eta, eta * np.tan(np.deg2rad(latitude_deg[0])), -xi])
         true_nd = exp_rotation(-turn_n) @ run.truth.rotation_nd[-1]
         error = log_rotation(true_nd @ gravity.rotation_nd.T)
@@ -191,7 +191,7 @@ def test_a_table_with_a_gap_under_the_ship_is_named_and_the_covariance_grows() -
     run = simulate(scenario, 5)
     estimate = last_estimate(core, run)
     assert core.vertical is not None
-    assert "the table has no row" in core.vertical.told(estimate.time_ns)
+    assert "the table has no row" in core.vertical.missing_data_text(estimate.time_ns)
     whole = last_estimate(core_of(scenario), run)
     assert estimate.covariance_n[2, 2] > whole.covariance_n[2, 2] + (3.0 * ARCSEC) ** 2
     assert estimate.status is Status.COASTING

@@ -66,8 +66,8 @@ def _advised(voyage: tuple[Path, dict[str, Any]]) -> list[tuple[str, bytes, int,
     return entries(voyage, "advised", {"enabled": True, "period_s": PERIOD_S, **LIMITS})
 
 
-def messages(told: list[tuple[str, bytes, int, Any]], topic: str) -> list[Any]:
-    return [message for name, _, _, message in told if name == topic]
+def messages(outputs: list[tuple[str, bytes, int, Any]], topic: str) -> list[Any]:
+    return [message for name, _, _, message in outputs if name == topic]
 
 
 def test_published_once_in_a_period_with_places_within_the_limits(advised, voyage) -> None:

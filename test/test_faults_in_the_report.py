@@ -15,7 +15,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.page import page
 from ship_replay.report.tables import outages
-from ship_replay.report.told import ReportData, read_told
+from ship_replay.report.told import ReportData, read_report_data
 from ship_replay.report.wording import utc
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.reported_nights import section
@@ -44,7 +44,7 @@ class Reported:
 
     bag: str
     start_ns: int
-    told: ReportData
+    events: ReportData
     path: Path
 
     def seconds(self, utc_ns: int) -> float:
@@ -58,14 +58,14 @@ def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     given, out = replayed(folder, request.param, FAULTS[request.param])
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    told = read_told(out, given)
+    told = read_report_data(out, given)
     (folder / "report.html").write_text(page(told))
     return Reported(request.param, start_ns, told, folder / "report.html")
 
 
 @pytest.mark.slow
 def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported) -> None:
-    bag, night, seconds = reported.bag, reported.told.recording, reported.seconds
+    bag, night, seconds = reported.bag, reported.events.recording, reported.seconds
     text = reported.path.read_text()
     known_s = KNOWN_S[bag]
     # Affected sources are reported with the faulty one, and none before the first fault.

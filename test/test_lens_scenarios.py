@@ -21,7 +21,7 @@ from ship_testing.theodolite_scenes import SCENARIOS, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, Ship, Survey, lines_of_sight
-from theodolite_calib.lights.telescope_attitude import solve
+from theodolite_calib.lights.telescope_attitude import solve_attitude
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 pytestmark = pytest.mark.slow
@@ -133,7 +133,7 @@ def sighting_errors_arcsec(scenario, seed: int) -> FloatArray:
     points_m = images.point_m.reshape(-1, 2, 2)
     camera = Camera(told.telescope.focal_length_m, told.telescope.focal_length_sigma_m, none[:2])
     image = Image(points_m, np.full(points_m.shape[:-1], images.sigma_m))
-    attitude = solve(image, camera, lines_of_sight(lights, ship, survey))
+    attitude = solve_attitude(image, camera, lines_of_sight(lights, ship, survey))
     assert attitude.solved.all()
     return angle_between(attitude.rotation_nt[:, :, 0], scene.rotation_nt(mount)[:, :, 0]) / ARCSEC
 

@@ -74,8 +74,8 @@ def replayed(folder: Path, bag: str, *, one_by_one: bool = False) -> list[tuple[
         return [(record.topic.strip("/"), record.decode(), bytes(record.data)) for record in told.records()]
 
 
-def said(told: list[tuple[str, Any, bytes]], topic: str) -> list[Any]:
-    return [message for name, message, _ in told if name == topic]
+def decode_topic(outputs: list[tuple[str, Any, bytes]], topic: str) -> list[Any]:
+    return [message for name, message, _ in outputs if name == topic]
 
 
 def errors(pointings: list[Any], truth_nm: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +98,7 @@ def errors(pointings: list[Any], truth_nm: dict[int, np.ndarray]) -> tuple[np.nd
 def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) -> None:
     folder, truth_nm = voyage
     told = replayed(folder, "stars.mcap")
-    pointings = [message for message in said(told, POINTING) if message.mode == Mode.STARS]
+    pointings = [message for message in decode_topic(told, POINTING) if message.mode == Mode.STARS]
     assert len(pointings) > 300
     assert {message.status for message in pointings} == {Status.VALID}
     assert {message.light_count for message in pointings} == {0}
@@ -108,7 +108,7 @@ def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) ->
     assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 3.0
     # Chi-square with three degrees: beyond 30.7 is one in a million.
     assert np.max(nees) < 30.7
-    accepted = [message for message in said(told, INNOVATION) if message.source in SOURCES]
+    accepted = [message for message in decode_topic(told, INNOVATION) if message.source in SOURCES]
     assert sum(message.accepted for message in accepted) > 70
     named = {component.split(" ")[0] for message in accepted if message.accepted for component in message.components}
     assert named == {"HIP"}
@@ -117,15 +117,15 @@ def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) ->
 def test_with_lights_too_the_mode_is_that_of_both(voyage) -> None:
     folder, truth_nm = voyage
     told = replayed(folder, "both.mcap")
-    modes = {message.mode for message in said(told, POINTING)}
+    modes = {message.mode for message in decode_topic(told, POINTING)}
     assert Mode.STARS_AND_LIGHTS in modes
-    pointings = [message for message in said(told, POINTING) if message.mode == Mode.STARS_AND_LIGHTS]
+    pointings = [message for message in decode_topic(told, POINTING) if message.mode == Mode.STARS_AND_LIGHTS]
     assert {message.status for message in pointings} == {Status.VALID}
     assert {message.light_count for message in pointings} <= {1, 2}
     _, nees = errors(pointings, truth_nm)
     assert len(nees) > 0
     assert np.max(nees) < 30.7
-    (budget, *_) = said(told, "theodolite/error_budget")[-1:]
+    (budget, *_) = decode_topic(told, "theodolite/error_budget")[-1:]
     assert {"star_noise", "refraction", "earth_rotation", "ship_position", "parallelism"} <= set(budget.sources)
 
 
@@ -140,7 +140,7 @@ def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
 def test_without_a_fix_no_star_is_used_and_the_pointing_is_that_without_stars(voyage) -> None:
     folder, _ = voyage
     told, without = replayed(folder, "no_fix.mcap"), replayed(folder, "lights.mcap")
-    stars = [message for message in said(told, INNOVATION) if message.source in SOURCES]
+    stars = [message for message in decode_topic(told, INNOVATION) if message.source in SOURCES]
     assert len(stars) > 70
     assert {message.reason for message in stars} == {Reason.NO_FIX}
     assert not any(message.accepted for message in stars)
@@ -154,7 +154,7 @@ def test_without_ship_or_encoders_identified_stars_give_the_pointing(voyage, bag
     folder, truth_nm = voyage
     told = replayed(folder, bag)
     alone_ns = min(truth_nm) + ENDS_NS + 1_200_000_000
-    pointings = [message for message in said(told, POINTING) if ns_from_stamp(message.header.stamp) > alone_ns]
+    pointings = [message for message in decode_topic(told, POINTING) if ns_from_stamp(message.header.stamp) > alone_ns]
     assert {(message.mode, message.status) for message in pointings} == {(Mode.STARS, Status.DEGRADED)}
     off, nees = errors(pointings, truth_nm)
     assert len(off) == len(pointings) >= 20  # every other exposure has names

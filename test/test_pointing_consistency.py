@@ -100,11 +100,11 @@ def streaking(exposure_s: float, **changes: Any) -> Scenario:
     )
 
 
-def nees_at_the_end(scenario: Scenario, seed: int, told: Scenario) -> tuple[float, int]:
+def nees_at_the_end(scenario: Scenario, seed: int, configured: Scenario) -> tuple[float, int]:
     """Return NEES of a session with another exposure time configured in the core, and the number of its rejections."""
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
-    estimates, _, refused = feed_pointing(core, dataclasses.replace(run, scenario=told))
+    estimates, _, refused = feed_pointing(core, dataclasses.replace(run, scenario=configured))
     error_n = log_rotation(run.theodolite.truth.mount.rotation_nm[-1] @ estimates[-1].rotation_nm.T)
     return float(normalized_error_squared(error_n, estimates[-1].covariance_n)), refused
 

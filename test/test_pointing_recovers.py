@@ -128,7 +128,7 @@ def found(path: Path, *faults: Fault, **changes: object) -> Found:
         if statuses[first] != 0
     ]
     long = [end_s for begin_s, end_s in spans if end_s - begin_s > 1.0]
-    levels = [claim.over_level for claim in sink.told.claims]
+    levels = [claim.over_level for claim in sink.outputs.claims]
     return Found(adapter, max(long, default=0.0), float(np.nanmax(levels)), sink.texts)
 
 

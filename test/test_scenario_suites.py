@@ -42,7 +42,7 @@ def fixture_scenario(request, tmp_path):
     return load_scenario(path)
 
 
-def told_nodes(scenario):
+def configured_nodes(scenario):
     """Return node → (its loaded configuration, the parameters in the file, nested)."""
     text = suite_yaml(scenario)
     sections = yaml.safe_load(text)
@@ -53,7 +53,7 @@ def told_nodes(scenario):
 
 
 def test_the_nodes_accept_the_suite_file_of_each_scenario(scenario):
-    nodes = told_nodes(scenario)
+    nodes = configured_nodes(scenario)
     assert nodes
     for config, values in nodes.values():
         loaded, told = flatten(config), dict(flat(values))
@@ -61,7 +61,7 @@ def test_the_nodes_accept_the_suite_file_of_each_scenario(scenario):
 
 
 def test_parameters_with_the_name_of_a_scenario_key_are_written(scenario):
-    for config, values in told_nodes(scenario).values():
+    for config, values in configured_nodes(scenario).values():
         for device, told, kind in devices(scenario, config, values):
             missing = {name for name in shared_names(device, kind) - told.keys() if differs(name, device, kind)}
             assert not missing, (type(device).__name__, kind.__name__, missing)
@@ -96,14 +96,14 @@ def devices(scenario, config, values):
         yield from grouped(scenario.theodolite, values, type(config))
 
 
-def grouped(device, told, kind):
-    yield device, told, kind
+def grouped(device, values, kind):
+    yield device, values, kind
     for name, group in typing.get_type_hints(kind).items():
         # A camera belongs to sensors that give single stars, Schuler's sensors to an INS that oscillates, a main
         # detector to a theodolite with targets: only they have these groups.
-        belongs = name not in ("camera", "schuler", "main_detector") or name in told
+        belongs = name not in ("camera", "schuler", "main_detector") or name in values
         if dataclasses.is_dataclass(group) and hasattr(device, name) and belongs:
-            yield from grouped(getattr(device, name), told[name], group)
+            yield from grouped(getattr(device, name), values[name], group)
 
 
 def shared_names(device, kind):

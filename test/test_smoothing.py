@@ -35,7 +35,7 @@ SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 16
 
 
-class Told(NamedTuple):
+class EstimatePair(NamedTuple):
     """The attitude of each stamp, filtered and smoothed."""
 
     at_once: list[AttitudeEstimate]
@@ -52,13 +52,13 @@ def thin(name: str, duration_s: float, gap_s: tuple[float, float]) -> Scenario:
     return replace(whole, duration_s=duration_s, ins=replace(whole.ins, rate_hz=10.0), star_sensors=sensors)
 
 
-def sailed(scenario: Scenario, seed: int, asked_s: list[float]) -> tuple[Told, np.ndarray]:
+def sailed(scenario: Scenario, seed: int, output_times_s: list[float]) -> tuple[EstimatePair, np.ndarray]:
     """Return the outputs at some times, and the true attitudes, shape (n, 3, 3)."""
     run = simulate(scenario, seed)
     stamps = run.ins.time_ns[run.truth.ins_index]
-    rows = [int(np.searchsorted(stamps, stamps[0] + round(second * 1e9))) for second in asked_s]
+    rows = [int(np.searchsorted(stamps, stamps[0] + round(second * 1e9))) for second in output_times_s]
     core = SmoothingCore(build(ShipAttitudeConfig, suite_configuration(scenario)), None, None)
-    told = Told([], [])
+    told = EstimatePair([], [])
     for outcome in attitude_outcomes(core, run, set(stamps[rows].tolist())):
         told.at_once.extend(outcome.estimates)
         assert core.smoothed() == []
@@ -129,9 +129,9 @@ CONFIG = build(
 )
 
 
-def with_hindsight(ins: list[AttitudeSample], fault_arcsec: float, seed: int) -> tuple[Told, np.ndarray]:
+def with_hindsight(ins: list[AttitudeSample], fault_arcsec: float, seed: int) -> tuple[EstimatePair, np.ndarray]:
     """Return thirty seconds with three sensors, one rotated from 15 s on; smoothed each half second and at JUMP - 1."""
-    rng, core, told, first_ns = np.random.default_rng(seed), SmoothingCore(CONFIG, None, None), Told([], []), 10**18
+    rng, core, told, first_ns = np.random.default_rng(seed), SmoothingCore(CONFIG, None, None), EstimatePair([], []), 10**18
     mounted = {id_: exp_rotation(MOUNTED * rng.standard_normal(3)) for id_ in SENSORS}
     asked_s = []
     for number, sample in enumerate(ins):

@@ -37,7 +37,7 @@ pytestmark = pytest.mark.slow  # what its tests share takes long
 SEEDS = 16
 
 
-class Told(NamedTuple):
+class EstimatePair(NamedTuple):
     """Pointing of each reading, filtered and smoothed, the true main axes, shape (N, 3, 3), and faulty sources."""
 
     at_once: list[PointingEstimate]
@@ -67,7 +67,7 @@ def rms_arcsec(errors_n: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(errors_n**2, axis=-1)))) / ARCSEC
 
 
-def told_again(core: SmoothingAxisCore, outcomes: Iterator[PointingOutcome], run: SimulatedRun) -> Told:
+def smoothed_pointings(core: SmoothingAxisCore, outcomes: Iterator[PointingOutcome], run: SimulatedRun) -> EstimatePair:
     """Return the outputs of a core at the times of the truth."""
     at_once, excluded = [], set()
     for outcome in outcomes:
@@ -79,7 +79,7 @@ def told_again(core: SmoothingAxisCore, outcomes: Iterator[PointingOutcome], run
     readings, truth = run.theodolite.encoder, run.theodolite.truth
     rows = {int(stamp): row for row, stamp in enumerate(readings.time_ns[truth.encoder_index])}
     at_once, smoothed = ([one for one in all_ if one.time_ns in rows] for all_ in (at_once, smoothed))
-    return Told(at_once, smoothed, truth.mount.rotation_nm[[rows[one.time_ns] for one in at_once]], excluded)
+    return EstimatePair(at_once, smoothed, truth.mount.rotation_nm[[rows[one.time_ns] for one in at_once]], excluded)
 
 
 def axis_core(scenario: Scenario) -> SmoothingAxisCore:
@@ -117,24 +117,24 @@ def fed(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:
 
 
 @pytest.fixture(scope="module")
-def sessions() -> list[Told]:
+def sessions() -> list[EstimatePair]:
     scenario, told = session(), []
     for seed in range(SEEDS):
         run, core = simulate(scenario, seed), axis_core(scenario)
-        told.append(told_again(core, fed(core, run), run))
+        told.append(smoothed_pointings(core, fed(core, run), run))
     return told
 
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("second", [1.0, 15.0, 29.0, 40.0, 57.0, 64.0, 89.0, 105.0])
-def test_smoothed_pointings_are_consistent(sessions: list[Told], second: float) -> None:
+def test_smoothed_pointings_are_consistent(sessions: list[EstimatePair], second: float) -> None:
     place = sessions[0].place(second)
     found = [nees(told.smoothed[place : place + 1], told.true_nm[place : place + 1])[0] for told in sessions]
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(found) < high
 
 
-def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sessions: list[Told]) -> None:
+def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sessions: list[EstimatePair]) -> None:
     # Shortly before an exclusion the filtered pointings still depend on the source.
     kept = [told for told in sessions if not told.excluded]
     assert len(kept) > SEEDS // 2
@@ -162,7 +162,7 @@ def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sess
     )
 
 
-def test_filtered_pointings_are_the_same_to_the_last_bit(sessions: list[Told]) -> None:
+def test_filtered_pointings_are_the_same_to_the_last_bit(sessions: list[EstimatePair]) -> None:
     scenario = session()
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
     plain = [one for outcome in fed(core, simulate(scenario, 0)) for one in outcome.estimates]
@@ -188,7 +188,7 @@ def test_smoothing_before_a_slip_of_the_encoders_is_consistent() -> None:
         late = readings.time_ns > run.start_ns + round(FAULT_S * 1e9)
         slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(2.0) * late, 2.0 * np.pi))
         run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
-        told = told_again(core, fed(core, run), run)
+        told = smoothed_pointings(core, fed(core, run), run)
         places = [told.place(second) for second in (5.0, 25.0, 40.0, 55.0, FAULT_S)]
         found.append(nees([told.smoothed[place] for place in places], told.true_nm[places]))
         variances = [np.trace(covariances(all_), axis1=1, axis2=2)[places] for all_ in (told.at_once, told.smoothed)]
@@ -210,7 +210,7 @@ def test_an_excluded_drone_has_no_effect_on_smoothing() -> None:
     baseline_n = baselines["a"].baseline_n + np.array([0.6, -0.4, 0.5]) * late[:, None]
     baselines["a"] = replace(baselines["a"], baseline_n=baseline_n)
     run = replace(run, theodolite=replace(run.theodolite, baselines=baselines))
-    told = told_again(core, fed(core, run), run)
+    told = smoothed_pointings(core, fed(core, run), run)
     assert told.excluded == {BEACON + "a"}
     # Chi-square of three degrees of freedom exceeds it once in ten thousand.
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
@@ -227,7 +227,7 @@ def test_excluded_encoders_change_no_smoothed_pointing() -> None:
     late = readings.time_ns > run.start_ns + round(FAULT_S * 1e9)
     slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(0.5) * late, 2.0 * np.pi))
     run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
-    told = told_again(core, fed(core, run), run)
+    told = smoothed_pointings(core, fed(core, run), run)
     assert told.excluded == {ENCODER}
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
     # From the last lights before on; and each later sighting is independent.
@@ -236,10 +236,10 @@ def test_excluded_encoders_change_no_smoothed_pointing() -> None:
     assert is_as_it_was(told, 70.0, 88.0)
 
 
-def is_as_it_was(told: Told, start_s: float, end_s: float) -> bool:
+def is_as_it_was(estimates: EstimatePair, start_s: float, end_s: float) -> bool:
     """True if the smoothed pointings of a time span equal the filtered ones to rounding."""
-    some = slice(told.place(start_s), told.place(end_s))
-    at_once, smoothed = (covariances(all_)[some] for all_ in (told.at_once, told.smoothed))
+    some = slice(estimates.place(start_s), estimates.place(end_s))
+    at_once, smoothed = (covariances(all_)[some] for all_ in (estimates.at_once, estimates.smoothed))
     return bool(np.all(np.abs(smoothed - at_once) <= 1e-6 * np.trace(at_once, axis1=1, axis2=2)[:, None, None]))
 
 
@@ -262,7 +262,7 @@ def voyage() -> Scenario:
     )
 
 
-def sailed(seed: int) -> Told:
+def sailed(seed: int) -> EstimatePair:
     scenario = voyage()
     run = simulate(scenario, seed)
     ship = SmoothingCore(build(ShipAttitudeConfig, suite_configuration(scenario)), None, None)
@@ -280,7 +280,7 @@ def sailed(seed: int) -> Told:
             given = samples.get(int(run.ins.time_ns[index])) if source == "ins" else None
             yield give_pointing(core, run, source, index) if given is None else core.add_ship(given)
 
-    return told_again(core, outcomes(), run)
+    return smoothed_pointings(core, outcomes(), run)
 
 
 @pytest.mark.statistics

@@ -38,7 +38,7 @@ def one_epoch(**changes) -> Scenario:
     return replace(short, **changes)
 
 
-def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyModel:
+def configured_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyModel:
     """Return the sky by the fixes and the weather station."""
     watch = load_sky_model(configuration.sky)
     for _, source, index in run.arrivals():
@@ -76,16 +76,16 @@ def sighted(exposures: dict[str, StarExposure], watch: SkyModel, configuration: 
     return MatchedStars(*columns, np.array(mounting_b), field_b=of_all, field_sources=field_sources)
 
 
-def normalised_errors(scenario: Scenario, told: Scenario | None = None, **sky: float) -> list[float]:
+def normalised_errors(scenario: Scenario, configured: Scenario | None = None, **sky: float) -> list[float]:
     """Return NEES of the joint solution, one per seed."""
-    return each_nees(*joint_errors(scenario, told, **sky))
+    return each_nees(*joint_errors(scenario, configured, **sky))
 
 
 def each_nees(errors_n: FloatArray, covariances_n: FloatArray) -> list[float]:
     return [float(normalized_error_squared(*pair)) for pair in zip(errors_n, covariances_n, strict=True)]
 
 
-def joint_errors(scenario: Scenario, told: Scenario | None = None, **sky: float) -> tuple[FloatArray, FloatArray]:
+def joint_errors(scenario: Scenario, configured: Scenario | None = None, **sky: float) -> tuple[FloatArray, FloatArray]:
     """Return errors of the joint solution and their covariances, one per seed, shapes (n, 3) and (n, 3, 3).
 
     Args:
@@ -93,13 +93,13 @@ def joint_errors(scenario: Scenario, told: Scenario | None = None, **sky: float)
         told: scenario of the estimator's configuration; that of ``scenario`` where None.
         sky: changed parameters of the sky.
     """
-    suite = suite_configuration(told or scenario)
+    suite = suite_configuration(configured or scenario)
     configuration = build(ShipAttitudeConfig, {**suite, "sky": {**suite["sky"], **sky}})
     errors_n, covariances_n = [], []
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
         exposures = {id_: star_exposure(run, id_, 0) for id_ in run.stars}
-        solution = solve_stars(sighted(exposures, told_sky(run, configuration), configuration))
+        solution = solve_stars(sighted(exposures, configured_sky(run, configuration), configuration))
         assert solution.status is SolutionStatus.VALID
         # The sensors have no time offset: the truth at the first stamp is theirs.
         error_n = log_rotation(run.truth.rotation_nd[0] @ solution.rotation_nb.T)
@@ -126,7 +126,7 @@ def test_the_error_of_the_joint_solution_fits_its_covariance(case: str) -> None:
 @pytest.mark.slow
 def test_unmodelled_errors_are_detected() -> None:
     """The test can fail: large weather errors with the configuration of the usual ones."""
-    values = normalised_errors(one_epoch(**LARGE_ERRORS["weather"]), told=BASE)
+    values = normalised_errors(one_epoch(**LARGE_ERRORS["weather"]), configured=BASE)
     assert np.mean(values) > mean_nees_band(SEEDS, degrees=3)[1]
 
 
@@ -185,7 +185,7 @@ def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:
         earth_rotation_sigma_s=1e-9,
     )
     run = simulate(exact, seed=1)
-    watch = told_sky(run, build(ShipAttitudeConfig, suite_configuration(exact)))
+    watch = configured_sky(run, build(ShipAttitudeConfig, suite_configuration(exact)))
     for id_, samples in run.stars.items():
         inertial = InertialAttitude(id_, int(samples.time_ns[0]), samples.rotation_cv[0], samples.noise_v)
         found = in_horizon(inertial, watch)

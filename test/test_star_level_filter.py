@@ -125,7 +125,7 @@ def streaked(exposure_s: float, seeds: int) -> list[SimulatedRun]:
     return [simulate(replace(scenario, star_sensors=sensors), seed) for seed in range(seeds)]
 
 
-def nobody_told_the_length(run: SimulatedRun) -> SimulatedRun:
+def without_exposure_length(run: SimulatedRun) -> SimulatedRun:
     """Return the same run, its exposures without their length."""
     sensors = {id_: replace(sensor, exposure_s=0.0) for id_, sensor in run.scenario.star_sensors.items()}
     return replace(run, scenario=replace(run.scenario, star_sensors=sensors))
@@ -140,7 +140,7 @@ def test_with_streaks_of_a_fifth_of_a_second_the_error_fits_its_covariance():
 @pytest.mark.parametrize("exposure_s", [0.1, 0.2])
 def test_streaks_without_exposure_time_are_detected(exposure_s):
     """The errors are larger than they say; or the sensors are found to contradict it."""
-    lies = [nobody_told_the_length(run) for run in streaked(exposure_s, 3)]
+    lies = [without_exposure_length(run) for run in streaked(exposure_s, 3)]
     found = [(*final(lie), lie) for lie in lies]
     told = [core.state.unresolved_fault is not None or bool(core.state.record) for core, _, _ in found]
     nees = [normalised(lie, estimate) for _, estimate, lie in found]

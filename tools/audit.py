@@ -39,7 +39,7 @@ def _audit(options: argparse.Namespace) -> int:
     wanted = sorted({pin for python in BOTH_SIDES for pin in pins(lock, python)})
     print(f"audit: {len(wanted)} pinned versions, query to {options.service}", flush=True)
     with tempfile.TemporaryDirectory() as work:
-        found, unanswered = evaluate_report(_asked(wanted, options.service, Path(work)), wanted)
+        found, unanswered = evaluate_report(_query_pip_audit(wanted, options.service, Path(work)), wanted)
     for line in found + [f"{pin}: no result" for pin in unanswered]:
         print(f"audit: {line}", file=sys.stderr)
     print(f"audit: {len(found)} known vulnerabilities, {len(unanswered)} of {len(wanted)} versions without a result")
@@ -62,7 +62,7 @@ def evaluate_report(report: dict[str, Any], wanted: list[str]) -> tuple[list[str
     return found, [pin for pin in wanted if pin not in answered]
 
 
-def _asked(wanted: list[str], service: str, work: Path) -> dict[str, Any]:
+def _query_pip_audit(wanted: list[str], service: str, work: Path) -> dict[str, Any]:
     """Return the report of pip-audit; two versions of one wheel need two calls, as pip-audit accepts one version."""
     python = _environment(work)
     dependencies: list[Any] = []

@@ -61,7 +61,7 @@ def _run(options: argparse.Namespace) -> int:
         print(f"live_memory: {failure}", file=sys.stderr)
         return EXIT_BOUND_NOT_MET
     growth_mb, most_mb = growth(hours, resident_mb, options.settled_h), float(resident_mb.max())
-    _tell(hours, resident_mb)
+    _print_table(hours, resident_mb)
     print(f"growth after {options.settled_h:g} h: {growth_mb:.2f} MB (at most {MOST_GROWTH_MB:g})")
     print(f"most: {most_mb:.1f} MB (at most {MOST_MB:g})")
     return EXIT_DONE if growth_mb <= MOST_GROWTH_MB and most_mb <= MOST_MB else EXIT_BOUND_NOT_MET
@@ -141,7 +141,7 @@ def _resident_mb(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def _tell(hours: np.ndarray, resident_mb: np.ndarray) -> None:
+def _print_table(hours: np.ndarray, resident_mb: np.ndarray) -> None:
     console = Console(width=80)
     for row in np.unique(np.linspace(0, len(hours) - 1, _LINES).astype(int)):
         console.print(f"{hours[row]:6.2f} h {resident_mb[row]:8.1f} MB")

@@ -151,9 +151,9 @@ def flooded(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: i
     return in_order([*arrivals, *more])
 
 
-def without_rejected(arrivals: Arrivals, topic: str, told: Iterable[Any]) -> Arrivals:
+def without_rejected(arrivals: Arrivals, topic: str, innovations: Iterable[Any]) -> Arrivals:
     """Return the arrivals of a topic, all of different stamps, without those that innovations report as rejected."""
-    refused_ns = {stamp_of(message) for message in told}
+    refused_ns = {stamp_of(message) for message in innovations}
     return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in refused_ns)
 
 

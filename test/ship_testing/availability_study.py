@@ -80,7 +80,7 @@ class Scene:
     exposures: dict[str, StarExposure]
     config: StarAttitudeConfig
     sky_model: SkyModel
-    told: ErfaSky
+    erfa_sky: ErfaSky
     rotation_nd: FloatArray
     ins: StarPrior
     order: dict[str, np.ndarray]
@@ -122,7 +122,7 @@ def draw_scene(seed: int) -> Scene:
         exposures=exposures,
         config=config,
         sky_model=watch,
-        told=ErfaSky(run.start_ns, run.fixes.position(0), weather),
+        erfa_sky=ErfaSky(run.start_ns, run.fixes.position(0), weather),
         rotation_nd=rotation_nd,
         ins=StarPrior(ins_nd, np.diag(_INS_SIGMA**2)),
         order={id_: rng.permutation(len(exposure)) for id_, exposure in exposures.items()},
@@ -231,7 +231,7 @@ def views(scene: Scene, rows: Mapping[str, np.ndarray]) -> list[SensorView]:
 
 def _peer(solve: Callable[[list[SensorView], ErfaSky], FloatArray | None]) -> Method:
     def method(scene: Scene, rows: Mapping[str, np.ndarray]) -> Attitude | None:
-        rotation_nd = solve(views(scene, rows), scene.told)
+        rotation_nd = solve(views(scene, rows), scene.erfa_sky)
         return None if rotation_nd is None else Attitude(rotation_nd)
 
     return method

@@ -21,7 +21,7 @@ PATIENCE_S = 40.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class TellingShip:
+class AttitudePublisher:
     """Suite in the namespace demo that publishes its attitude, and subscribes to the diagnostics."""
 
     def __init__(self):
@@ -42,7 +42,7 @@ class TellingShip:
     def _take_alerts(self, message):
         self.alerts = {alert.id: alert for alert in message.alerts}
 
-    def tell(self, heading_deg=10.0, pitch_deg=2.0, roll_deg=-3.0, status=ShipAttitude.VALID, age_s=0.0):
+    def publish(self, heading_deg=10.0, pitch_deg=2.0, roll_deg=-3.0, status=ShipAttitude.VALID, age_s=0.0):
         message = ShipAttitude(status=status, star_age_s=0.1)
         message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time.time_ns() - round(age_s * 1e9))
         message.heading, message.pitch, message.roll = (math.radians(a) for a in (heading_deg, pitch_deg, roll_deg))
@@ -102,11 +102,11 @@ class Display:
             self.connection.close()
 
 
-def until(ship, found, tell=lambda: None):
+def until(ship, found, publish=lambda: None):
     """Return the result of ``found`` as soon as it is true; call ``tell`` repeatedly until then."""
     end_s = time.monotonic() + PATIENCE_S
     while not (result := found()) and time.monotonic() < end_s:
-        tell()
+        publish()
         ship.spin()
     assert result
     return result

@@ -137,17 +137,17 @@ class Browser:
                 return dict(message["result"])
             self._note(message.get("method", ""), message.get("params", {}))
 
-    def _note(self, method: str, told: dict[str, Any]) -> None:
+    def _note(self, method: str, event: dict[str, Any]) -> None:
         if method == "Runtime.exceptionThrown":
-            self.problems.append(str(told["exceptionDetails"].get("exception", told)))
-        elif method == "Log.entryAdded" and told["entry"]["level"] == "error":
-            self.problems.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
-        elif method == "Runtime.consoleAPICalled" and told["type"] in ("error", "assert"):
-            self.problems.append(str(told["args"]))
+            self.problems.append(str(event["exceptionDetails"].get("exception", event)))
+        elif method == "Log.entryAdded" and event["entry"]["level"] == "error":
+            self.problems.append(f"{event['entry']['text']} {event['entry'].get('url', '')}")
+        elif method == "Runtime.consoleAPICalled" and event["type"] in ("error", "assert"):
+            self.problems.append(str(event["args"]))
         elif method == "Network.requestWillBeSent":
-            self.addresses.append(told["request"]["url"])
+            self.addresses.append(event["request"]["url"])
         elif method == "Network.webSocketCreated":
-            self.addresses.append(told["url"])
+            self.addresses.append(event["url"])
 
     async def _connect(self) -> Any:
         port_file = self._folder / "DevToolsActivePort"

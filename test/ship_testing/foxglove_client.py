@@ -40,7 +40,7 @@ class FoxgloveClient:
     """
 
     def __init__(self, address: str, origin: str = "https://app.foxglove.dev") -> None:
-        self.told: list[dict[str, Any]] = []
+        self.server_messages: list[dict[str, Any]] = []
         self.channels: dict[str, dict[str, Any]] = {}
         self.received: list[Received] = []
         self.is_over = False
@@ -76,7 +76,7 @@ class FoxgloveClient:
         """Return the result of a function once it is true; process messages of the server until then."""
         deadline_s = time.monotonic() + limit_s
         while not (found := look()):
-            assert time.monotonic() < deadline_s, (self.told, self.channels.keys(), len(self.received))
+            assert time.monotonic() < deadline_s, (self.server_messages, self.channels.keys(), len(self.received))
             self.listen(0.05)
         return found
 
@@ -119,12 +119,12 @@ class FoxgloveClient:
             if number in self._topics:
                 self.received.append(Received(self._topics[number], time_ns, content[_MESSAGE_DATA.size :]))
         else:
-            told = json.loads(content)
-            self.told.append(told)
-            if told["op"] == "advertise":
-                self.channels |= {each["topic"]: each for each in told["channels"]}
-            elif told["op"] == "unadvertise":
-                gone = set(told["channelIds"])
+            message = json.loads(content)
+            self.server_messages.append(message)
+            if message["op"] == "advertise":
+                self.channels |= {each["topic"]: each for each in message["channels"]}
+            elif message["op"] == "unadvertise":
+                gone = set(message["channelIds"])
                 self.channels = {name: each for name, each in self.channels.items() if each["id"] not in gone}
 
     async def _write(self, content: str | bytes, is_binary: bool) -> None:

@@ -162,9 +162,9 @@ def look_up(path: str, layout: dict[str, Any], messages_by_topic: MessagesByTopi
     kind = scripts.follow(topic, steps)
     if is_shown != (object,) and kind != "number":
         raise Missing(f"{path}: a {kind} cannot be shown")
-    told = {message.source for name, messages in messages_by_topic.items() if name.endswith("/innovation") for message in messages}
+    sources = {message.source for name, messages in messages_by_topic.items() if name.endswith("/innovation") for message in messages}
     for step in steps:
-        if step["field"] and wanted_value(step, layout["globalVariables"]) not in told | ERROR_SOURCES:
+        if step["field"] and wanted_value(step, layout["globalVariables"]) not in sources | ERROR_SOURCES:
             raise Missing(f"{path}: no source {step['value']}")
 
 

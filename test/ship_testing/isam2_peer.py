@@ -48,7 +48,7 @@ class _Graph:
     def solved(self) -> tuple[FloatArray, FloatArray]:
         """Return the attitude at the last INS sample, (3, 3), and its covariance in the horizon, rad², (3, 3)."""
         self._begin()
-        told = [
+        exposures = [
             (int(time_ns), id_, row)
             for id_, samples in self._run.stars.items()
             for row, time_ns in enumerate(samples.time_ns)
@@ -56,7 +56,7 @@ class _Graph:
         ]
         before_ns = None
         key = self._first_key
-        for key, (time_ns, id_, row) in enumerate(sorted(told), start=self._first_key):
+        for key, (time_ns, id_, row) in enumerate(sorted(exposures), start=self._first_key):
             graph, values = self._moved(key, before_ns, time_ns)
             graph.add(self._sighting(key, time_ns, id_, row))
             self._smoother.update(graph, values)

@@ -125,7 +125,7 @@ class ListeningNode:
         self.wait_until(lambda: live.clock.now_ns() == time_ns)
         self.peer.destroy_publisher(publisher)
 
-    def told(self, id_: str) -> tuple[int, str, dict[str, str]]:
+    def source_status(self, id_: str) -> tuple[int, str, dict[str, str]]:
         """Return level, text and values of a source in the last report."""
         status = self._diagnostics.get(f"{NAME}: source {id_}")
         if status is None:

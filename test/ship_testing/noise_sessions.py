@@ -52,7 +52,7 @@ class _WithFixes:
         return sorted([*others, *fixes], key=lambda arrival: arrival[0])
 
 
-def noise_session(of: Scenario, seed: int, told: dict[str, Any] | None = None, with_fixes: bool = True) -> NoiseSession:
+def noise_session(of: Scenario, seed: int, ins_changes: dict[str, Any] | None = None, with_fixes: bool = True) -> NoiseSession:
     """Return the session of a simulated voyage.
 
     Args:
@@ -63,7 +63,7 @@ def noise_session(of: Scenario, seed: int, told: dict[str, Any] | None = None, w
     """
     suite = suite_configuration(of)
     thin = {"max_gap_s": 1.5 / of.ins.rate_hz, "silence_s": 20.0}
-    config = build(ShipAttitudeConfig, {**suite, "ins": {**suite["ins"], **thin, **(told or {})}})
+    config = build(ShipAttitudeConfig, {**suite, "ins": {**suite["ins"], **thin, **(ins_changes or {})}})
     core, pairs, run = ShipAttitudeCore(session_config(config)), StarComparisons(), simulate(of, seed)
     source: Any = _WithFixes(run) if with_fixes else run
     for outcome in attitude_outcomes(core, source, set()):

@@ -62,11 +62,11 @@ class ErfaSky:
         utc_time = datetime.fromtimestamp(self.time_ns // 1_000_000_000, tz=timezone.utc)
         seconds = utc_time.second + (self.time_ns % 1_000_000_000) * 1e-9
         utc = erfa.dtf2d("UTC", utc_time.year, utc_time.month, utc_time.day, utc_time.hour, utc_time.minute, seconds)
-        told, place = earth_orientation_table().at(self.time_ns), self.position
+        orientation, place = earth_orientation_table().at(self.time_ns), self.position
         azimuth, zenith, *_ = erfa.atco13(
             stars.right_ascension, stars.declination, stars.pm_right_ascension, stars.pm_declination,
-            stars.parallax_arcsec, 0.0, *utc, told.ut1_minus_utc_s, place.longitude, place.latitude, place.height_m,
-            told.pole_x, told.pole_y, *self._air(),
+            stars.parallax_arcsec, 0.0, *utc, orientation.ut1_minus_utc_s, place.longitude, place.latitude, place.height_m,
+            orientation.pole_x, orientation.pole_y, *self._air(),
         )  # fmt: skip
         return np.stack([np.cos(azimuth) * np.sin(zenith), np.cos(zenith), np.sin(azimuth) * np.sin(zenith)], axis=-1)
 

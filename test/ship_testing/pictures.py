@@ -169,13 +169,13 @@ SHIFTED_SENSOR_INPUT = InputShown(SHIFTED_SENSOR.topics[0], 2.0, 0.1, 0.6, 1, 81
 
 def state_with_mounting_shift(*changed: AngleShown | SourceShown, **changes: Any) -> SuiteState:
     """Return a displaced star sensor: the first fault of the design of the page and of the terminal."""
-    told = "WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ"
+    text = "WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ"
     well = {
         "alerts": (SHIFTED_SENSOR_ALERT,),
         "inputs": (SHIFTED_SENSOR_INPUT,),
         "events": (
             Event(NOW_NS - 36 * NS, "state", "roll", "roll SAFE → CAUTION, over the limit"),
-            Event(NOW_NS - 38 * NS, "alert", SHIFTED_SENSOR_ALERT.id, told),
+            Event(NOW_NS - 38 * NS, "alert", SHIFTED_SENSOR_ALERT.id, text),
         ),
     }
     heading = angle("heading", accuracy_95=4.2 * ARCSEC, safety=Safety.CAUTION, reason="one star source")

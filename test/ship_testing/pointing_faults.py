@@ -185,7 +185,7 @@ class Claims:
         return float(np.count_nonzero(chosen) * np.median(np.diff(self.time_s)))
 
 
-class Told:
+class CoreRun:
     """A core, and its outputs for the arrivals so far.
 
     Attributes:
@@ -206,14 +206,14 @@ class Told:
             known = [estimate for estimate in outcome.estimates if estimate.time_ns in stamps]
             self.levels |= {estimate.time_ns: self.core.integrity(estimate).level for estimate in known}
 
-    def copied(self) -> "Told":
+    def copied(self) -> "CoreRun":
         """Return a copy that continues from here."""
         other = copy.copy(self)
         other.core, other.outcomes, other.levels = copy.deepcopy(self.core), self.outcomes[:], self.levels.copy()
         return other
 
 
-_BEFORE_FAULTS: dict[tuple[int, str], Told] = {}
+_BEFORE_FAULTS: dict[tuple[int, str], CoreRun] = {}
 """Outputs before FAULT_S by configuration and by truth, which all faults of a clean session share.
 
 Only the newest few: each is tens of megabytes.
@@ -242,11 +242,11 @@ def claims(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: 
     if key not in _BEFORE_FAULTS:
         if len(_BEFORE_FAULTS) >= _MOST_KEPT:
             del _BEFORE_FAULTS[next(iter(_BEFORE_FAULTS))]
-        _BEFORE_FAULTS[key] = Told(config)
+        _BEFORE_FAULTS[key] = CoreRun(config)
         _BEFORE_FAULTS[key].give(run, arrivals[:before], rows)
-    told = _BEFORE_FAULTS[key].copied()
-    told.give(run, arrivals[before:], rows)
-    core, outcomes, levels = told.core, told.outcomes, told.levels
+    core_run = _BEFORE_FAULTS[key].copied()
+    core_run.give(run, arrivals[before:], rows)
+    core, outcomes, levels = core_run.core, core_run.outcomes, core_run.levels
     decisions = [decision for outcome in outcomes for decision in outcome.decisions]
     rejected_count = sum(outcome.rejection is not None for outcome in outcomes)
     rejected_count += sum(not decision.accepted for decision in decisions)

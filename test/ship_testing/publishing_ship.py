@@ -20,7 +20,7 @@ class PublishingShip:
         self.node = Node("suite", context=self.context, namespace=namespace)
         self.publishers: dict[str, Any] = {}
 
-    def say(self, topic: str, message: Any, qos: Any = 10) -> None:
+    def publish(self, topic: str, message: Any, qos: Any = 10) -> None:
         """Publish a message."""
         if topic not in self.publishers:
             self.publishers[topic] = self.node.create_publisher(type(message), topic, qos)

@@ -28,10 +28,10 @@ def write_suite(path: Path, length_s: int = 900, prefix: str = "", *, truth: boo
             bag.write(f"{prefix}ship/attitude", attitude, stamp_ns)
             if number % 20 == 0:
                 is_refused = since_s >= length_s - 300
-                told = innovation(
+                message = innovation(
                     stamp_ns, "star.bow", [ARCSEC] * 3, [ARCSEC] * 3, 3.0, not is_refused, 19 if is_refused else 0
                 )
-                bag.write(f"{prefix}ship/innovation", told, stamp_ns)
+                bag.write(f"{prefix}ship/innovation", message, stamp_ns)
                 if truth:
                     bag.write(f"{prefix}truth/attitude", ship_attitude(stamp_ns, heading), stamp_ns)
             if since_s == ALERT_S:

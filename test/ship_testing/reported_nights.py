@@ -29,8 +29,8 @@ def write_bag(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):
             if tick % 10 == 0:
                 accepted = tick // 10 not in rejected
                 reason = 0 if accepted else int(Reason.GATE)
-                told = innovation(stamp_ns, "star.fore", [ARCSEC, 0.0, 0.0], [ARCSEC] * 3, 1.0, accepted, reason)
-                bag.write("ship/innovation", told, stamp_ns)
+                message = innovation(stamp_ns, "star.fore", [ARCSEC, 0.0, 0.0], [ARCSEC] * 3, 1.0, accepted, reason)
+                bag.write("ship/innovation", message, stamp_ns)
     return path
 
 

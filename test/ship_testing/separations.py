@@ -20,8 +20,8 @@ def solution_separations(
         k: numbers of sigmas.
         rows: hypotheses to be evaluated; None for all.
     """
-    asked = np.arange(len(distance)) if subfilter_indices is None else np.array(subfilter_indices, dtype=np.intp)
+    subfilters = np.arange(len(distance)) if subfilter_indices is None else np.array(subfilter_indices, dtype=np.intp)
     components, of_all = np.eye(3), np.diag(variance_0)
     subfilter_covariances = variance[:, :, None] * components
     by_output = components, components, of_all
-    return solution_separation(k, asked, np.arange(3), by_output, np.zeros(3), distance, of_all[None], subfilter_covariances)
+    return solution_separation(k, subfilters, np.arange(3), by_output, np.zeros(3), distance, of_all[None], subfilter_covariances)

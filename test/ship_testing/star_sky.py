@@ -34,7 +34,7 @@ def configuration(**ship) -> ShipAttitudeConfig:
     return build(ShipAttitudeConfig, {"star_sensors": sensors, **ship})
 
 
-def told_sky(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyModel:
+def sky_at_anchor(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyModel:
     """Return the sky of a ship at anchor with continuous fixes."""
     watch = load_sky_model(config.sky)
     for second in range(-2, 60):

@@ -28,20 +28,20 @@ class LevelledRun(AdapterRun):
         adapter._estimate_messages = noting
         hand_over(self, arrivals, until_ns)
 
-    def told_and_own(self) -> list[tuple[Any, np.ndarray, np.ndarray]]:
+    def published_and_own_levels(self) -> list[tuple[Any, np.ndarray, np.ndarray]]:
         """Return each output that is not INVALID, the levels published last before it, and its own, rad."""
-        told, found = np.full(3, np.nan), []
+        published, found = np.full(3, np.nan), []
         for _, topic, message in self.published:
             if topic == self.adapter.integrity_topic:
-                told = np.array(message.protection_level)
+                published = np.array(message.protection_level)
             elif topic == self.adapter.main_topic and message.status != Status.INVALID:
-                found.append((message, told, self.level_of[stamp_of(message)]))
+                found.append((message, published, self.level_of[stamp_of(message)]))
         return found
 
     def uncovered(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Return stamp, published, own levels of outputs with own levels unknown or above by more than a twentieth."""
         return [
             (stamp_of(message), told, own)
-            for message, told, own in self.told_and_own()
+            for message, told, own in self.published_and_own_levels()
             if np.any(np.isfinite(told) & ~(own <= 1.05 * told)) or (np.isnan(told).any() != np.isnan(own).any())
         ]

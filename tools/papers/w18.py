@@ -17,7 +17,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.paper_method import mean_of_two_triads
 from ship_testing.places import ROOT
 from ship_testing.simulated_sightings import BASELINE_M, FOCAL_LENGTH_SIGMA_M, NONE, paper_epochs, truth_of
-from theodolite_calib.lights.telescope_attitude import solve
+from theodolite_calib.lights.telescope_attitude import solve_attitude
 from tools.papers.table import Row, rows_table, table
 
 RAYLEIGH_RATIO = float(np.sqrt(np.pi / (4.0 - np.pi)))
@@ -82,7 +82,7 @@ def axis_errors(reading: PaperReading, epochs: int = _EPOCHS) -> AxisErrors:
     lines = drawn.lines()
     found = {
         "triads": mean_of_two_triads(lines.direction_n, camera.directions(drawn.image.point_m)),
-        "likelihood": solve(drawn.image, camera, lines).rotation_nt,
+        "likelihood": solve_attitude(drawn.image, camera, lines).rotation_nt,
     }
     axis_n = truth.rotation_nt[:, :, 0]
     return AxisErrors(**{name: angle_between(axis_n, found_nt[:, :, 0]) / ARCSEC for name, found_nt in found.items()})

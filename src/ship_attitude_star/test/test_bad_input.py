@@ -136,10 +136,10 @@ def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Chang
 
     assert run.results() == run_without(topic).results()
     assert run.state() == run_without(topic).state()
-    assert_told_once(run, topic, reason, text, voyage()[index].receive_ns)
+    assert_reported_once(run, topic, reason, text, voyage()[index].receive_ns)
 
 
-def assert_told_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
+def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
     """Counted, in one innovation message, and in the diagnostics within 1.1 s."""
     health = run.health(topic)
     assert run.reasons(topic) == {reason: 1}
@@ -275,7 +275,7 @@ def test_the_same_message_again_is_a_duplicate(topic: str) -> None:
     run = drive(new_adapter(), added(voyage(), index, lambda message: None, again_ns))
     assert run.results() == clean_run().results()
     assert run.state() == clean_run().state()
-    assert_told_once(run, topic, "duplicate", "again", again_ns)
+    assert_reported_once(run, topic, "duplicate", "again", again_ns)
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
@@ -300,7 +300,7 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
     assert one_first.state() == another_first.state()
     assert one_first.state() in (alone[0].state(), alone[1].state())
     for run in (one_first, another_first):
-        assert_told_once(run, topic, "conflict", "sort first", second_ns)
+        assert_reported_once(run, topic, "conflict", "sort first", second_ns)
     # If the first one is kept, the second one has changed only the status.
     kept = [attitudes(run) == attitudes(only) for run, only in zip((one_first, another_first), alone, strict=True)]
     assert sorted(kept) == [False, True]
@@ -367,7 +367,7 @@ def test_a_message_older_than_the_lag_is_dropped(topic: str) -> None:
     run = drive(new_adapter(), replaced(voyage(), index, lambda message: None, arrives_ns))
     assert run.results() == run_without(topic, 1.5).results()
     assert run.state() == run_without(topic, 1.5).state()
-    assert_told_once(run, topic, "late", "more than lag_s = 2", arrives_ns)
+    assert_reported_once(run, topic, "late", "more than lag_s = 2", arrives_ns)
     (values,) = {
         tuple((v.key, v.value) for v in status.values if v.key.startswith("late "))
         for status in run.messages("/diagnostics")[-1].status

@@ -27,7 +27,7 @@ from ship_testing.star_sky import (
     configuration,
     exposure_of,
     ins_track,
-    told_sky,
+    sky_at_anchor,
     without_identity,
 )
 
@@ -37,7 +37,7 @@ FIELD = {"field_spatial_sigma_px": 0.3}
 
 @pytest.fixture(scope="module")
 def watch():
-    return told_sky(CONFIG)
+    return sky_at_anchor(CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +220,7 @@ def test_no_fix_and_no_earth_orientation_are_named(ship_filter, watch):
 def test_fixes_in_any_order_end_in_the_same_state():
     """A fix that arrives after the exposures is used for them as if it had arrived before."""
     config = configuration()
-    sky = told_sky(config)
+    sky = sky_at_anchor(config)
     exposures = [exposure_of(sky, "fore", 5, time_ns=TIME_NS + step * 200_000_000) for step in range(5)]
     second = 1_000_000_000
     fixes = [
@@ -232,7 +232,7 @@ def test_fixes_in_any_order_end_in_the_same_state():
     ins = [AttitudeSample(TIME_NS + step * 100_000_000, ROTATION_ND, np.zeros(3)) for step in range(-3, 14)]
 
     def end(order):
-        core = ShipAttitudeCore(config, told_sky(config))
+        core = ShipAttitudeCore(config, sky_at_anchor(config))
         core._sky_model.reset()
         for item in order:
             if isinstance(item, PositionFix):

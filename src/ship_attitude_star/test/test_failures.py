@@ -31,7 +31,7 @@ def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Cal
     return call
 
 
-def assert_told(run: AdapterRun, source: str, time_ns: int) -> None:
+def assert_reported(run: AdapterRun, source: str, time_ns: int) -> None:
     """In an innovation message, and once in the log."""
     (innovation,) = run.innovations(Reason.FAILED)
     assert (innovation.source, stamp_of(innovation), innovation.accepted) == (source, time_ns, False)
@@ -53,7 +53,7 @@ def test_a_measurement_on_which_the_filter_raises_is_rejected(monkeypatch: pytes
     assert run.results() == expected.results()
     assert run.state() == expected.state()
     assert run.reasons(FORE) == {"failed": 1}
-    assert_told(run, "star.fore", bad_ns)
+    assert_reported(run, "star.fore", bad_ns)
 
 
 def test_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,7 +84,7 @@ def test_an_attitude_that_cannot_be_computed_is_the_only_one_missing(monkeypatch
     assert len(lost) == 4
     missing = [exactly(m) for m in lost]
     assert run.results() == [result for result in clean.results() if result[2] not in missing]
-    assert_told(run, "ship/attitude", bad_ns)
+    assert_reported(run, "ship/attitude", bad_ns)
 
 
 def test_a_failed_budget_does_not_suppress_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,7 +106,7 @@ def test_exposures_go_on_after_one_that_cannot_be_solved(monkeypatch: pytest.Mon
     solutions = [[exactly(m) for m in r.messages(FORE_SOLUTION) if stamp_of(m) != bad_ns] for r in (run, clean)]
     assert solutions[0] == solutions[1]
     assert run.reasons(star_voyage.FORE) == {"failed": 1}
-    assert_told(run, "star.fore", bad_ns)
+    assert_reported(run, "star.fore", bad_ns)
 
 
 def test_joint_solutions_go_on_after_one_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,4 +119,4 @@ def test_joint_solutions_go_on_after_one_that_fails(monkeypatch: pytest.MonkeyPa
     run = star_voyage.sail(star_voyage.voyage())
     assert [stamp_of(m) for m in run.messages(joint)] == [stamp_of(m) for m in clean.messages(joint)]
     assert [exactly(m) for m in run.messages(joint)[4:]] == [exactly(m) for m in clean.messages(joint)[4:]]
-    assert_told(run, "star.joint", bad_ns)
+    assert_reported(run, "star.joint", bad_ns)

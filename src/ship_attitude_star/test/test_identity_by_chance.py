@@ -12,7 +12,7 @@ from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.identification import candidates
-from ship_attitude_star.stars.selection import StarPrior, across, select
+from ship_attitude_star.stars.selection import StarPrior, across, select_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_with_fallback
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason
@@ -26,7 +26,7 @@ from ship_testing.star_sky import (
     configuration,
     exposure_of,
     ins_track,
-    told_sky,
+    sky_at_anchor,
     without_identity,
 )
 
@@ -37,7 +37,7 @@ ROTATION_NS = ROTATION_ND @ ROTATION_DS
 
 @pytest.fixture(scope="module")
 def watch() -> SkyModel:
-    return told_sky(configuration())
+    return sky_at_anchor(configuration())
 
 
 def prior_of(heading_arcsec: float, tilt_arcsec: float) -> StarPrior:
@@ -144,7 +144,7 @@ def test_each_further_star_reduces_false_matches(watch: SkyModel) -> None:
         numbers.append(by_chance(stars, members, basis, prior.covariance_n))
     assert numbers == sorted(numbers, reverse=True)
     assert numbers[0] > 1.0 > MOST_BY_CHANCE > numbers[2]
-    assert select(stars, prior).members.all()
+    assert select_stars(stars, prior).members.all()
 
 
 def test_the_solver_of_solutions_has_the_same_limit(watch: SkyModel) -> None:

@@ -179,7 +179,7 @@ def test_streaks_of_two_sensors_at_one_time_share_the_noise_of_their_correction(
 
 
 def test_no_rotation_needs_no_ins() -> None:
-    assert motion(StarInsConfig()).tells_turn(START_NS, START_NS)
+    assert motion(StarInsConfig()).is_turn_known(START_NS, START_NS)
     turn, covariance_d = turn_of(motion(StarInsConfig()), 0, 0)
     np.testing.assert_array_equal(turn, np.eye(3))
     np.testing.assert_array_equal(covariance_d, 0.0)
@@ -188,7 +188,7 @@ def test_no_rotation_needs_no_ins() -> None:
 def test_without_ins_samples_nothing_is_known() -> None:
     some = motion(StarInsConfig(), *(sample(t) for t in range(0, 200, 40)))
     assert some.deck_prior(START_NS + 200 * MS) is None
-    assert not some.tells_turn(START_NS, START_NS + 200 * MS)
+    assert not some.is_turn_known(START_NS, START_NS + 200 * MS)
     assert motion(StarInsConfig()).deck_prior(START_NS) is None
 
 
@@ -248,8 +248,8 @@ def test_after_a_jump_the_covariance_holds_it_and_no_rotation_spans_it() -> None
     assert sigma_up[0] < 0.001
     assert sigma_up[1] == pytest.approx(0.01, rel=0.02)
     assert some.deck_prior(START_NS + 900 * MS) is None
-    assert not some.tells_turn(START_NS + 700 * MS, START_NS + 1500 * MS)
-    assert some.tells_turn(START_NS + 1400 * MS, START_NS + 1500 * MS)
+    assert not some.is_turn_known(START_NS + 700 * MS, START_NS + 1500 * MS)
+    assert some.is_turn_known(START_NS + 1400 * MS, START_NS + 1500 * MS)
 
 
 def test_faulty_rates_are_removed_from_the_track() -> None:

@@ -6,7 +6,7 @@ import pytest
 from ship_attitude_star.layout.installation_model import (
     ErrorModel,
     InstallationReading,
-    combine,
+    combine_attitudes,
     linearise,
     ship_rotation,
 )
@@ -144,7 +144,7 @@ def test_a_vertical_ship_has_no_defined_heading_error() -> None:
 def test_independent_sensors_add_their_information() -> None:
     rng = np.random.default_rng(3)
     covariances = np.array([_random_covariance(rng, [3.0, 3.0, 100.0]) for _ in range(4)])
-    combination = combine(covariances)
+    combination = combine_attitudes(covariances)
     expected = np.linalg.inv(np.linalg.inv(covariances).sum(axis=0))
     np.testing.assert_allclose(combination.covariance, expected, rtol=1e-9)
     np.testing.assert_allclose(combination.gains.sum(axis=0), np.eye(3), atol=1e-9)
@@ -154,8 +154,8 @@ def test_an_equal_common_error_is_not_reduced() -> None:
     rng = np.random.default_rng(4)
     covariances = np.array([_random_covariance(rng, [3.0, 3.0, 100.0]) for _ in range(3)])
     shared = _random_covariance(rng, [0.2, 2.0, 0.2])
-    combination = combine(covariances, np.tile(np.eye(3), (3, 1, 1)), shared)
-    np.testing.assert_allclose(combination.covariance, combine(covariances).covariance + shared, rtol=1e-9)
+    combination = combine_attitudes(covariances, np.tile(np.eye(3), (3, 1, 1)), shared)
+    np.testing.assert_allclose(combination.covariance, combine_attitudes(covariances).covariance + shared, rtol=1e-9)
 
 
 def test_common_terms_agree_with_estimating_them() -> None:
@@ -166,7 +166,7 @@ def test_common_terms_agree_with_estimating_them() -> None:
     rows = np.concatenate([np.tile(np.eye(3), (3, 1, 1)), effects], axis=-1)
     information = np.einsum("nij,nik,nkl->jl", rows, np.linalg.inv(covariances), rows)
     information[3:, 3:] += np.linalg.inv(common)
-    combination = combine(covariances, effects, common)
+    combination = combine_attitudes(covariances, effects, common)
     np.testing.assert_allclose(combination.covariance, np.linalg.inv(information)[:3, :3], rtol=1e-8)
 
 
@@ -175,7 +175,7 @@ def test_joint_covariance_is_that_of_monte_carlo() -> None:
     samples = 10_000
     covariances = np.array([_random_covariance(rng, [3.0, 3.0, 100.0]) for _ in range(2)])
     effects, common = rng.normal(size=(2, 3, 1)), np.array([[(3.0 * ARCSEC) ** 2]])
-    combination = combine(covariances, effects, common)
+    combination = combine_attitudes(covariances, effects, common)
     shared = rng.multivariate_normal(np.zeros(1), common, samples)
     joint = np.zeros((samples, 3))
     for gain, covariance, effect in zip(combination.gains, covariances, effects, strict=True):
@@ -189,9 +189,9 @@ def test_many_combinations_at_once_are_the_single_ones() -> None:
     rng = np.random.default_rng(7)
     covariances = np.array([[_random_covariance(rng, [3.0, 3.0, 100.0]) for _ in range(3)] for _ in range(5)])
     effects, common = rng.normal(size=(5, 3, 3, 2)), np.diag([1.0, 2.0]) * ARCSEC**2
-    together = combine(covariances, effects, common)
+    together = combine_attitudes(covariances, effects, common)
     for number in range(5):
-        one = combine(covariances[number], effects[number], common)
+        one = combine_attitudes(covariances[number], effects[number], common)
         np.testing.assert_allclose(together.covariance[number], one.covariance, rtol=1e-9)
         np.testing.assert_allclose(together.gains[number], one.gains, atol=1e-9)
 

@@ -72,7 +72,7 @@ def test_published_levels_cover_each_output() -> None:
     without_ins = cut(voyage(20.0), 5.0, 6.5, INS)
     for arrivals in (knocked, silent, without_ins):
         run = LevelledRun(new_adapter(), arrivals)
-        assert len(run.told_and_own()) > 400
+        assert len(run.published_and_own_levels()) > 400
         assert run.uncovered() == []
 
 

@@ -11,7 +11,7 @@ from ship_attitude_star.layout.config import OperatingPoint, study_config
 from ship_attitude_star.layout.figures import plan_figure
 from ship_attitude_star.layout.installation_model import SWEEPS, Curve, InstallationReading, all_curves, linearise
 from ship_attitude_star.layout.joint_error import Layout, error_map, total_arcsec
-from ship_attitude_star.layout.study import recommended, scan, study
+from ship_attitude_star.layout.study import recommended, scan_azimuth, study
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -105,7 +105,7 @@ def test_recommended_azimuth_is_a_right_angle_in_space() -> None:
     best = recommended(given)
     assert np.rad2deg(best.angles[:, 0]) == pytest.approx([0.0, 119.4], abs=0.5)
     assert total_arcsec(best.sigmas_arcsec()) < total_arcsec(given.sigmas_arcsec())
-    low, high = scan(best, 1).good_deg or (0.0, 0.0)
+    low, high = scan_azimuth(best, 1).good_deg or (0.0, 0.0)
     assert 70.0 < low < 90.0
     assert high == pytest.approx(360.0 - low, abs=1.0)
 

@@ -16,7 +16,7 @@ from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_testing.star_sky import ROTATION_ND, configuration, exposure_of, told_sky, without_identity
+from ship_testing.star_sky import ROTATION_ND, configuration, exposure_of, sky_at_anchor, without_identity
 
 CAMERA = StarCamera(0.05, 5.5e-6, 1023.5, 1023.5)
 OPTICS = OpticsErrors(CAMERA, 2e-4, 1.0, 0.01)
@@ -28,7 +28,7 @@ TEXT = re.compile(
 
 @pytest.fixture(scope="module")
 def watch() -> SkyModel:
-    return told_sky(configuration())
+    return sky_at_anchor(configuration())
 
 
 def exposure(watch: SkyModel, scale: float, rng: np.random.Generator, count: int = STARS) -> StarExposure:

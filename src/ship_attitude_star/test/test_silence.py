@@ -43,7 +43,7 @@ def at_times(run: Run) -> list[tuple[int, Any]]:
     return [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
 
 
-def said_invalid(run: Run) -> list[int]:
+def invalid_times_ns(run: Run) -> list[int]:
     """Return the times of INVALID, except at the start."""
     return [ns for ns, topic, m in run.published if topic == ATTITUDE and m.status == Status.INVALID and ns > at(0.5)]
 
@@ -54,7 +54,7 @@ def assert_in_order(run: Run) -> None:
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
     """From within a second and a tick on, only INVALID is published, no budget, and no OK status."""
-    said = [ns for ns in said_invalid(run) if at(from_s) <= ns < at(until_s)]
+    said = [ns for ns in invalid_times_ns(run) if at(from_s) <= ns < at(until_s)]
     assert said[0] <= at(from_s + 1.1)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
     assert until_s - (said[-1] - START_NS) / SECOND_NS <= 1.2
@@ -97,7 +97,7 @@ def test_attitudes_come_from_stars_while_the_ins_is_rejected() -> None:
     carried = [m for m in claimed(run) if at(4.0) < stamp_of(m) < at(6.0)]
     assert len(carried) == 20
     assert {m.status for m in carried} == {Status.DEGRADED}
-    assert [ns for ns in said_invalid(run) if ns > at(4.0)] == []
+    assert [ns for ns in invalid_times_ns(run) if ns > at(4.0)] == []
     assert_in_order(run)
 
 
@@ -116,7 +116,7 @@ def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
     carried = [m for m in claimed(run) if at(4.2) < stamp_of(m) < at(7.5)]
     assert {m.status for m in carried} == {Status.DEGRADED}
     assert len(carried) > 25
-    assert [ns for ns in said_invalid(run) if ns > at(4.2)] == []
+    assert [ns for ns in invalid_times_ns(run) if ns > at(4.2)] == []
     assert_in_order(run)
 
 
@@ -160,7 +160,7 @@ def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
     by_ins, expected = ([stamp_of(m) for m in claimed(r) if "ins" in m.sources] for r in (run, clean_run()))
     # Stars that arrived before the first INS sample gave attitudes first.
     assert by_ins == [ns for ns in expected if latency_s(FORE) or ns > at(0.877)]
-    assert [ns for ns in said_invalid(run) if ns > at(latency_s(INS) + 0.1)] == []
+    assert [ns for ns in invalid_times_ns(run) if ns > at(latency_s(INS) + 0.1)] == []
     assert_in_order(run)
     assert run.state() == clean_run().state()
     assert run.messages(ATTITUDE)[-1].status == Status.VALID
@@ -185,7 +185,7 @@ def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
 
     arrivals = voyage(17.0)
     run = drive(new_adapter(), changed_where(arrivals, lambda a: a.stamp_ns >= at(3.0), back))
-    assert said_invalid(run) == []
+    assert invalid_times_ns(run) == []
     before = [m for ns, m in at_times(run) if ns < at(3.0)]
     after = [m for ns, m in at_times(run) if ns >= at(3.0)]
     for one in (before, after):
@@ -204,15 +204,15 @@ def stopped(from_s: float, until_s: float) -> Run:
 
 def test_data_received_during_a_stop_are_published_after_it() -> None:
     run = stopped(2.5, 3.7)
-    assert len(said_invalid(run)) == 1
+    assert len(invalid_times_ns(run)) == 1
     assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
     assert run.state() == clean_run().state()
 
 
 def test_invalid_has_the_time_of_the_tick_and_delays_nothing() -> None:
     run = stopped(2.5, 3.7)
-    (invalid,) = [m for ns, topic, m in run.published if topic == ATTITUDE and ns in said_invalid(run)]
-    assert stamp_of(invalid) == said_invalid(run)[0]
+    (invalid,) = [m for ns, topic, m in run.published if topic == ATTITUDE and ns in invalid_times_ns(run)]
+    assert stamp_of(invalid) == invalid_times_ns(run)[0]
     index = run.messages(ATTITUDE).index(invalid)
     assert stamp_of(run.messages(ATTITUDE)[index + 1]) < stamp_of(invalid)
 
@@ -233,5 +233,5 @@ def test_attitudes_come_from_stars_while_the_ins_is_too_late() -> None:
     carried = [m for m in claimed(run) if "ins" not in m.sources]
     assert {m.status for m in carried} == {Status.DEGRADED}
     assert len(carried) > 60
-    assert [ns for ns in said_invalid(run) if ns < at(9.0)] == []
+    assert [ns for ns in invalid_times_ns(run) if ns < at(9.0)] == []
     assert_in_order(run)

@@ -15,7 +15,7 @@ PRESSURE_SIGMA_HPA = 5.0
 NORTH_SIGMA_M, EAST_SIGMA_M = 300.0, 500.0
 
 
-def told(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) -> SkyModel:
+def sky_model_with_inputs(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) -> SkyModel:
     watch = load_sky_model(SkyConfig(temperature_sigma_k=0.0))
     watch.surroundings.insert(PositionFix(TIME_NS, position, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])))
     watch.surroundings.insert(AirReading("pressure", TIME_NS, pressure_hpa, PRESSURE_SIGMA_HPA))
@@ -23,13 +23,13 @@ def told(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) ->
 
 
 def local_sky(*args, **kwargs) -> LocalSky:
-    return told(*args, **kwargs).at(TIME_NS)
+    return sky_model_with_inputs(*args, **kwargs).at(TIME_NS)
 
 
 @pytest.fixture(scope="module")
 def stars():
     """Stars brighter than 3 mag and above 20°: lower, refraction varies too much."""
-    watch = told()
+    watch = sky_model_with_inputs()
     rows = watch.catalogue.rows_brighter_than(3.0)
     elevation = watch.at(TIME_NS).apparent(watch.catalogue.at_j2000[rows]).elevation
     return watch.catalogue.at_j2000[rows[elevation > np.deg2rad(20.0)]]
@@ -38,14 +38,14 @@ def stars():
 def test_without_position_or_earth_orientation_the_sky_is_rejected_with_a_reason() -> None:
     watch = load_sky_model(SkyConfig())
     assert watch.at(TIME_NS).reason is Reason.NO_FIX
-    assert told().at(TIME_NS + 40 * 365 * 86_400 * 1_000_000_000).reason is Reason.NO_EARTH_ORIENTATION
-    watch = told()
+    assert sky_model_with_inputs().at(TIME_NS + 40 * 365 * 86_400 * 1_000_000_000).reason is Reason.NO_EARTH_ORIENTATION
+    watch = sky_model_with_inputs()
     watch.reset()
     assert watch.at(TIME_NS).reason is Reason.NO_FIX
 
 
 def test_repeated_fixes_and_readings_are_rejected() -> None:
-    watch = told()
+    watch = sky_model_with_inputs()
     for given in (
         PositionFix(TIME_NS, POSITION, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])),
         AirReading("pressure", TIME_NS, 1000.0, PRESSURE_SIGMA_HPA),
@@ -78,11 +78,11 @@ def test_a_sigma_of_position_equals_another_position(stars, column: int, north: 
 
 
 def test_unmeasured_quantities_of_the_air_are_named() -> None:
-    assert told().surroundings.not_measured(TIME_NS) == ["temperature", "humidity"]
+    assert sky_model_with_inputs().surroundings.not_measured(TIME_NS) == ["temperature", "humidity"]
 
 
 def test_results_are_cached_until_an_input_changes_them() -> None:
-    watch = told()
+    watch = sky_model_with_inputs()
     stars = watch.catalogue.at_j2000[:3]
     first = watch.at(TIME_NS)
     assert watch.at(TIME_NS) is first

@@ -129,9 +129,9 @@ class Batch:
         return rows
 
 
-def batch_equations(batch: Batch, asked_ms: list[int]) -> list[tuple]:
+def batch_equations(batch: Batch, requested_ms: list[int]) -> list[tuple]:
     stars = measured()
-    epochs = sorted({ms for ms, _ in star_epochs()} | set(asked_ms))
+    epochs = sorted({ms for ms, _ in star_epochs()} | set(requested_ms))
     fore = [ms for ms, id_ in star_epochs() if id_ == "fore"]
     three = np.ones(3)
     slow_sigma, slow_time = np.array([TILT, HEADING, TILT]), np.array([TILT_TIME_S, HEADING_TIME_S, TILT_TIME_S])

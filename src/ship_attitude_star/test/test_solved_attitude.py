@@ -82,7 +82,7 @@ def sky(config: ShipAttitudeConfig, position: GeodeticPosition, sigma_m: float) 
 
 
 @functools.cache
-def told(known: Knowledge) -> SkyModel:
+def sky_model_with_inputs(known: Knowledge) -> SkyModel:
     return sky(ship(known), POSITION, known.fix_m)
 
 
@@ -129,31 +129,31 @@ def voyage(known: Knowledge, seed: int) -> Voyage:
 
 def solution(exposure: StarExposure, known: Knowledge) -> Any:
     """Return ``star/<id>/solution`` of an exposure by the known sky."""
-    _, solved = solve_exposure(exposure, (), None, told(known))
+    _, solved = solve_exposure(exposure, (), None, sky_model_with_inputs(known))
     assert solved.valid
     return star_horizon_attitude(FACTORY, solved, "")
 
 
-def measured(exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledge, noise_told: bool) -> Measurement:
+def measured(exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledge, has_noise_covariance: bool) -> Measurement:
     """Return the filter's measurement of an exposure, by the configured input."""
     id_ = exposure.source.partition(".")[2]
     star = config.star_sensors[id_]
     if star.input == "observations":
         return exposure
     message = solution(exposure, known)
-    if not noise_told:
+    if not has_noise_covariance:
         message.noise_covariance[:] = 0.0
     return star_measurement(message, id_, star, exposure.time_ns).value
 
 
-def final(config: ShipAttitudeConfig, known: Knowledge, seed: int, noise_told: bool) -> tuple[FloatArray, FloatArray]:
+def final(config: ShipAttitudeConfig, known: Knowledge, seed: int, has_noise_covariance: bool) -> tuple[FloatArray, FloatArray]:
     """Return true minus estimated error of the INS after exposures of both sensors, and its covariance (N, U, E)."""
     drawn, ship_filter = voyage(known, seed), ShipFilter(config)
     state = ship_filter.initial_state()
     for exposure, noise_n in zip(drawn.exposures, drawn.noise_n, strict=True):
         track = ins_track(exposure.time_ns, drawn.error_n + noise_n)
-        measurement = measured(exposure, config, known, noise_told)
-        stepped = ship_filter.step(state, measurement, track, told(known))
+        measurement = measured(exposure, config, known, has_noise_covariance)
+        stepped = ship_filter.step(state, measurement, track, sky_model_with_inputs(known))
         assert stepped is not None
         state, decision = stepped
         assert decision.accepted, decision.text
@@ -171,14 +171,14 @@ class Campaign:
 
 
 @functools.cache
-def campaign(known: Knowledge, input_: str, shared: str = "by_input", noise_told: bool = True) -> Campaign:
+def campaign(known: Knowledge, input_: str, shared: str = "by_input", has_noise_covariance: bool = True) -> Campaign:
     config = ship(known, input=input_, shared=shared)
-    found = [final(config, known, seed, noise_told) for seed in range(SEEDS)]
+    found = [final(config, known, seed, has_noise_covariance) for seed in range(SEEDS)]
     nees = [float(normalized_error_squared(error_n, covariance_n)) for error_n, covariance_n in found]
     sigma = np.sqrt(np.mean([np.diagonal(covariance_n) for _, covariance_n in found], axis=0))
     rms = np.sqrt(np.mean([error_n**2 for error_n, _ in found], axis=0))
     result = Campaign(float(np.mean(nees)), rms / sigma, sigma / ARCSEC)
-    print(f"{known} {input_} {shared} {noise_told}: NEES {result.nees:.2f}, RMS/sigma {result.ratio.round(2)}, "
+    print(f"{known} {input_} {shared} {has_noise_covariance}: NEES {result.nees:.2f}, RMS/sigma {result.ratio.round(2)}, "
           f"sigma {result.sigma_arcsec.round(2)}")
     return result
 
@@ -229,7 +229,7 @@ def test_as_each_sensor_s_own_the_error_of_the_fix_would_seem_to_average() -> No
 
 
 def one_solution(known: Knowledge = POOR_FIX) -> Any:
-    return solution(exposure_of(told(known), "fore", 8, np.random.default_rng(1)), known)
+    return solution(exposure_of(sky_model_with_inputs(known), "fore", 8, np.random.default_rng(1)), known)
 
 
 def read(message: Any, shared: str = "sky") -> AttitudeMeasurement:
@@ -240,7 +240,7 @@ def read(message: Any, shared: str = "sky") -> AttitudeMeasurement:
 def separate_errors(message: Any, known: Knowledge = POOR_FIX) -> AttitudeMeasurement:
     solved = read(message)
     assert isinstance(solved, SolvedAttitude)
-    found = in_horizon(solved, told(known))
+    found = in_horizon(solved, sky_model_with_inputs(known))
     assert isinstance(found, AttitudeMeasurement)
     return found
 
@@ -263,7 +263,7 @@ def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, nois
 
 def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
     """The solution with a sky that is one sigma further north, and with denser air."""
-    exposure = exposure_of(told(POOR_WEATHER), "fore", 8)
+    exposure = exposure_of(sky_model_with_inputs(POOR_WEATHER), "fore", 8)
     found = separate_errors(one_solution(POOR_WEATHER), POOR_WEATHER)
     config = ship(POOR_WEATHER)
     north = replace(POSITION, latitude=POSITION.latitude + POOR_WEATHER.fix_m / METRES_PER_RADIAN)
@@ -272,7 +272,7 @@ def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
         (2, sky(config, north, POOR_WEATHER.fix_m)),
         (0, sky(replace(config, sky=denser), POSITION, POOR_WEATHER.fix_m)),
     ):
-        moved, as_told = (solve_exposure(exposure, (), None, one)[1] for one in (watch, told(POOR_WEATHER)))
+        moved, as_told = (solve_exposure(exposure, (), None, one)[1] for one in (watch, sky_model_with_inputs(POOR_WEATHER)))
         turn_n = log_rotation(moved.solution.rotation_nb @ as_told.solution.rotation_nb.T)
         expected_n = found.shared_n[:, column]
         if column == 0:

@@ -31,7 +31,7 @@ def ns(since_s: float) -> int:
     return round(since_s * SECOND_NS)
 
 
-def told(*stamped: tuple[float, float], sigma: float = 0.0) -> tuple[StampedValues[Reading], list[float]]:
+def insert_all(*stamped: tuple[float, float], sigma: float = 0.0) -> tuple[StampedValues[Reading], list[float]]:
     """Return the values after all have arrived, and the times of those rejected."""
     values, refused = StampedValues[Reading](LIMITS), []
     for since_s, value in stamped:
@@ -51,12 +51,12 @@ STEADY = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 1e-9), (4.0, 0.0)]
 
 def test_a_value_within_its_limit_is_accepted() -> None:
     # One second later: 10 + 2 + five sigmas of the difference, 10 + 2 + 5·sqrt(2) = 19.07.
-    assert told(*STEADY, (5.0, 19.0), sigma=1.0)[1] == []
-    assert told(*STEADY, (5.0, 19.1), sigma=1.0)[1] == [5.0]
+    assert insert_all(*STEADY, (5.0, 19.0), sigma=1.0)[1] == []
+    assert insert_all(*STEADY, (5.0, 19.1), sigma=1.0)[1] == [5.0]
 
 
 def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
-    values, refused = told(*STEADY, (5.0, 100.0), (6.0, 101.0))
+    values, refused = insert_all(*STEADY, (5.0, 100.0), (6.0, 101.0))
     assert refused == [5.0, 6.0]
     assert accepted_values(values)[-1] == (ns(4), 0.0, False)
     refusal = values.rejection(ns(7), Reading(102.0))
@@ -70,56 +70,56 @@ def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
 def test_a_return_is_accepted_within_the_limit_since_the_last_accepted_value() -> None:
     jumped = [(float(t), 500.0) for t in range(5, 25)]
     # 21 s after the last accepted value: 10 + 2·21.
-    assert told(*STEADY, *jumped, (25.0, 52.0))[1] == [t for t, _ in jumped]
-    assert told(*STEADY, *jumped, (25.0, 52.1))[1] == [*(t for t, _ in jumped), 25.0]
+    assert insert_all(*STEADY, *jumped, (25.0, 52.0))[1] == [t for t, _ in jumped]
+    assert insert_all(*STEADY, *jumped, (25.0, 52.1))[1] == [*(t for t, _ in jumped), 25.0]
 
 
 def test_values_consistent_with_a_jump_have_no_time_dependent_limit() -> None:
     # 30 is within 10 + 2·t of zero from 10 s on, but it was reached by a jump.
-    values, refused = told(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
+    values, refused = insert_all(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
     assert refused == [float(t) for t in range(5, 60)]
     refusal = values.rejection(ns(60), Reading(30.0))
     assert "consistent with other values that had jumped" in refusal.text
     # A value that has returned to within one step is accepted: 12 within a second.
-    assert told(*STEADY, (5.0, 22.0), (6.0, 12.1), (7.0, 12.0))[1] == [5.0, 6.0]
+    assert insert_all(*STEADY, (5.0, 22.0), (6.0, 12.1), (7.0, 12.0))[1] == [5.0, 6.0]
 
 
 def test_a_jump_is_accepted_after_the_confirmation_time() -> None:
-    values, refused = told(*STEADY, *((float(t), 500.0) for t in range(5, 68)))
+    values, refused = insert_all(*STEADY, *((float(t), 500.0) for t in range(5, 68)))
     assert refused == [float(t) for t in range(5, 65)]
     assert accepted_values(values)[4:7] == [(ns(4), 0.0, False), (ns(65), 500.0, True), (ns(66), 500.0, False)]
 
 
 def test_inconsistent_values_are_never_accepted() -> None:
     wild = [(float(t), 500.0 + 100.0 * (t % 2)) for t in range(5, 200)]
-    assert told(*STEADY, *wild)[1] == [t for t, _ in wild]
+    assert insert_all(*STEADY, *wild)[1] == [t for t, _ in wild]
 
 
 def test_two_values_that_contradict_a_first_one_are_accepted() -> None:
-    values, refused = told((0.0, 500.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0))
+    values, refused = insert_all((0.0, 500.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0))
     assert refused == [1.0]
     assert accepted_values(values) == [(0, 500.0, False), (ns(2), 1.0, True), (ns(3), 2.0, False)]
     # A first value that another one confirms is established.
-    assert told((0.0, 500.0), (1.0, 500.0), (2.0, 0.0), (3.0, 1.0))[1] == [2.0, 3.0]
+    assert insert_all((0.0, 500.0), (1.0, 500.0), (2.0, 0.0), (3.0, 1.0))[1] == [2.0, 3.0]
 
 
 def test_a_frozen_value_widens_the_limit_by_the_frozen_time() -> None:
     # Frozen from 4 s to 24 s while the truth moves at 2 per second: 40 further when it moves again.
     moving = [(float(t), 2.0 * t) for t in range(5)]
     frozen = [(float(t), 8.0) for t in range(5, 25)]
-    assert told(*moving, *frozen, (25.0, 50.0), (26.0, 52.0))[1] == []
+    assert insert_all(*moving, *frozen, (25.0, 50.0), (26.0, 52.0))[1] == []
     # 10 + 2·21 from 8; the frozen time is limited to one minute.
-    assert told(*moving, *frozen, (25.0, 60.0))[1] == []
-    assert told(*moving, *frozen, (25.0, 60.1))[1] == [25.0]
+    assert insert_all(*moving, *frozen, (25.0, 60.0))[1] == []
+    assert insert_all(*moving, *frozen, (25.0, 60.1))[1] == [25.0]
     long = [(float(t), 8.0) for t in range(5, 505)]
-    assert told(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0))[1] == []
-    assert told(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0 + 0.1))[1] == [505.0]
+    assert insert_all(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0))[1] == []
+    assert insert_all(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0 + 0.1))[1] == [505.0]
     # A jump that is then constant does not widen the limit.
-    assert told(*moving, *((float(t), 40.0) for t in range(5, 60)))[1] == [float(t) for t in range(5, 60)]
+    assert insert_all(*moving, *((float(t), 40.0) for t in range(5, 60)))[1] == [float(t) for t in range(5, 60)]
 
 
 def test_nan_is_rejected() -> None:
-    assert told(*STEADY, (5.0, float("nan")), (6.0, float("nan")), (7.0, 0.0))[1] == [5.0, 6.0]
+    assert insert_all(*STEADY, (5.0, float("nan")), (6.0, float("nan")), (7.0, 0.0))[1] == [5.0, 6.0]
 
 
 def test_a_good_source_is_not_rejected() -> None:

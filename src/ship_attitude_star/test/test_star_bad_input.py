@@ -77,10 +77,10 @@ def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, r
     run = sail(replaced(voyage(), index, change))
 
     assert results(run) == results(run_without(topic))
-    assert_told_once(run, topic, reason, text, voyage()[index].receive_ns)
+    assert_reported_once(run, topic, reason, text, voyage()[index].receive_ns)
 
 
-def assert_told_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
+def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
     """Counted, in an innovation, and in the diagnostics within 1.1 s."""
     health = run.health(topic)
     assert run.reasons(topic) == {reason: 1}
@@ -257,7 +257,7 @@ def ins_only(duration_s: float) -> tuple[Arrival, ...]:
 # -- no place, no air, no Earth orientation -------------------------------------------------------------------
 
 
-def assert_no_attitude_but_told(run: Run, reason: Reason, text: str) -> None:
+def assert_rejected_without_attitude(run: Run, reason: Reason, text: str) -> None:
     exposures = len(only(voyage(), FORE))
     for name in (FORE_SOLUTION, "star/starboard/solution", "star/joint/solution"):
         assert {message.status for message in run.messages(name)} == {SolutionStatus.INVALID}
@@ -268,7 +268,7 @@ def assert_no_attitude_but_told(run: Run, reason: Reason, text: str) -> None:
 
 
 def test_without_a_fix_there_is_no_attitude() -> None:
-    assert_no_attitude_but_told(sail(except_(voyage(), FIX)), Reason.NO_FIX, "no position fix received yet")
+    assert_rejected_without_attitude(sail(except_(voyage(), FIX)), Reason.NO_FIX, "no position fix received yet")
 
 
 def test_a_fix_older_than_a_minute_is_none() -> None:
@@ -280,7 +280,7 @@ def test_a_fix_older_than_a_minute_is_none() -> None:
             for a in voyage()
         )
 
-    assert_no_attitude_but_told(sail(old(64.0)), Reason.NO_FIX, "older: more than fix_max_age_s = 60")
+    assert_rejected_without_attitude(sail(old(64.0)), Reason.NO_FIX, "older: more than fix_max_age_s = 60")
     young = sail(old(50.0))
     assert {message.status for message in young.messages(FORE_SOLUTION)} == {SolutionStatus.VALID}
     # Fifty seconds ahead by fixes of four seconds: the ship may have turned, ½ · 0.1 m/s² · 48 s · 52 s = 125 m = 4.0″.
@@ -293,7 +293,7 @@ def test_beyond_the_table_of_earth_orientation_there_is_no_attitude() -> None:
     later = tuple(
         replace(changed_copy(a, ahead(shift_ns / SECOND_NS)), receive_ns=a.receive_ns + shift_ns) for a in voyage()
     )
-    assert_no_attitude_but_told(sail(later), Reason.NO_EARTH_ORIENTATION, "")
+    assert_rejected_without_attitude(sail(later), Reason.NO_EARTH_ORIENTATION, "")
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ from ship_testing.star_sky import (
     TIME_NS,
     configuration,
     exposure_of,
-    told_sky,
+    sky_at_anchor,
     without_identity,
 )
 
@@ -39,7 +39,7 @@ SECOND_NS = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def watch():
-    return told_sky(CONFIG)
+    return sky_at_anchor(CONFIG)
 
 
 def rolling(since_s: float) -> FloatArray:
@@ -217,8 +217,8 @@ def core_with_fix(watch) -> ShipAttitudeCore:
 def test_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_the_same_state():
     states = []
     for after in (5, 60, 110, 200):
-        core = core_with_fix(told_sky(CONFIG))
-        exposure = exposed(told_sky(CONFIG))
+        core = core_with_fix(sky_at_anchor(CONFIG))
+        exposure = exposed(sky_at_anchor(CONFIG))
         samples = ins_samples()
         decisions = []
         for sample in samples[:after]:
@@ -240,12 +240,12 @@ def test_a_late_ins_sample_within_the_exposure_is_used_for_it():
     samples, held_back = ins_samples(), 107
     states = []
     for late in (False, True):
-        core = core_with_fix(told_sky(CONFIG))
+        core = core_with_fix(sky_at_anchor(CONFIG))
         for number, sample in enumerate(samples):
             if not (late and number == held_back):
                 core.add_ins(sample)
             if number == 50:
-                core.add_measurement(exposed(told_sky(CONFIG)))
+                core.add_measurement(exposed(sky_at_anchor(CONFIG)))
         if late:
             core.add_ins(samples[held_back])
         states.append(core.state)
@@ -253,8 +253,8 @@ def test_a_late_ins_sample_within_the_exposure_is_used_for_it():
 
 
 def test_an_exposure_without_ins_samples_over_its_length_is_rejected():
-    core = core_with_fix(told_sky(CONFIG))
-    core.add_measurement(exposed(told_sky(CONFIG)))
+    core = core_with_fix(sky_at_anchor(CONFIG))
+    core.add_measurement(exposed(sky_at_anchor(CONFIG)))
     decisions = []
     for sample in ins_samples(first_s=-0.05):
         decisions += core.add_ins(sample).decisions

@@ -16,7 +16,7 @@ from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.parameters import ParameterError, build, flatten
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_testing.star_sky import ROTATION_ND, TIME_NS, configuration, exposure_of, told_sky, without_identity
+from ship_testing.star_sky import ROTATION_ND, TIME_NS, configuration, exposure_of, sky_at_anchor, without_identity
 
 CONFIG = configuration()
 ROTATION_DS = CONFIG.star_sensors["fore"].rotation_ds
@@ -25,7 +25,7 @@ ROTATION_NS = ROTATION_ND @ ROTATION_DS
 
 @pytest.fixture(scope="module")
 def watch() -> SkyModel:
-    return told_sky(CONFIG)
+    return sky_at_anchor(CONFIG)
 
 
 def deck_places_deg(directions_s: FloatArray) -> FloatArray:

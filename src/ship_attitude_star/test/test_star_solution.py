@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
 from ship_attitude_star.stars.fit import MatchedStars, StarFitSolution, linearized
-from ship_attitude_star.stars.selection import StarPrior, select
+from ship_attitude_star.stars.selection import StarPrior, select_stars
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.compiled_integrity import square_root
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
@@ -38,7 +38,7 @@ def test_a_star_with_nan_is_never_selected():
     prior = StarPrior(np.eye(3), np.eye(3) * ARCSEC**2)
     for given in (None, prior):
         try:
-            members = select(replace(stars, measured_b=measured_b), given).members
+            members = select_stars(replace(stars, measured_b=measured_b), given).members
         except np.linalg.LinAlgError:
             continue
         assert not members[2]
@@ -164,7 +164,7 @@ PRIOR_SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
 def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
     """Return the NEES of prior and selected stars together, in one linear step; None if no star was selected."""
     prior = StarPrior(exp_rotation(-error_n) @ scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
-    members = select(scene.stars, prior).members
+    members = select_stars(scene.stars, prior).members
     if not members.any():
         return None
     fit = linearized(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)

@@ -130,7 +130,7 @@ def test_dropped_readings_are_not_needed() -> None:
     assert track.air(ns(4.0)).weather.temperature_c == CONFIG.temperature_c
 
 
-def told(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Readings]:
+def insert_all(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Readings]:
     """Return the rejected readings, by their time, and the air after them."""
     track, refused = Readings(CONFIG), []
     for since_s, value in readings:
@@ -145,7 +145,7 @@ def told(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Read
 @pytest.mark.parametrize("off_hpa", [20.0, -30.0])
 def test_a_pressure_jump_is_rejected_and_the_last_reading_kept_with_a_larger_error(off_hpa: float) -> None:
     wrong = [(float(t), 1010.0 + off_hpa) for t in range(20, 40, 2)]
-    refused, track = told("pressure", [(float(t), 1010.0) for t in range(0, 20, 2)] + wrong)
+    refused, track = insert_all("pressure", [(float(t), 1010.0) for t in range(0, 20, 2)] + wrong)
     assert refused == [since_s for since_s, _ in wrong]
     assert track.air(ns(38)).weather.pressure_hpa == 1010.0
     # The variance has grown from 0.5² towards 15² for 20 s of 3600 s.
@@ -155,7 +155,7 @@ def test_a_pressure_jump_is_rejected_and_the_last_reading_kept_with_a_larger_err
 
 def test_a_temperature_jump_is_rejected() -> None:
     # Kelvin is detected by its size; Fahrenheit is not: 20 °C become 68, 5 °C become 41.
-    refused, track = told("temperature", [(0.0, 5.0), (60.0, 5.1), (120.0, 41.0), (180.0, 41.1), (240.0, 5.2)])
+    refused, track = insert_all("temperature", [(0.0, 5.0), (60.0, 5.1), (120.0, 41.0), (180.0, 41.1), (240.0, 5.2)])
     assert refused == [120.0, 180.0]
     assert track.air(ns(200)).weather.temperature_c == 5.1
 
@@ -164,15 +164,15 @@ def test_weather_changes_are_not_rejected() -> None:
     # The eye of a typhoon: 30 hPa within an hour, with a reading every minute and every ten minutes.
     for period_s in (60.0, 600.0):
         times = [period_s * n for n in range(round(3600.0 / period_s) + 1)]
-        assert told("pressure", [(t, 980.0 - 30.0 * t / 3600.0) for t in times])[0] == []
+        assert insert_all("pressure", [(t, 980.0 - 30.0 * t / 3600.0) for t in times])[0] == []
     # A squall: 3 hPa up and 12 K down within five minutes.
-    assert told("pressure", [(10.0 * n, 1005.0 + 0.1 * min(n, 30)) for n in range(60)])[0] == []
-    assert told("temperature", [(10.0 * n, 30.0 - 0.4 * min(n, 30)) for n in range(60)])[0] == []
+    assert insert_all("pressure", [(10.0 * n, 1005.0 + 0.1 * min(n, 30)) for n in range(60)])[0] == []
+    assert insert_all("temperature", [(10.0 * n, 30.0 - 0.4 * min(n, 30)) for n in range(60)])[0] == []
     # From dry air into fog.
-    assert told("humidity", [(0.0, 0.1), (1.0, 1.0)])[0] == []
+    assert insert_all("humidity", [(0.0, 0.1), (1.0, 1.0)])[0] == []
 
 
 def test_another_pressure_is_accepted_after_the_maximum_age() -> None:
-    refused, track = told("pressure", [(0.0, 1010.0), (60.0, 1010.0), *((60.0 * n, 1040.0) for n in range(2, 63))])
+    refused, track = insert_all("pressure", [(0.0, 1010.0), (60.0, 1010.0), *((60.0 * n, 1040.0) for n in range(2, 63))])
     assert refused == [60.0 * n for n in range(2, 62)]
     assert track.air(ns(3720)).weather.pressure_hpa == 1040.0

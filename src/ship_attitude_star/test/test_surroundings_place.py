@@ -45,7 +45,7 @@ def ns(since_s: float) -> int:
     return START_NS + round(since_s * SECOND_NS)
 
 
-def bits(place: Place | Rejection) -> bytes:
+def position_bytes(place: Place | Rejection) -> bytes:
     if isinstance(place, Rejection):
         return place.reason.name.encode()
     position = place.observer.position
@@ -77,7 +77,7 @@ def test_a_fix_is_not_used_before_its_delay_is_over() -> None:
     fixes = [(t, at(50.0 + 1e-5 * t * t, 10.0)) for t in range(10)]
     earlier, later = track(*fixes[:9]), track(*fixes)
     for since_s in (8.5, 9.0, 9.25, 9.499999999):
-        assert bits(later.place(ns(since_s))) == bits(earlier.place(ns(since_s)))
+        assert position_bytes(later.place(ns(since_s))) == position_bytes(earlier.place(ns(since_s)))
     assert later.place(ns(9.25)).age_s == 1.25
     assert later.place(ns(9.5)).age_s == 0.5
 
@@ -204,7 +204,7 @@ def test_any_order_of_arrival_gives_the_same_positions_to_the_last_bit() -> None
 
     def answers(order) -> list[bytes]:
         found = track(*order)
-        return [bits(found.place(moment)) for moment in moments]
+        return [position_bytes(found.place(moment)) for moment in moments]
 
     expected = answers(fixes)
     assert all(answers(order) == expected for order in itertools.islice(itertools.permutations(fixes), 0, 720, 7))
@@ -217,12 +217,12 @@ def test_nothing_changes_at_or_before_the_returned_time() -> None:
     whole = track(*places.items(), max_speed_m_per_s=1000.0)
     for late in times:
         others = track(*((t, places[t]) for t in times if t != late), max_speed_m_per_s=1000.0)
-        before = [bits(others.place(ns(m))) for m in moments]
+        before = [position_bytes(others.place(ns(m))) for m in moments]
         changed_after_ns = others.insert(PositionFix(ns(late), places[late], SIGMA_M))
         for moment, old in zip(moments, before, strict=True):
             # A cached result must equal the recomputed one.
-            assert bits(others.place(ns(moment))) == bits(whole.place(ns(moment)))
-            assert bits(whole.place(ns(moment))) == old or ns(moment) > changed_after_ns
+            assert position_bytes(others.place(ns(moment))) == position_bytes(whole.place(ns(moment)))
+            assert position_bytes(whole.place(ns(moment))) == old or ns(moment) > changed_after_ns
     assert others.insert(PositionFix(ns(9), places[9], SIGMA_M)) is None
 
 
@@ -246,7 +246,7 @@ def test_cached_results_equal_recomputed_ones_for_late_inputs(seed: int) -> None
         kept.drop_before(ns(oldest_s))
         anew = track(*taken, fix_max_age_s=max_age_s)
         for moment in (ns(since_s) for since_s in moments_s if since_s >= oldest_s):
-            assert bits(kept.place(moment)) == bits(anew.place(moment))
+            assert position_bytes(kept.place(moment)) == position_bytes(anew.place(moment))
 
 
 def test_a_repeated_stamp_is_rejected() -> None:
@@ -261,7 +261,7 @@ def test_dropped_fixes_are_not_needed() -> None:
     kept, whole = track(*fixes), track(*fixes)
     kept.drop_before(ns(15.25))
     for since_s in (15.25, 16.0, 18.3, 22.0):
-        assert bits(kept.place(ns(since_s))) == bits(whole.place(ns(since_s)))
+        assert position_bytes(kept.place(ns(since_s))) == position_bytes(whole.place(ns(since_s)))
     assert away_m(kept.place(ns(12.0)), whole.place(ns(12.0)).observer.position) > 1.0
 
 

@@ -94,7 +94,7 @@ def voyage(
 ) -> list[tuple[int, Any]]:
     """Return the arriving data, in the order of stamps."""
     rng, config = np.random.default_rng(seed), configuration(sensors)
-    told = [ERRORS[number] for number in error_indices]
+    errors = [ERRORS[number] for number in error_indices]
     mounting = {name: exp_rotation(np.array([20.0, 1.0, 1.0]) * ARCSEC * rng.standard_normal(3)) for name in sensors}
     slow_n = np.array([10.0, 72.0, 10.0]) * ARCSEC * rng.standard_normal(3)
     time_s, decay = np.array([1800.0, 10800.0, 1800.0]), INS_NS / SECOND_NS
@@ -104,21 +104,21 @@ def voyage(
         slow_n = slow_n * np.exp(-decay / time_s) + np.array([10.0, 72.0, 10.0]) * ARCSEC * np.sqrt(
             1.0 - np.exp(-2.0 * decay / time_s)
         ) * rng.standard_normal(3)
-        wrong_n = sum((error.at(now_s) for error in told if error.source == "ins"), np.zeros(3))
+        wrong_n = sum((error.at(now_s) for error in errors if error.source == "ins"), np.zeros(3))
         error_n = slow_n + ARCSEC * rng.standard_normal(3)
         rotation = exp_rotation(-error_n) @ exp_rotation(wrong_n) @ truth(now_s)
         rate = rate_d(now_s)
-        if any(lie.at(now_s).any() for lie in told if lie.source == "ins.axes"):
+        if any(lie.at(now_s).any() for lie in errors if lie.source == "ins.axes"):
             rotation, rate = MIRROR @ rotation @ MIRROR, -MIRROR @ rate
-        clock_s = sum(lie.at(now_s)[0] for lie in told if lie.source == "ins.clock")
+        clock_s = sum(lie.at(now_s)[0] for lie in errors if lie.source == "ins.clock")
         stamp_ns = time_ns + round(clock_s * SECOND_NS)
         arrivals.append((time_ns, AttitudeSample(stamp_ns, rotation, rate if rates else None)))
     for index, name in enumerate(sensors):
         phase_ns = 7_000_000 + index * 61_000_000
         for time_ns in range(phase_ns, int((seconds - 0.2) * SECOND_NS), STAR_NS):
             now_s = time_ns / SECOND_NS
-            wrong_v = sum((lie.at(now_s) for lie in told if lie.source == f"star.{name}"), np.zeros(3))
-            sky_n = sum((lie.at(now_s) for lie in told if lie.source == "sky"), np.zeros(3))
+            wrong_v = sum((lie.at(now_s) for lie in errors if lie.source == f"star.{name}"), np.zeros(3))
+            sky_n = sum((lie.at(now_s) for lie in errors if lie.source == "sky"), np.zeros(3))
             rotation_dv = config.star_sensors[name].rotation_ds @ mounting[name]
             rotation_nv = exp_rotation(sky_n) @ truth(now_s) @ rotation_dv @ exp_rotation(wrong_v)
             rotation_nv = rotation_nv @ exp_rotation(NOISE * rng.standard_normal(3))
@@ -138,8 +138,8 @@ class Sailed:
 
     def copied(self) -> "Sailed":
         """Return an independent copy."""
-        told = self.estimates[:], self.excluded[:], self.reports[:], self.reasons[:]
-        return Sailed(copy.deepcopy(self.core), *told)
+        lists = self.estimates[:], self.excluded[:], self.reports[:], self.reasons[:]
+        return Sailed(copy.deepcopy(self.core), *lists)
 
     def excluded_first(self) -> tuple[float, tuple[str, ...]]:
         return next(entry for entry in self.excluded if entry[1])

@@ -16,7 +16,7 @@ from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import julian_date, tt_julian_date
-from ship_testing.star_sky import POSITION, TIME_NS, configuration, ins_track, told_sky
+from ship_testing.star_sky import POSITION, TIME_NS, configuration, ins_track, sky_at_anchor
 
 FIELD = FieldOfView(np.deg2rad(10.0))
 POINT = FieldOfView()
@@ -29,7 +29,7 @@ CONFIG = configuration(sky={"pressure_hpa": 1008.3, "temperature_c": 18.2, "rela
 
 @pytest.fixture(scope="module", name="watch")
 def _watch():
-    return told_sky(CONFIG)
+    return sky_at_anchor(CONFIG)
 
 
 @pytest.fixture(scope="module", name="sky")

@@ -17,7 +17,7 @@ TOPIC = "gravity/deflection"
 END_NS = START_NS + 5 * SECOND_NS
 
 
-def told(since_s: float, xi_arcsec: float, eta_arcsec: float, sigma_arcsec: float = 1.0, **changes: Any) -> Arrival:
+def deflection_message(since_s: float, xi_arcsec: float, eta_arcsec: float, sigma_arcsec: float = 1.0, **changes: Any) -> Arrival:
     time_ns = START_NS + round(since_s * SECOND_NS)
     values = {
         "header": make_header(FACTORY, time_ns, "gravity"),
@@ -34,7 +34,7 @@ def run_with(*messages: Arrival, **parameters: Any) -> Run:
 
 
 def test_a_received_deflection_is_published_with_the_correction_by_stars() -> None:
-    run = run_with(told(-1.0, 4.0, -3.0))
+    run = run_with(deflection_message(-1.0, 4.0, -3.0))
     published = run.messages("ship/deflection")
     assert len(published) >= 4
     last = published[-1]
@@ -48,7 +48,7 @@ def test_a_received_deflection_is_published_with_the_correction_by_stars() -> No
 
 
 def test_budget_holds_the_deflection_and_adds_up() -> None:
-    budget = run_with(told(-1.0, 4.0, -3.0)).messages("ship/error_budget")[-1]
+    budget = run_with(deflection_message(-1.0, 4.0, -3.0)).messages("ship/error_budget")[-1]
     assert "deflection" in budget.sources
     parts = np.asarray(budget.covariances).reshape(-1, 3, 3)
     np.testing.assert_allclose(parts.sum(axis=0).ravel(), budget.total, rtol=1e-9, atol=1e-9 * np.max(budget.total))
@@ -74,22 +74,22 @@ def test_without_the_parameter_the_topic_is_not_read_and_nothing_is_published() 
     ],
 )
 def test_bad_messages_are_refused_and_leave_no_trace(changes: dict[str, Any], reason: str) -> None:
-    good, bad = told(-1.0, 4.0, -3.0), told(1.0, 40.0, 40.0, **changes)
+    good, bad = deflection_message(-1.0, 4.0, -3.0), deflection_message(1.0, 40.0, 40.0, **changes)
     run = run_with(good, bad)
     assert run.reasons(TOPIC) == {reason: 1}
     assert run.results() == run_with(good).results()
 
 
 def test_a_topic_timeout_is_named_and_the_horizon_is_gravity_without_stars() -> None:
-    messages = [told(-1.0, 4.0, -3.0)]
+    messages = [deflection_message(-1.0, 4.0, -3.0)]
     run = run_with(*messages, gravity__max_age_s=2.0)
     texts = [text for _, text in run.diagnostics("vertical", START_NS, END_NS)]
     assert texts[-1] == "no message on gravity/deflection within max_age_s = 2"
 
 
 def test_two_messages_of_one_stamp_are_reported() -> None:
-    assert run_with(told(0.5, 4.0, -3.0), told(0.5, 4.0, -3.0)).reasons(TOPIC) == {"duplicate": 1}
-    one, other = told(0.5, 4.0, -3.0), told(0.5, 5.0, -3.0)
+    assert run_with(deflection_message(0.5, 4.0, -3.0), deflection_message(0.5, 4.0, -3.0)).reasons(TOPIC) == {"duplicate": 1}
+    one, other = deflection_message(0.5, 4.0, -3.0), deflection_message(0.5, 5.0, -3.0)
     runs = [run_with(one, other), run_with(other, one)]
     assert [run.reasons(TOPIC) for run in runs] == [{"conflict": 1}] * 2
     states = [run.state() for run in runs]

@@ -43,7 +43,7 @@ def ns(since_s: float) -> int:
     return START_NS + round(since_s * SECOND_NS)
 
 
-def told(since_s: float, xi_arcsec: float) -> DeflectionReading:
+def deflection_reading(since_s: float, xi_arcsec: float) -> DeflectionReading:
     return DeflectionReading(ns(since_s), ARCSEC * np.array([xi_arcsec, 0.0]), ARCSEC**2 * np.eye(2))
 
 
@@ -110,34 +110,34 @@ def test_without_fixes_the_distance_is_extrapolated_and_the_table_is_not_used() 
     table = {**TABLE, "table_longitude_deg": (0.0, 0.0, 0.0)}
     track = sailed(300, 10.0, **table)
     assert track.at(ns(300)).given is not None
-    assert track.told(ns(300)) == ""
+    assert track.missing_data_text(ns(300)) == ""
     before_m = track.at(ns(300)).along_m
     later = track.at(ns(600))
     assert later.given is None
     # A fix is used for fix_max_age_s; after that the last speed counts.
     assert later.along_m - before_m == pytest.approx(3000.0, abs=200.0)
-    assert "no position fix" in track.told(ns(600))
+    assert "no position fix" in track.missing_data_text(ns(600))
     # A fix so far away is accepted after a minute.
     for second in range(600, 670):
         track.insert(fix(second, 60_000.0))
-    assert "nearest is 38 km away" in track.told(ns(669))
+    assert "nearest is 38 km away" in track.missing_data_text(ns(669))
 
 
 def test_a_message_is_used_until_its_maximum_age() -> None:
     track = VerticalTrack(GravityConfig(deflection="topic", max_age_s=60.0), SkyConfig())
     assert track.at(ns(0)).given is None
-    track.insert(told(10.0, 3.0))
+    track.insert(deflection_reading(10.0, 3.0))
     np.testing.assert_allclose(track.at(ns(20)).given / ARCSEC, [3.0, 0.0])
     np.testing.assert_allclose(track.at(ns(20)).covariance, ARCSEC**2 * np.eye(2))
     assert track.at(ns(80)).given is None
-    assert "max_age_s = 60" in track.told(ns(80))
-    assert track.rejection(told(10.0, 3.0)).reason is Reason.DUPLICATE
-    assert track.rejection(told(10.0, 4.0)).reason is Reason.CONFLICT
+    assert "max_age_s = 60" in track.missing_data_text(ns(80))
+    assert track.rejection(deflection_reading(10.0, 3.0)).reason is Reason.DUPLICATE
+    assert track.rejection(deflection_reading(10.0, 4.0)).reason is Reason.CONFLICT
 
 
 def test_order_of_arrival_does_not_matter() -> None:
     fixes = [fix(second, 20.0 * second) for second in range(0, 6, 2)]
-    inputs = [*fixes, told(3.0, 1.0), told(3.0, 2.0), told(5.0, 5.0)]
+    inputs = [*fixes, deflection_reading(3.0, 1.0), deflection_reading(3.0, 2.0), deflection_reading(5.0, 5.0)]
     ends = set()
     for order in itertools.permutations(inputs):
         track = VerticalTrack(GravityConfig(deflection="topic"), SkyConfig())

@@ -28,7 +28,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, left_jacob
 from ship_testing.adapter_runs import START_NS, changed_where, stamp_of
 from ship_testing.ship_observations import sail
 from ship_testing.small_voyage import INS, quaternion_message
-from ship_testing.star_sky import ROTATION_ND, SENSORS, SIGMA, TIME_NS, configuration, exposure_of, ins_track, told_sky
+from ship_testing.star_sky import ROTATION_ND, SENSORS, SIGMA, TIME_NS, configuration, exposure_of, ins_track, sky_at_anchor
 from ship_testing.star_voyage import true_deck, voyage
 
 SEEDS = 40
@@ -76,7 +76,7 @@ class Sky:
 
 @pytest.fixture(scope="module")
 def sky() -> Sky:
-    return Sky(told_sky(configuration()), {})
+    return Sky(sky_at_anchor(configuration()), {})
 
 
 def solved(exposure: StarExposure, watch: SkyModel) -> AttitudeMeasurement:

@@ -26,9 +26,9 @@ RECEIVE_NS = 1_268_178_851 * NS_PER_S
 """2010-03-09T23:54:11Z."""
 
 
-def said(text, needs_checksum=True):
+def parse_results(text, needs_checksum=True):
     (heard,) = parse_line(text.encode(), needs_checksum)
-    return heard.says
+    return heard.result
 
 
 def messages_of(becomes, *texts, by_instrument=True):
@@ -37,7 +37,7 @@ def messages_of(becomes, *texts, by_instrument=True):
     instrument = Instrument(RosbagsFactory(), InstrumentRole(becomes, by_instrument), "a", report)
     found = []
     for text in texts:
-        says = said(text)
+        says = parse_results(text)
         if isinstance(says, Sentence):
             found += instrument.take(InstrumentLine(1, RECEIVE_NS, says.kind, says.content))
     return [message for _, _, message in found], report
@@ -51,8 +51,8 @@ def angles_deg(message):
 @pytest.mark.parametrize("kind", DIALECTS)
 def test_each_row_is_read(kind):
     text, expected = SENTENCES[kind]
-    assert said(text).kind == kind
-    assert str(said(text).content) == text
+    assert parse_results(text).kind == kind
+    assert str(parse_results(text).content) == text
     if expected is not None:
         (message,), _ = messages_of(REFERENCE, text, by_instrument="PSAT" in text)
         assert angles_deg(message) == pytest.approx(expected)
@@ -82,21 +82,21 @@ def test_a_sentence_with_time_has_its_own():
     ],
 )
 def test_unusable_sentences_are_rejected_with_the_reason(text, reason):
-    says = said(text)
+    says = parse_results(text)
     assert isinstance(says, Unusable)
     assert (says.detail or says.reason) == reason
 
 
 def test_a_high_warning_is_no_alarm():
-    assert said("$PTNTHPR,72.9,N,-1.6,N,-29.6,O*33").content.roll == -29.6
+    assert parse_results("$PTNTHPR,72.9,N,-1.6,N,-29.6,O*33").content.roll == -29.6
 
 
 @pytest.mark.parametrize("kind", DIALECTS)
 def test_truncated_sentences_without_checksum_are_not_used(kind):
     whole = SENTENCES[kind][0].partition("*")[0]
-    assert isinstance(said(whole, needs_checksum=False), Sentence)
+    assert isinstance(parse_results(whole, needs_checksum=False), Sentence)
     for end in range(len(whole)):
-        assert not isinstance(said(whole[:end], needs_checksum=False), Sentence) if end else True
+        assert not isinstance(parse_results(whole[:end], needs_checksum=False), Sentence) if end else True
 
 
 def test_a_heading_has_the_turn_rate_of_its_burst():
@@ -109,7 +109,7 @@ def test_a_heading_has_the_turn_rate_of_its_burst():
 
 @pytest.mark.parametrize("rot", ["HEROT,,V", "HEROT,30.0,V", "HEROT,30.0"])
 def test_a_heading_without_a_valid_turn_rate_has_none(rot):
-    assert said(sentence(rot)) == NotOfInterest("HEROT")
+    assert parse_results(sentence(rot)) == NotOfInterest("HEROT")
     (message,), _ = messages_of(GYRO, sentence(rot), sentence("HEHDT,10.0,T"))
     assert message.angular_velocity_covariance[0] == -1.0
 

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[3]
 DEMO = ROOT / "bags" / "demo.mcap"
 
 
-def said(arguments, capsys):
+def output_of(arguments, capsys):
     assert main([str(argument) for argument in arguments]) == 0
     return capsys.readouterr().out
 
@@ -33,7 +33,7 @@ def row(text, topic):
 
 
 def test_a_bag_of_the_repository(capsys):
-    text = said([DEMO], capsys)
+    text = output_of([DEMO], capsys)
     # 120 s at 100 Hz, from the scenario; the mcap project's own tool counts the same.
     assert row(text, "ins/imu")[1:4] == ["sensor_msgs/msg/Imu", "12001", "100"]
     assert "2014-07-09T11:50:07.800Z to 2014-07-09T11:52:07.817Z, 120.017 s" in text
@@ -45,7 +45,7 @@ def test_a_bag_of_the_repository(capsys):
 
 
 def test_json_has_the_same_numbers(capsys):
-    document = json.loads(said([DEMO, "--json"], capsys))
+    document = json.loads(output_of([DEMO, "--json"], capsys))
     topics = {topic["name"]: topic for topic in document["topics"]}
     assert topics["ins/imu"]["message_count"] == 12_001
     assert topics["ins/imu"]["rate_hz"] == pytest.approx(100.0, rel=1e-3)
@@ -56,7 +56,7 @@ def test_json_has_the_same_numbers(capsys):
 def test_a_truncated_bag_is_counted_up_to_the_cut(tmp_path, capsys):
     data = DEMO.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
-    text = said([tmp_path / "cut.mcap"], capsys)
+    text = output_of([tmp_path / "cut.mcap"], capsys)
     assert "problem: cut.mcap: no footer, it ends or is damaged at byte" in text
     assert "whole:" not in text
     count = int(row(text, "ins/imu")[2])
@@ -68,7 +68,7 @@ def test_a_truncated_bag_is_counted_up_to_the_cut(tmp_path, capsys):
 def test_a_cut_within_an_index_is_no_damage(cut, tmp_path, capsys):
     """Bytes of a truncated index look like the header of an attachment."""
     (tmp_path / "cut.mcap").write_bytes(DEMO.read_bytes()[:cut])
-    problems = [line for line in said([tmp_path / "cut.mcap"], capsys).splitlines() if line.startswith("problem:")]
+    problems = [line for line in output_of([tmp_path / "cut.mcap"], capsys).splitlines() if line.startswith("problem:")]
     assert len(problems) == 1
     assert "no footer, it ends or is damaged at byte" in problems[0]
 
@@ -77,7 +77,7 @@ def test_a_damaged_chunk_is_named(tmp_path, capsys):
     data = bytearray(DEMO.read_bytes())
     data[len(data) // 3] ^= 0xFF
     (tmp_path / "bad.mcap").write_bytes(data)
-    text = said([tmp_path / "bad.mcap"], capsys)
+    text = output_of([tmp_path / "bad.mcap"], capsys)
     assert "problem: bad.mcap: the chunk at byte" in text
     assert int(row(text, "ins/imu")[2]) < 12_001
 
@@ -85,7 +85,7 @@ def test_a_damaged_chunk_is_named(tmp_path, capsys):
 def test_a_bag_without_index(tmp_path, capsys):
     data = DEMO.read_bytes()
     (tmp_path / "tail.mcap").write_bytes(data[:-100])
-    text = said([tmp_path / "tail.mcap"], capsys)
+    text = output_of([tmp_path / "tail.mcap"], capsys)
     assert row(text, "ins/imu")[2] == "12001"
     assert "problem: tail.mcap:" in text
 
@@ -93,7 +93,7 @@ def test_a_bag_without_index(tmp_path, capsys):
 def test_a_bag_without_messages(tmp_path, capsys):
     with BagWriter(tmp_path / "empty.mcap") as bag:
         bag.add_topic("ins/imu", "sensor_msgs/msg/Imu")
-    text = said([tmp_path / "empty.mcap"], capsys)
+    text = output_of([tmp_path / "empty.mcap"], capsys)
     assert "0 messages" in text
     assert row(text, "ins/imu")[2:] == ["0", "-", "-", "-"]
 
@@ -104,7 +104,7 @@ def test_a_folder_is_one_bag(tmp_path, capsys):
         bag.write_raw("ins/imu", "sensor_msgs/msg/Imu", serialize(imu(START_NS)), START_NS + number * 10_000_000)
         bag.flush()
     bag.close()
-    text = said([tmp_path / "folder"], capsys)
+    text = output_of([tmp_path / "folder"], capsys)
     assert row(text, "ins/imu")[2:] == ["3", "100", "0.000", "0.020"]
     assert "files, 3 messages" in text
 
@@ -151,7 +151,7 @@ def test_a_long_metadata_entry_is_shown_by_its_length(tmp_path, capsys):
     with BagWriter(tmp_path / "a.mcap") as bag:
         bag.write("a", imu(START_NS), START_NS)
         bag.add_metadata("rosbag2", {"ROS_DISTRO": "jazzy", "serialized_metadata": "version: 9\n" * 1000})
-    lines = said([tmp_path / "a.mcap"], capsys).splitlines()
+    lines = output_of([tmp_path / "a.mcap"], capsys).splitlines()
     assert "metadata: rosbag2: ROS_DISTRO=jazzy, serialized_metadata=(11000 characters)" in lines
 
 
@@ -159,6 +159,6 @@ def test_control_characters_of_a_bag_do_not_reach_the_terminal(tmp_path, capsys)
     with BagWriter(tmp_path / "a.mcap") as bag:
         bag.write("\x1b[31mred", imu(START_NS), START_NS)
         bag.add_metadata("note\x1b", {"key": "\x07"})
-    text = said([tmp_path / "a.mcap"], capsys)
+    text = output_of([tmp_path / "a.mcap"], capsys)
     assert "\x1b" not in text
     assert "\x07" not in text

@@ -29,7 +29,7 @@ _NOTHING = "[]"
 """An empty list."""
 
 
-def asking_parser(prog: str, example: str, description: str, epilog: str) -> CommandParser:
+def node_command_parser(prog: str, example: str, description: str, epilog: str) -> CommandParser:
     """Return the parser of a command for a node, with the arguments ``node`` and ``timeout``.
 
     Args:
@@ -53,7 +53,7 @@ def asking_parser(prog: str, example: str, description: str, epilog: str) -> Com
 
 
 @contextlib.contextmanager
-def asked_node(asker_name: str, name: str, timeout_s: float) -> Iterator["AskedNode"]:
+def connect_node(own_name: str, name: str, timeout_s: float) -> Iterator["RemoteNode"]:
     """Yield a node of the network, accessed through a node of our own that ends with the ``with`` statement.
 
     Args:
@@ -65,14 +65,14 @@ def asked_node(asker_name: str, name: str, timeout_s: float) -> Iterator["AskedN
         BadInput: see :class:`RemoteNode`.
     """
     # The process id makes the name unique among commands that run at the same time.
-    with command_node(f"{asker_name}_{os.getpid()}", []) as asker:
+    with command_node(f"{own_name}_{os.getpid()}", []) as own_node:
         executor = SingleThreadedExecutor()
-        executor.add_node(asker)
-        yield AskedNode(asker, name, timeout_s, lambda seconds: executor.spin_once(timeout_sec=seconds))
+        executor.add_node(own_node)
+        yield RemoteNode(own_node, name, timeout_s, lambda seconds: executor.spin_once(timeout_sec=seconds))
         executor.shutdown()
 
 
-class AskedNode:
+class RemoteNode:
     """A node of the network.
 
     Attributes:
@@ -88,19 +88,19 @@ class AskedNode:
         BadInput: there is no such node; the text lists the existing ones, the nearest first.
     """
 
-    def __init__(self, asker: Node, name: str, timeout_s: float, wait: Callable[[float], None]) -> None:
-        self._asker, self._timeout_s, self._wait = asker, timeout_s, wait
+    def __init__(self, own_node: Node, name: str, timeout_s: float, wait: Callable[[float], None]) -> None:
+        self._own_node, self._timeout_s, self._wait = own_node, timeout_s, wait
         self._namespace, _, self._bare_name = ("/" + name.strip("/")).rpartition("/")
         self.name = full_name(self._bare_name, self._namespace)
         if not self._until(lambda: self.name in self._nodes()):
-            others = sorted(self._nodes() - {full_name(asker.get_name(), asker.get_namespace())})
+            others = sorted(self._nodes() - {full_name(own_node.get_name(), own_node.get_namespace())})
             raise BadInput(unknown("node", self.name, others))
         # The services of a discovered node may be discovered later.
         self._until(lambda: bool(self.services()))
 
     def services(self) -> dict[str, str]:
         """Return name without that of the node → type of its services, without those of its parameters."""
-        found = self._asker.get_service_names_and_types_by_node(self._bare_name, self._namespace or "/")
+        found = self._own_node.get_service_names_and_types_by_node(self._bare_name, self._namespace or "/")
         own = {name.removeprefix(f"{self.name}/"): types[0] for name, types in found}
         return {name: kind for name, kind in own.items() if not kind.startswith(("rcl_", "type_description"))}
 
@@ -115,7 +115,7 @@ class AskedNode:
         Raises:
             BadInput: it does not respond.
         """
-        client = self._asker.create_client(kind, f"{self.name}/{service}")
+        client = self._own_node.create_client(kind, f"{self.name}/{service}")
         if not self._until(client.service_is_ready):
             raise BadInput(f"node {self.name} has no service '{service}', or is ending")
         answer: Future = client.call_async(kind.Request(**fields))
@@ -130,13 +130,13 @@ class AskedNode:
 
     def described(self, names: Sequence[str]) -> list[tuple[ParameterDescriptor, ParameterValue]]:
         """Return description and value of some parameters."""
-        told: DescribeParameters.Response = self.call(
+        descriptions: DescribeParameters.Response = self.call(
             "describe_parameters", DescribeParameters, names=list(names)
         )
         read: GetParameters.Response = self.call(
             "get_parameters", GetParameters, names=list(names)
         )
-        return list(zip(told.descriptors, read.values, strict=True))
+        return list(zip(descriptions.descriptors, read.values, strict=True))
 
     def set_parameter(self, name: str, value: ParameterValue) -> str:
         """Set a parameter; return why it was refused, empty if it was not."""
@@ -148,7 +148,7 @@ class AskedNode:
         return "" if answer.result.successful else str(answer.result.reason)
 
     def _nodes(self) -> set[str]:
-        return {full_name(name, namespace) for name, namespace in self._asker.get_node_names_and_namespaces()}
+        return {full_name(name, namespace) for name, namespace in self._own_node.get_node_names_and_namespaces()}
 
     def _until(self, condition: Callable[[], bool]) -> bool:
         deadline_s = time.monotonic() + self._timeout_s

@@ -409,8 +409,8 @@ def run_keeper(*texts, limits=""):
     return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
 
 
-TELLS_ITS_ID = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
-DEAF = "import os, signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); " + TELLS_ITS_ID
+PRINTS_ITS_ID = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
+DEAF = "import os, signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); " + PRINTS_ITS_ID
 
 
 def ids(process, count):
@@ -432,7 +432,7 @@ def wait_until_gone(pids):
 
 
 def test_programs_end_when_the_suite_is_killed():
-    keeper = run_keeper(TELLS_ITS_ID, DEAF)
+    keeper = run_keeper(PRINTS_ITS_ID, DEAF)
     pids = ids(keeper, 2)
     keeper.kill()
     keeper.wait()
@@ -441,7 +441,7 @@ def test_programs_end_when_the_suite_is_killed():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signal_ends_all_programs(number):
-    keeper = run_keeper(TELLS_ITS_ID, TELLS_ITS_ID)
+    keeper = run_keeper(PRINTS_ITS_ID, PRINTS_ITS_ID)
     pids = ids(keeper, 2)
     keeper.send_signal(number)
     assert keeper.wait(FAR_S) == 0

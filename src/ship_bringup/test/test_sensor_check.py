@@ -8,7 +8,7 @@ import pytest
 
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.network_look import STRONGER, ObservedTopic, NetworkState, Publisher, observed_rate_hz
-from ship_bringup.checks.sensor_check import asked_qualities, check_sensors
+from ship_bringup.checks.sensor_check import find_requested_qos, check_sensors
 from ship_node.edge.topics import InputTopic
 from ship_watch.limits import InputLimits, Limits
 
@@ -18,16 +18,16 @@ GOOD = ObservedTopic(InputTopic("ins/imu", IMU, True, 1000), (DRIVER,), 100.0, 3
 LIMITS = Limits(inputs={"ins": InputLimits(rate_hz=90.0)})
 
 
-def evaluate(limits=LIMITS, asked=MappingProxyType({}), **changes):
+def evaluate(limits=LIMITS, requested_qos=MappingProxyType({}), **changes):
     observed = dataclasses.replace(GOOD, **changes)
-    (row,) = check_sensors(NetworkState("rmw", inputs=(observed,)), limits, {"ins/imu": 2.0}, asked)
+    (row,) = check_sensors(NetworkState("rmw", inputs=(observed,)), limits, {"ins/imu": 2.0}, requested_qos)
     return row.result, row.found
 
 
 def test_good_sensor():
     assert evaluate() == (Result.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
     assert evaluate(age_s=None) == (Result.OK, "ins/imu: 100 Hz from /ins_driver")
-    assert evaluate(asked={"ins/imu": dict.fromkeys(STRONGER, "x")})[0] is Result.OK
+    assert evaluate(requested_qos={"ins/imu": dict.fromkeys(STRONGER, "x")})[0] is Result.OK
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_unmet_quality_of_service_fails(quality):
     weak = (dataclasses.replace(DRIVER, offers=STRONGER - {quality}),)
     assert evaluate(publishers=weak)[0] is Result.OK
     setting = "qos_overrides in the suite file"
-    result, found = evaluate(publishers=weak, asked={"ins/imu": {quality: setting}})
+    result, found = evaluate(publishers=weak, requested_qos={"ins/imu": {quality: setting}})
     assert result is Result.FAIL
     assert f"does not offer {quality}, required by {setting}: no message will arrive" in found
 
@@ -121,7 +121,7 @@ def test_advice_names_the_setting_of_the_unmet_quality(tmp_path):
          "qos_overrides in the suite file"),
     ):  # fmt: skip
         path.write_text(f"/**/ship_attitude: {{ros__parameters: {parameters}}}\n")
-        asked = asked_qualities(path, ["ins/imu"], "", by_option)
+        asked = find_requested_qos(path, ["ins/imu"], "", by_option)
         (row,) = check_sensors(NetworkState("rmw", inputs=(weak,)), LIMITS, {"ins/imu": 2.0}, asked)
         assert (row.result, row.advice) == (Result.FAIL, f"let the driver offer it, or leave out {setting}")
 
@@ -160,8 +160,8 @@ def test_requested_quality_of_service_of_a_suite_file(tmp_path):
     topics = ["ins/imu", "gnss/fix", "met/pressure"]
     by = "qos_overrides in the suite file"
     expected = {"ins/imu": {"reliable": by}, "met/pressure": {"transient_local": by}}
-    assert asked_qualities(path, topics, "demo") == expected
-    assert asked_qualities(path, topics, "aurora") == {}
+    assert find_requested_qos(path, topics, "demo") == expected
+    assert find_requested_qos(path, topics, "aurora") == {}
     path.write_text("/**/ship_attitude: {ros__parameters: {reliable_inputs: true}}\n")
     by = "reliable_inputs in the suite file"
-    assert asked_qualities(path, topics, "demo") == {name: {"reliable": by} for name in topics}
+    assert find_requested_qos(path, topics, "demo") == {name: {"reliable": by} for name in topics}

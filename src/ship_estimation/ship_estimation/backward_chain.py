@@ -163,7 +163,7 @@ class Chain(Generic[Given]):
         self._links: deque[_Link] = deque()
         self._last_came = start.came
         self._last = Anchor(start.time_ns, Known(start.mean, start.covariance), start.given)
-        self._asked: deque[int] = deque()
+        self._requested_ns: deque[int] = deque()
         self._by_all: list[Known] = []
 
     @property
@@ -171,9 +171,9 @@ class Chain(Generic[Given]):
         """Time of the last link, or of the start; None before the first measurement."""
         return self._last.time_ns
 
-    def ask(self, time_ns: int) -> None:
+    def request_time(self, time_ns: int) -> None:
         """Request a time, later than the last link and than all times requested before."""
-        self._asked.append(time_ns)
+        self._requested_ns.append(time_ns)
 
     def add(self, state: Traced[Given]) -> None:
         """Add the state after a measurement or a jump, which follows the one added last; most make a link."""
@@ -182,7 +182,7 @@ class Chain(Generic[Given]):
         if state.time_ns is None:
             if not _same(now, self._last.known):
                 # Changed before the first measurement: earlier requests are dropped.
-                self._asked.clear()
+                self._requested_ns.clear()
                 self._last = Anchor(None, now, state.given)
             return
         if came is not None and came is not before:
@@ -213,7 +213,7 @@ class Chain(Generic[Given]):
             self._links.popleft()
             if self._by_all:
                 self._by_all.pop()
-        times_ns = self._asked_until(time_ns)
+        times_ns = self._take_requested(time_ns)
         if times_ns and self._last.time_ns is not None:
             taken.append((times_ns, self.between.at(self._last, times_ns, None)[0]))
         return taken
@@ -228,7 +228,7 @@ class Chain(Generic[Given]):
         back: Backward | Known | None = None if is_first else last.known
         if leads_back and not is_first:
             back = backward(last.known, self.between.cross_to(last, reached), predicted)
-        link, times_ns = _Link(back), self._asked_until(max(state.time_ns, jumped_ns or 0))
+        link, times_ns = _Link(back), self._take_requested(max(state.time_ns, jumped_ns or 0))
         if is_first and not self.between.knows_before_the_first:
             times_ns = []
         for start in range(0, len(times_ns), _MOST_AT_ONCE):
@@ -239,11 +239,11 @@ class Chain(Generic[Given]):
         self._last = reached
         self._by_all = []
 
-    def _asked_until(self, time_ns: int) -> list[int]:
+    def _take_requested(self, time_ns: int) -> list[int]:
         """Remove and return the requested times up to one that belong to no link yet."""
         times_ns = []
-        while self._asked and self._asked[0] <= time_ns:
-            times_ns.append(self._asked.popleft())
+        while self._requested_ns and self._requested_ns[0] <= time_ns:
+            times_ns.append(self._requested_ns.popleft())
         return times_ns
 
     def _known(self, stretch: Piece) -> Known:

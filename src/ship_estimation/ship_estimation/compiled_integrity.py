@@ -72,12 +72,12 @@ def solution_separation(
     n: cython.Py_ssize_t = states.shape[0]
     m: cython.Py_ssize_t = mean.shape[0]
     hypotheses: cython.Py_ssize_t = means.shape[0]
-    asked: cython.Py_ssize_t = tested_subfilters.shape[0]
+    tested_count: cython.Py_ssize_t = tested_subfilters.shape[0]
     check("components", to_components.shape[0] == to_components.shape[1] == by_states.shape[0] == 3)
     check("covariance", covariance.shape[0] == covariance.shape[1] == 3 and by_states.shape[1] == n)
     check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and subfilter_covariances.shape[0] == hypotheses)
     check("left_out", subfilter_covariances.shape[1] == subfilter_covariances.shape[2] == m and missed.shape[0] == hypotheses)
-    of_statistic, of_level = np.empty(asked), np.empty(3)
+    of_statistic, of_level = np.empty(tested_count), np.empty(3)
     statistic: cython.double[::1] = of_statistic
     level: cython.double[::1] = of_level
     # Covariance of the states in the main filter, and its growth in a subfilter.
@@ -106,7 +106,7 @@ def solution_separation(
         for i in range(n):
             for j in range(n):
                 covariances[0, i, j] += parts[part, states[i], states[j]]
-    for k in range(asked):
+    for k in range(tested_count):
         row = tested_subfilters[k]
         check("rows", 0 <= row < hypotheses)
         for i in range(n):
@@ -168,7 +168,7 @@ def _separation_sigma(
 
 def coverage(
     level: cython.const[cython.double][:],
-    told: cython.const[cython.double][:],
+    published: cython.const[cython.double][:],
     covariance: cython.const[cython.double][:, :],
     entering: cython.double,
     most_growth: cython.double,
@@ -188,7 +188,7 @@ def coverage(
         True if the published levels cover the output; and the fields ``max_variance`` and ``max_direction_change`` of
         :class:`ship_estimation.published_levels.PublishedLevels`.
     """
-    check("levels", level.shape[0] == told.shape[0] == 3)
+    check("levels", level.shape[0] == published.shape[0] == 3)
     check("covariance", covariance.shape[0] == covariance.shape[1] == 3)
     covers: cython.bint = True
     known: cython.bint = True
@@ -200,15 +200,15 @@ def coverage(
     i: cython.int
     for i in range(3):
         # NaN levels are those of the state UNAVAILABLE, which was published.
-        unknown = unknown and level[i] != level[i] and told[i] != told[i]
-        covers = covers and level[i] <= most_growth * told[i]
+        unknown = unknown and level[i] != level[i] and published[i] != published[i]
+        covers = covers and level[i] <= most_growth * published[i]
         known = known and fabs(level[i]) < INFINITY
         least = min(least, level[i])
     covers = covers or unknown
     if not known:
         return covers, INFINITY, INFINITY
     for i in range(3):
-        growth = -_larger(-growth, -most_growth * told[i] / level[i])
+        growth = -_larger(-growth, -most_growth * published[i] / level[i])
     room = 0.5 * (growth - 1.0)
     trace = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
     # A term added to a covariance adds at most its trace to the variance of any angle, and a level grows no faster than
@@ -225,9 +225,9 @@ def covered(
     covariances: cython.const[cython.double][:, :, :],
     directions: cython.const[cython.double][:, :, :],
     until_ns: cython.longlong,
-    greatest_variance: cython.double,
-    told: cython.const[cython.double][:, :],
-    most_turned: cython.double,
+    max_variance: cython.double,
+    published_directions: cython.const[cython.double][:, :],
+    max_direction_change: cython.double,
 ) -> cython.Py_ssize_t:
     """Return the number of leading outputs, of N, that are covered by published protection levels.
 
@@ -242,8 +242,8 @@ def covered(
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("covariances", covariances.shape[0] == count and covariances.shape[1] == covariances.shape[2] == 3)
-    check("directions", directions.shape[0] == count and directions.shape[1] == told.shape[0])
-    check("told", directions.shape[2] == told.shape[1])
+    check("directions", directions.shape[0] == count and directions.shape[1] == published_directions.shape[0])
+    check("told", directions.shape[2] == published_directions.shape[1])
     n: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -251,11 +251,11 @@ def covered(
         # NaN is within no bound.
         if not times_ns[n] < until_ns:
             return n
-        if not covariances[n, 0, 0] + covariances[n, 1, 1] + covariances[n, 2, 2] <= greatest_variance:
+        if not covariances[n, 0, 0] + covariances[n, 1, 1] + covariances[n, 2, 2] <= max_variance:
             return n
-        for i in range(told.shape[0]):
-            for j in range(told.shape[1]):
-                if not fabs(directions[n, i, j] - told[i, j]) <= most_turned:
+        for i in range(published_directions.shape[0]):
+            for j in range(published_directions.shape[1]):
+                if not fabs(directions[n, i, j] - published_directions[i, j]) <= max_direction_change:
                     return n
     return count
 

@@ -162,7 +162,7 @@ def _decomposed(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint
 @cython.cfunc
 @cython.exceptval(check=False)
 def _solve(
-    factor: cython.p_double, size: cython.Py_ssize_t, asked: cython.p_double, columns: cython.Py_ssize_t
+    factor: cython.p_double, size: cython.Py_ssize_t, right_side: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.void:
     """Replace a right-hand side of ``columns`` columns by the solution with a Cholesky factor."""
     i: cython.Py_ssize_t
@@ -170,14 +170,14 @@ def _solve(
     k: cython.Py_ssize_t
     row: cython.p_double
     for i in range(size):
-        row = asked + i * columns
-        _add_rows(row, -1.0, factor + i, size, i, asked, columns, columns)
+        row = right_side + i * columns
+        _add_rows(row, -1.0, factor + i, size, i, right_side, columns, columns)
         for j in range(columns):
             row[j] /= factor[i * size + i]
     for i in range(size - 1, -1, -1):
-        row = asked + i * columns
+        row = right_side + i * columns
         k = i + 1
-        _add_rows(row, -1.0, factor + i * size + k, 1, size - k, asked + k * columns, columns, columns)
+        _add_rows(row, -1.0, factor + i * size + k, 1, size - k, right_side + k * columns, columns, columns)
         for j in range(columns):
             row[j] /= factor[i * size + i]
 

@@ -355,7 +355,7 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
         if clock_jumped:
             self._last_claim_ns: int | None = None
             self._output_timeout_ns: int | None = None
-            self._said_invalid_ns: int | None = None
+            self._invalid_reported_ns: int | None = None
 
     def step_time_base(self, state: State, step_ns: int) -> None:
         """Drop all measurements and continue from a state after a step of all clocks; outputs stay in order."""
@@ -557,12 +557,12 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
 
     def was_put_out(self, time_ns: int, waiting_ns: int, timeout_ns: int = SECOND_NS) -> None:
         """Record that an estimate was published, later than all before; arguments as for :meth:`add_output`."""
-        self._last_claim_ns, self._said_invalid_ns = time_ns, None
+        self._last_claim_ns, self._invalid_reported_ns = time_ns, None
         self._output_timeout_ns = waiting_ns + max(timeout_ns, SECOND_NS)
 
     def continue_outputs(self, before: "EstimatorShell[Any, Any, Any, Any, Any]") -> None:
         """Continue the sequence of outputs of another estimator; own outputs so far were not published."""
-        self._last_claim_ns, self._said_invalid_ns = before._last_claim_ns, before._said_invalid_ns
+        self._last_claim_ns, self._invalid_reported_ns = before._last_claim_ns, before._invalid_reported_ns
         self._output_timeout_ns = before._output_timeout_ns
 
     @property
@@ -573,7 +573,7 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
         openings = [item for item in self._log.pending_measurements() if isinstance(item, _Opening)]
         return functools.reduce(lambda state, opening: self._model.inflate(state, opening.jump), openings, self.state)
 
-    def say_invalid(
+    def report_invalid(
         self, outcome: Outcome[DecisionT, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]
     ) -> None:
         """Add an INVALID output, once a second, if no estimate was published for the timeout.
@@ -582,7 +582,7 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
         """
         if self._output_timeout_ns is not None and waiting_ns <= self._output_timeout_ns:
             return
-        if self._said_invalid_ns is not None and waiting_ns - self._said_invalid_ns < SECOND_NS:
+        if self._invalid_reported_ns is not None and waiting_ns - self._invalid_reported_ns < SECOND_NS:
             return
-        self._said_invalid_ns = waiting_ns
+        self._invalid_reported_ns = waiting_ns
         outcome.estimates.append(nothing())

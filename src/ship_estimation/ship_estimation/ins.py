@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ship_estimation.parameter_fields import accept_unset_covariance, arcsec, degrees, parameter
-from ship_estimation.value_guards import JUMP_SAMPLES, size
+from ship_estimation.value_guards import JUMP_SAMPLES, vector_length
 from ship_geometry.attitude_track import ExtraNoise
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -142,7 +142,7 @@ class InsJump:
         Returns:
             Change of the correlated error and of the clock offset, rad and s, shape (4,); its covariance, shape (4, 4).
         """
-        half, jump_rad = 0.5 * np.append(self.jump_n, self.clock_s), size(self.jump_n)
+        half, jump_rad = 0.5 * np.append(self.jump_n, self.clock_s), vector_length(self.jump_n)
         covariance = np.outer(half, half)
         covariance[:3, :3] += self._across_rad**2 * np.eye(3)
         covariance[3, 3] += (self.clock_s * math.hypot(_CLOCK_SHARE, self.sigma_rad / jump_rad)) ** 2
@@ -151,7 +151,7 @@ class InsJump:
     @property
     def is_of_clock(self) -> bool:
         """True if a clock step explains the jump and the jump is large compared with its sigma."""
-        clear = size(self.jump_n) >= _CLEAR_SIGMAS * self.sigma_rad
+        clear = vector_length(self.jump_n) >= _CLEAR_SIGMAS * self.sigma_rad
         return clear and not math.isnan(self.clock_s)
 
     @property
@@ -183,5 +183,5 @@ def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> fl
         return math.nan
     step_s = float(jump_n @ rate_n) / square
     # The rate of rotation changes in that time.
-    explained = size(jump_n - step_s * rate_n) <= _CLOCK_SIGMAS * sigma_rad + _CLOCK_SHARE * size(jump_n)
+    explained = vector_length(jump_n - step_s * rate_n) <= _CLOCK_SIGMAS * sigma_rad + _CLOCK_SHARE * vector_length(jump_n)
     return step_s if explained else math.nan

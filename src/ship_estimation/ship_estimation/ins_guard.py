@@ -19,7 +19,7 @@ from ship_estimation.rate_guard import RateGuard, RateStatus
 from ship_estimation.rate_slopes import SlopeWatch
 from ship_estimation.refusals import Reason, Rejection
 from ship_estimation.step_watch import StepWatch
-from ship_estimation.value_guards import JumpGuard, JumpDecision, Match, StuckGuard, size
+from ship_estimation.value_guards import JumpGuard, JumpDecision, Match, StuckGuard, vector_length
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -156,7 +156,7 @@ class InsGuard:
         return "" if found is None else found.text(self._stated_rad)
 
     def check(
-        self, sample: AttitudeSample, used: AttitudeTrack, motion_references: Mapping[str, Witness], told_rad: float = 0.0
+        self, sample: AttitudeSample, used: AttitudeTrack, motion_references: Mapping[str, Witness], reported_step_rad: float = 0.0
     ) -> JudgedIns:
         """Check a sample against those before it in time.
 
@@ -169,7 +169,7 @@ class InsGuard:
             motion_references: by name, the attitude by other sources at about this time.
             reported_step_rad: possible step with this sample that the source itself reports, rad.
         """
-        self._leads.told_rad = told_rad
+        self._leads.reported_step_rad = reported_step_rad
         previous = self._previous
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
             judged = JudgedIns(sample, self._late_rejection(sample, used.last_before(sample.time_ns - 1)))
@@ -205,7 +205,7 @@ class InsGuard:
         followed = CheckedBlock()
         if not self.can_check_block(samples[0].time_ns):
             return followed
-        self._leads.told_rad = 0.0
+        self._leads.reported_step_rad = 0.0
         fresh = self._stuck_check.new_values(samples[0].time_ns, block.rotations_nd)
         while followed.count < fresh and followed.last is None:
             start = followed.count
@@ -321,7 +321,7 @@ class InsGuard:
         """Check a sample against the last accepted one and the one before it."""
         sample, on_line, measured = seen.sample, None, self._rate_check.status is RateStatus.MEASURED
         if measured and seen.integrated is not None:
-            if self._leads.told_rad and self._leads.told_rad > self._steps.smallest_rad:
+            if self._leads.reported_step_rad and self._leads.reported_step_rad > self._steps.smallest_rad:
                 self._steps.restart()
             errors_rad = self._leads.by_rates.noise_rad, self._stuck_check.coarseness_rad
             on_line = self._steps.look(sample, seen.integrated, *errors_rad)
@@ -487,7 +487,7 @@ class InsGuard:
 
 def _gate_rejection(match: Match) -> Rejection:
     """Return the rejection of a sample that differs from its prediction."""
-    off, bound = math.degrees(size(match.difference)), math.degrees(match.bound_rad)
+    off, bound = math.degrees(vector_length(match.difference)), math.degrees(match.bound_rad)
     text = f"orientation is {off:.3g}° from its prediction by earlier samples: more than {bound:.3g}°"
     return Rejection(Reason.GATE, text)
 
@@ -499,5 +499,5 @@ def _stepped(jumps: tuple[InsJump, ...]) -> Rejection | None:
     """
     if not jumps:
         return None
-    off_arcsec, how = size(jumps[-1].jump_n) / ARCSEC, "drifted" if jumps[-1].is_drift else "stepped"
+    off_arcsec, how = vector_length(jumps[-1].jump_n) / ARCSEC, "drifted" if jumps[-1].is_drift else "stepped"
     return Rejection(Reason.GATE, f"orientation has {how} by {off_arcsec:.3g} arcsec against its own rates")

@@ -13,7 +13,7 @@ from ship_estimation.value_guards import (
     Match,
     Step,
     StuckGuard,
-    size,
+    vector_length,
     step_by_motion,
 )
 from ship_geometry.attitude_track import AttitudeSample
@@ -75,7 +75,7 @@ class RateDrift:
         self._pieces += 1
         # The attitude drifts against the rates by the negative of their error.
         self._drift = self._drift - (drift_n if self.with_earth else drift_n @ rotation_nd) / min(self._pieces, _PIECES)
-        self._largest = max(size(drift_n), _FORGET * self._largest)
+        self._largest = max(vector_length(drift_n), _FORGET * self._largest)
         if self._pieces >= _PIECES:
             self.bound_rad_per_s = min(_LEARNT_RAD_PER_S + 2.0 * self._largest, DRIFT_RAD_PER_S)
         drift_d: FloatArray = self._drift @ rotation_nd if self.with_earth else self._drift
@@ -103,7 +103,7 @@ class Leads:
 
     def __init__(self, stuck: StuckGuard) -> None:
         self.by_rates, self.by_motion, self.drift = Continuation(0.0), Continuation(0.0), RateDrift()
-        self.told_rad = 0.0
+        self.reported_step_rad = 0.0
         self._stuck_check = stuck
 
     def match(self, start: SeenSample, end: SeenSample, rates_measured: bool) -> Match:
@@ -151,7 +151,7 @@ class Leads:
         """
         direct = self.match_by_two_rates(start.sample, end.sample, rates_measured=True)
         by_all = self.match(start, end, rates_measured=True)
-        difference_rad = size(by_all.difference - direct.difference)
+        difference_rad = vector_length(by_all.difference - direct.difference)
         return direct.led and difference_rad > 2.0 * direct.bound_rad and direct.fits_again(step)
 
     def match_by_time(self, start: AttitudeSample, end: AttitudeSample) -> Match:
@@ -161,7 +161,7 @@ class Leads:
         return self.by_motion.match(log_rotation(end.rotation_nd @ start.rotation_nd.T), step, led=False)
 
     def _step(self, seconds: float, uncertain_rad: float, samples: int = 1) -> Step:
-        uncertain_rad += self.told_rad
+        uncertain_rad += self.reported_step_rad
         return Step(seconds, samples, uncertain_rad, 2.0, self._stuck_check.coarseness_rad, self.drift.bound_rad_per_s)
 
 

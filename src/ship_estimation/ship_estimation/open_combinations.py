@@ -18,7 +18,7 @@ _TAKES_PART = 0.1
 
 
 def open_combinations(
-    covariance: FloatArray, sigma: FloatArray, leading: Sequence[str], told: Sequence[str] | None = None
+    covariance: FloatArray, sigma: FloatArray, leading: Sequence[str], order: Sequence[str] | None = None
 ) -> tuple[str, ...]:
     """Return the unobservable combinations as texts, for example ``g - deformation_up``.
 
@@ -38,11 +38,11 @@ def open_combinations(
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
     # Rows: unobservable combinations, in prior sigmas.
     runs = _sparse(vectors[:, values > _UNOBSERVED_RATIO**2].T)
-    told = leading if told is None else told
-    return tuple(_words(run, sigma, leading, told) for run in runs)
+    order = leading if order is None else order
+    return tuple(_words(run, sigma, leading, order) for run in runs)
 
 
-def _words(run: FloatArray, sigma: FloatArray, names: Sequence[str], told: Sequence[str]) -> str:
+def _words(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Sequence[str]) -> str:
     """Return a combination as text: its states, each with a factor if it differs from the first one in size.
 
     Args:
@@ -52,7 +52,7 @@ def _words(run: FloatArray, sigma: FloatArray, names: Sequence[str], told: Seque
         order: the same names in the order of the text.
     """
     taking_part = np.flatnonzero(np.abs(run) > _TAKES_PART * np.max(np.abs(run)))
-    part = sorted(taking_part.tolist(), key=lambda index: told.index(names[index]))
+    part = sorted(taking_part.tolist(), key=lambda index: order.index(names[index]))
     sizes = (run * sigma)[part] / (run * sigma)[part[0]]
     words: str = names[part[0]]
     for index, size in zip(part[1:], sizes[1:], strict=True):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_estimation.integrated_rates import Integrated
-from ship_estimation.value_guards import size
+from ship_estimation.value_guards import vector_length
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
@@ -125,7 +125,7 @@ class RateGuard:
             return None
         attitude = log_rotation(start.rotation_nd.T @ rotation_nd)
         rate = log_rotation(start.integrated.rotation.T @ integrated.rotation)
-        turn, difference = max(size(attitude), size(rate)), size(attitude - rate)
+        turn, difference = max(vector_length(attitude), vector_length(rate)), vector_length(attitude - rate)
         piece_sigma_rad = math.hypot(sigma_rad, step_sigma_rad * math.sqrt(number - start.number))
         if self.status is RateStatus.UNPROVEN:
             piece_sigma_rad = max(piece_sigma_rad, self._FIRST_SIGMA_RAD)
@@ -134,7 +134,7 @@ class RateGuard:
         were_usable = self.usable
         # Unconfirmed rates are found wrong after one interval; everything else takes the full length of a piece.
         if clear and (lasted_ns >= self._SHORTEST_NS or not right):
-            size_known = size(attitude) > 0.4 * self._CLEAR_SIGMAS * sigma_rad
+            size_known = vector_length(attitude) > 0.4 * self._CLEAR_SIGMAS * sigma_rad
             self._evaluate(time_ns, right, attitude, rate, size_known)
         elif lasted_ns < self._LONGEST_NS:
             return None

@@ -14,7 +14,7 @@ from ship_estimation import compiled_watch
 from ship_estimation.excess_noise import NoiseSums, noise_sums
 from ship_estimation.integrated_rates import Integrated, IntegratedRun, StampArray
 from ship_estimation.line_steps import Period, StepPlan, doubling, located, step_plan
-from ship_estimation.value_guards import ACROSS, Match, size
+from ship_estimation.value_guards import ACROSS, Match, vector_length
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import FloatArray, exp_rotation
@@ -363,11 +363,11 @@ class StepWatch:
         drift_n = (rows[-keep:].mean(axis=0) - rows[:keep].mean(axis=0)) / seconds
         differences = self._sum_noise()
         typical_rad = math.sqrt(float(np.mean(np.sum(differences**2, axis=1))))
-        self.learnt = Learnt(drift_n, seconds, size(self._rates.mean(axis=0)), typical_rad)
+        self.learnt = Learnt(drift_n, seconds, vector_length(self._rates.mean(axis=0)), typical_rad)
         for values in (rows, self._rates, self._times):
             values[:keep] = values[-keep:].copy()
         self._end = keep
-        if size(rows[keep - 1]) > _FAR_RAD:
+        if vector_length(rows[keep - 1]) > _FAR_RAD:
             assert self._to_line is not None
             self._to_line = self._to_line.dot(exp_rotation(-rows[keep - 1]))
             rows[:keep] -= rows[keep - 1].copy()

@@ -76,8 +76,8 @@ class ToldLevels:
             covariances_n: of their errors, rad², shape (N, 3, 3).
             directions: direction cosines of each, shape (N, k, l).
         """
-        until, told = (self.until_ns, self.greatest_variance), (self.directions, self.most_turned)
-        count: int = compiled_integrity.covered(times_ns, covariances_n, directions, *until, *told)
+        until, published = (self.until_ns, self.greatest_variance), (self.directions, self.most_turned)
+        count: int = compiled_integrity.covered(times_ns, covariances_n, directions, *until, *published)
         return count
 
     def must_tell(self, output: LevelledEstimate, report: IntegrityReport, period_ns: int) -> bool:
@@ -88,9 +88,9 @@ class ToldLevels:
             report: its protection levels.
             period_ns: period of publication in any case, ns.
         """
-        told = self.report
-        if told is not None and output.time_ns < self.until_ns and _as_told(report, told):
-            covers, self.greatest_variance, self.most_turned = _coverage(output, report, told)
+        published = self.report
+        if published is not None and output.time_ns < self.until_ns and _has_same_state(report, published):
+            covers, self.greatest_variance, self.most_turned = _coverage(output, report, published)
             if covers:
                 return False
         self.report, self.until_ns = report, output.time_ns + period_ns
@@ -98,15 +98,15 @@ class ToldLevels:
         return True
 
 
-def _as_told(report: IntegrityReport, told: IntegrityReport) -> bool:
+def _has_same_state(report: IntegrityReport, published: IntegrityReport) -> bool:
     """True if a report has the integrity state and the excluded sources of the published one."""
-    return report.state is told.state and report.excluded == told.excluded
+    return report.state is published.state and report.excluded == published.excluded
 
 
-def _coverage(output: LevelledEstimate, report: IntegrityReport, told: IntegrityReport) -> tuple[bool, float, float]:
+def _coverage(output: LevelledEstimate, report: IntegrityReport, published: IntegrityReport) -> tuple[bool, float, float]:
     """True if published levels cover those of an output; and the variance and rotation up to which they do later."""
     entering = _SIGMAS * report.threshold * report.widest
     found: tuple[bool, float, float] = compiled_integrity.coverage(
-        report.level, told.level, output.covariance_n, entering, MOST_GROWTH, _TINY
+        report.level, published.level, output.covariance_n, entering, MOST_GROWTH, _TINY
     )
     return found

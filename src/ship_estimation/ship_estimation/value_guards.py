@@ -28,7 +28,7 @@ ACROSS = 1.8
 """Bound of the error by rounding to unit steps in each of three axes: a little more than sqrt(3)."""
 
 
-def size(vector: FloatArray) -> float:
+def vector_length(vector: FloatArray) -> float:
     """Return the length of a vector of a few components, five times as fast as the norm of an array.
 
     Example:
@@ -94,7 +94,7 @@ class StuckGuard:
         self.repeated = held.repeats > 0
         if self.repeated:
             if held.watch is None:
-                held.watch = TurnWatch(held.since_ns, held.first_said)
+                held.watch = TurnWatch(held.since_ns, held.first_references)
             turned = held.watch.turned(motion_references, sigma_rad, ACROSS * self._resolution_rad)
             held.stuck = held.stuck or (turned and time_ns - held.since_ns >= _LEAST_NS)
         return held.stuck
@@ -161,7 +161,7 @@ class _RepeatedValue:
 
     value: FloatArray
     since_ns: int
-    first_said: Mapping[str, Witness]
+    first_references: Mapping[str, Witness]
     repeats: int = 0
     stuck: bool = False
     watch: TurnWatch | None = None
@@ -258,7 +258,7 @@ class Match(NamedTuple):
             step: the same value compared with its prediction from the value before it, accepted or not.
         """
         limit_rad = step.bound_rad if step.fits else math.inf
-        return size(self.difference) <= min(self.bound_rad, limit_rad)
+        return vector_length(self.difference) <= min(self.bound_rad, limit_rad)
 
 
 class Continuation:
@@ -296,7 +296,7 @@ class Continuation:
         unknown = _UNKNOWN_RAD if self._count < _LEARNING else 0.0
         coarse = ACROSS * math.sqrt(0.5) * gain * step.coarseness_rad
         bound_rad = noise + more + unknown + coarse + step.uncertain_rad + step.drift_rad_per_s * step.seconds
-        return Match(difference, bound_rad, size(difference) <= bound_rad, led)
+        return Match(difference, bound_rad, vector_length(difference) <= bound_rad, led)
 
     def know(self, typical_rad: float) -> None:
         """Set the typical difference, estimated from many values."""
@@ -306,7 +306,7 @@ class Continuation:
     def learn(self, difference: FloatArray) -> None:
         """Add the difference of an accepted value, one sample after the one before, to the statistics."""
         self._count = min(self._count + 1, _MEMORY)
-        self._mean_square += (size(difference) ** 2 - self._mean_square) / self._count
+        self._mean_square += (vector_length(difference) ** 2 - self._mean_square) / self._count
         if self._count >= _LEARNING:
             self._set_typical()
 

@@ -46,7 +46,7 @@ CLOCK_SIGMAS = 4.0
 """Deviation of an estimated clock offset from its configured value above which it is reported, configured sigmas."""
 
 _MOST_KEPT = 6000
-_LEAST_TOLD = 0.1
+_MIN_FACTOR = 0.1
 
 
 class DiagnosisKind(enum.Enum):
@@ -156,7 +156,7 @@ def clock_diagnoses(model: StateModel, mean: FloatArray, groups: Mapping[str, st
         >>> clock_verdicts(model, np.array([0.012]), {})
         ['ins clock off by 12 ms, 8 sigma of ins.time_offset_sigma_s']
     """
-    told = []
+    texts = []
     for name, block in model.blocks.items():
         device, _, kind = name.rpartition(".")
         sigma_s = float(block.sigma[0])
@@ -167,8 +167,8 @@ def clock_diagnoses(model: StateModel, mean: FloatArray, groups: Mapping[str, st
             group, dot, id_ = device.partition(".")
             parameter = f"{groups.get(group, group)}{dot}{id_}.time_offset_sigma_s"
             sigmas = abs(offset_s) / sigma_s
-            told.append(f"{device} clock off by {1e3 * offset_s:.3g} ms, {sigmas:.0f} sigma of {parameter}")
-    return told
+            texts.append(f"{device} clock off by {1e3 * offset_s:.3g} ms, {sigmas:.0f} sigma of {parameter}")
+    return texts
 
 
 def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
@@ -202,7 +202,7 @@ def _kind_and_text(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -
         others = ", the others are as stated" if math.isfinite(parts.factor) else ""
         return DiagnosisKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % are outliers{others}"
     if parts.is_conservative:
-        times = f"{1.0 / parts.factor:.1f}" if parts.factor > _LEAST_TOLD else f"more than {1.0 / _LEAST_TOLD:.0f}"
+        times = f"{1.0 / parts.factor:.1f}" if parts.factor > _MIN_FACTOR else f"more than {1.0 / _MIN_FACTOR:.0f}"
         return DiagnosisKind.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
     lasting = max((axis for axis in axes if axis.is_lasting), key=lambda axis: abs(axis.correlation), default=None)
     if lasting is not None:

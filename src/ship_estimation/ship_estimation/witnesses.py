@@ -45,10 +45,10 @@ class TurnWatch:
     [False, True]
     """
 
-    def __init__(self, since_ns: int, first_said: Mapping[str, Witness]) -> None:
+    def __init__(self, since_ns: int, first_references: Mapping[str, Witness]) -> None:
         self._since_ns = since_ns
         self._records: dict[str, _Record] = {}
-        self.turned(first_said, 0.0, 0.0)
+        self.turned(first_references, 0.0, 0.0)
 
     def turned(self, motion_references: Mapping[str, Witness], sigma_rad: float, resolution_rad: float) -> bool:
         """True if a reference has rotated too far for the repeated value.

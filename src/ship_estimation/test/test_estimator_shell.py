@@ -342,7 +342,7 @@ def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(pati
     said = []
     for waiting_ns in range(0, 8 * SECOND_NS, 100 * MS):
         outcome = ToyOutcome()
-        estimator.shell.say_invalid(outcome, waiting_ns, lambda: math.nan)
+        estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
         if outcome.estimates:
             said.append(waiting_ns)
     first_ns = max(patience_ns, SECOND_NS) + 100 * MS
@@ -365,7 +365,7 @@ def test_invalid_is_due_at_once_before_the_first_output() -> None:
     estimator, said = Estimator(), []
     for waiting_ns in (0, SECOND_NS - 1, SECOND_NS):
         outcome = ToyOutcome()
-        estimator.shell.say_invalid(outcome, waiting_ns, lambda: math.nan)
+        estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
         said.append(len(outcome.estimates))
     assert said == [1, 0, 1]
 

@@ -25,7 +25,7 @@ TEN_MINUTES = int(os.environ.get("TEN_MINUTES", "2"))
 NOTHING_LATE = AttitudeTrack(500_000_000)
 
 
-class Told(NamedTuple):
+class CheckedStream(NamedTuple):
     """Result of the checks of a run: numbers of the rejected samples, jumps by the number of the reporting sample."""
 
     refused: list[int]
@@ -33,8 +33,8 @@ class Told(NamedTuple):
     guard: InsGuard
 
 
-def told(samples: Iterable[AttitudeSample], **config: Any) -> Told:
-    found = Told([], {}, InsGuard(CheckedInsConfig(**config)))
+def check_stream(samples: Iterable[AttitudeSample], **config: Any) -> CheckedStream:
+    found = CheckedStream([], {}, InsGuard(CheckedInsConfig(**config)))
     for number, sample in enumerate(samples):
         judged = found.guard.check(sample, NOTHING_LATE, {})
         if judged.rejection is not None:
@@ -48,7 +48,7 @@ def number_at(rate_hz: float, seconds: float = LEARNT_S) -> int:
     return round(seconds * rate_hz)
 
 
-def assert_inflated(found: Told, samples: list[AttitudeSample], first: int, arcsec_n: tuple[float, float, float]) -> None:
+def assert_inflated(found: CheckedStream, samples: list[AttitudeSample], first: int, arcsec_n: tuple[float, float, float]) -> None:
     """Check that one step was found, at the right time, and that the covariance covers it."""
     (jumps,) = found.jumps.values()
     taken = next(n for n in range(first, len(samples)) if n not in found.refused)
@@ -81,7 +81,7 @@ def test_steps_from_fourteen_sigma_on_are_detected_at_the_sample(rate_hz: float,
     for axis, arcsec in ((0, 14.0), (1, 14.0), (2, -20.0), (1, 30.0), (0, 100.0), (1, 300.0)):
         step = tuple(arcsec * np.eye(3)[axis])
         changed = stepped(samples, first, step)
-        found = told(changed)
+        found = check_stream(changed)
         assert found.refused == list(range(first, first + 5))
         assert list(found.jumps) == [first + 5]
         assert_inflated(found, changed, first, step)
@@ -96,7 +96,7 @@ def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, l
         step = np.random.default_rng(seed).standard_normal(3)
         arcsec_n = tuple(least_arcsec * step / np.linalg.norm(step))
         changed = stepped(stream(LEARNT_S + 1.0, rate_hz, seed=seed), first, arcsec_n)
-        found = told(changed)
+        found = check_stream(changed)
         assert len(found.jumps) == 1, seed
         # After a rejection the consistent samples are counted again.
         assert first <= min([*found.refused, *found.jumps]) <= first + round(0.2 * rate_hz), seed
@@ -112,7 +112,7 @@ def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, l
 @pytest.mark.parametrize("arcsec", [14.0, 30.0, 300.0])
 def test_a_step_that_goes_back_is_a_glitch(rate_hz: float, length: int, arcsec: float) -> None:
     first = number_at(rate_hz)
-    found = told(stepped(stream(LEARNT_S + 1.0, rate_hz), first, (0.0, arcsec, 0.0), first + length))
+    found = check_stream(stepped(stream(LEARNT_S + 1.0, rate_hz), first, (0.0, arcsec, 0.0), first + length))
     assert found.refused == list(range(first, first + length))
     assert not found.jumps
 
@@ -124,7 +124,7 @@ def test_steps_of_an_ins_with_a_resolution_of_a_hundredth_of_a_degree_are_detect
 ) -> None:
     first = number_at(rate_hz)
     changed = stepped(stream(LEARNT_S + 1.0, rate_hz, printed_deg=0.01), first, (0.0, arcsec, 0.0))
-    found = told(changed)
+    found = check_stream(changed)
     assert found.refused == list(range(first, first + 5))
     assert_inflated(found, changed, first, (0.0, arcsec, 0.0))
 
@@ -137,7 +137,7 @@ def test_permanently_exchanged_axes_are_rejected_and_then_inflate_the_covariance
     changed = [replace(s, rotation_nd=s.rotation_nd @ exchange) for s in samples[first:]]
     if turned_too:
         changed = [replace(s, rate_d=exchange.T @ s.rate_d) for s in changed]
-    found = told([*samples[:first], *changed])
+    found = check_stream([*samples[:first], *changed])
     assert found.refused[:5] == list(range(first, first + 5))
     ((number, jumps),) = found.jumps.items()
     assert number == found.refused[-1] + 1
@@ -151,7 +151,7 @@ def test_occasionally_missing_rates_do_not_end_the_line(missing: str) -> None:
     gone = None if missing == "none" else np.full(3, np.nan)
     samples = [replace(s, rate_d=gone) if n % 7 == 3 and abs(n - first) > 1 else s for n, s in enumerate(samples)]
     changed = stepped(samples, first, (0.0, 14.0, 0.0))
-    found = told(changed)
+    found = check_stream(changed)
     assert first <= min(found.refused) <= first + 1
     assert_inflated(found, changed, first, (0.0, 14.0, 0.0))
 
@@ -171,7 +171,7 @@ def test_freeze_in_a_slow_rotation_is_detected_with_known_rate_drift() -> None:
         after_ns = waves[-1].time_ns - slow[0].time_ns + 10_000_000
         moving = [replace(s, time_ns=s.time_ns + after_ns, rotation_nd=onto @ s.rotation_nd) for s in slow]
         frozen = [replace(s, rotation_nd=moving[99].rotation_nd) for s in moving[100:]]
-        found = told([*waves, *moving[:100], *frozen], rate_has_earth_rate=True)
+        found = check_stream([*waves, *moving[:100], *frozen], rate_has_earth_rate=True)
         assert bool([n for n in found.refused if n >= len(waves) + 100]) == seen
 
 
@@ -189,7 +189,7 @@ def test_noise_alone_is_no_step_in_the_reference_motion() -> None:
     kinds = {"rate_noise_arcsec_per_s": 5.0, "bias_arcsec_per_s": 5.0}
     refused = jumps = 0
     for seed in range(TEN_MINUTES):
-        found = told(stream(600.0, 100.0, seed=seed, **kinds), rate_sigma_arcsec_per_s=5.0)
+        found = check_stream(stream(600.0, 100.0, seed=seed, **kinds), rate_sigma_arcsec_per_s=5.0)
         refused, jumps = refused + len(found.refused), jumps + len(found.jumps)
     assert (refused, jumps) == (0, 0)
 
@@ -209,7 +209,7 @@ def test_noise_alone_is_no_step_in_the_reference_motion() -> None:
     ids=["printed", "noisier than configured", "noisy rates", "rates that lag", "bias and scale"],
 )
 def test_larger_noise_than_configured_is_estimated(rate_hz: float, amplitude_deg: Any, kinds: dict[str, float]) -> None:
-    found = told(stream(120.0, rate_hz, amplitude_deg, **kinds))
+    found = check_stream(stream(120.0, rate_hz, amplitude_deg, **kinds))
     assert (found.refused, found.jumps) == ([], {})
 
 
@@ -228,9 +228,9 @@ def test_start_of_a_rotation_is_no_step() -> None:
     rate_d = 1.001 * log_rotation(np.swapaxes(before, 1, 2) @ after) / 2e-4
     values = zip(t_s, exp_rotation(noise) @ true_nd(t_s), rate_d, strict=True)
     samples = [AttitudeSample(10**18 + round(t * 1e9), rotation_nd, rate) for t, rotation_nd, rate in values]
-    found = told(samples)
+    found = check_stream(samples)
     assert (found.refused, found.jumps) == ([], {})
-    assert told(stepped(samples, 3000, (0.0, 14.0, 0.0))).refused == list(range(3000, 3005))
+    assert check_stream(stepped(samples, 3000, (0.0, 14.0, 0.0))).refused == list(range(3000, 3005))
 
 
 @pytest.mark.slow
@@ -242,7 +242,7 @@ def test_changed_rate_noise_applies_at_once() -> None:
         seen = 0
         for seed in range(10):
             samples = stream(LEARNT_S + 1.0, 100.0, rate_noise_arcsec_per_s=60.0, seed=seed)
-            found = told(stepped(samples, first, (0.0, 14.0, 0.0)), rate_sigma_arcsec_per_s=sigma)
+            found = check_stream(stepped(samples, first, (0.0, 14.0, 0.0)), rate_sigma_arcsec_per_s=sigma)
             seen += found.refused[:1] == [first]
         counts.append(seen)
     assert counts[0] <= 5

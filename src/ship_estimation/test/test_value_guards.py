@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.value_guards import Continuation, JumpGuard, JumpDecision, Step, StuckGuard, size
+from ship_estimation.value_guards import Continuation, JumpGuard, JumpDecision, Step, StuckGuard, vector_length
 from ship_estimation.witnesses import Witness
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
@@ -20,7 +20,7 @@ def rolled(degrees: float) -> FloatArray:
     return exp_rotation(np.array([np.deg2rad(degrees), 0.0, 0.0]))
 
 
-def told(time_ms: int, degrees: float, sigma_rad: float = ARCSEC, drift: float = 0.0) -> dict[str, Witness]:
+def reference_attitudes(time_ms: int, degrees: float, sigma_rad: float = ARCSEC, drift: float = 0.0) -> dict[str, Witness]:
     return {"other": Witness(time_ms * MS, rolled(degrees), sigma_rad, drift)}
 
 
@@ -28,7 +28,7 @@ def after(values_deg: list[float], step_ms: int = 50) -> tuple[StuckGuard, int]:
     """Return a check after values that other sources confirmed, and the time of the next value, ms."""
     guard = StuckGuard()
     for n, degrees in enumerate(values_deg):
-        assert not guard.observe(n * step_ms * MS, rolled(degrees), ARCSEC, told(n * step_ms, degrees))
+        assert not guard.observe(n * step_ms * MS, rolled(degrees), ARCSEC, reference_attitudes(n * step_ms, degrees))
     return guard, len(values_deg) * step_ms
 
 
@@ -39,19 +39,19 @@ def test_value_repeated_during_a_rotation_is_stuck_after_half_a_second() -> None
     guard, start_ms = after(MOVING)
     held = MOVING[-1]
     times_ms = range(start_ms, start_ms + 1000, 50)
-    stuck = [guard.observe(t * MS, rolled(held), ARCSEC, told(t, held + 0.001 * (t - start_ms))) for t in times_ms]
+    stuck = [guard.observe(t * MS, rolled(held), ARCSEC, reference_attitudes(t, held + 0.001 * (t - start_ms))) for t in times_ms]
     first = times_ms[stuck.index(True)]
     assert 450 <= first - start_ms <= 600
     assert all(stuck[stuck.index(True) :])
     assert guard.is_frozen(rolled(held))
-    assert not guard.observe(start_ms * MS + 1000 * MS, rolled(held + 1.0), ARCSEC, told(start_ms + 1000, held + 1.0))
+    assert not guard.observe(start_ms * MS + 1000 * MS, rolled(held + 1.0), ARCSEC, reference_attitudes(start_ms + 1000, held + 1.0))
     assert not guard.repeated
 
 
 def test_value_may_be_repeated_at_rest() -> None:
     guard, start_ms = after(MOVING)
     assert not any(
-        guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, told(t, MOVING[-1] + 0.2 * ARCSEC * (t % 2)))
+        guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.2 * ARCSEC * (t % 2)))
         for t in range(start_ms, start_ms + 60_000, 50)
     )
 
@@ -64,7 +64,7 @@ def test_resolution_is_estimated_from_the_changes_of_the_value() -> None:
     held = 0.9
     times_ms = range(start_ms, start_ms + 3000, 50)
     assert not any(
-        guard.observe(t * MS, rolled(held), ARCSEC, told(t, held + 0.00003 * (t - start_ms))) for t in times_ms
+        guard.observe(t * MS, rolled(held), ARCSEC, reference_attitudes(t, held + 0.00003 * (t - start_ms))) for t in times_ms
     )
 
 
@@ -77,23 +77,23 @@ def test_uncertain_motion_reference_is_ignored(sigma_rad: float, drift: float) -
     guard, start_ms = after(MOVING)
     times_ms = range(start_ms, start_ms + 1000, 50)
     for t in times_ms:
-        witnesses = told(t, MOVING[-1] + 0.0005 * (t - start_ms), sigma_rad, drift)
+        witnesses = reference_attitudes(t, MOVING[-1] + 0.0005 * (t - start_ms), sigma_rad, drift)
         assert not guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, witnesses)
 
 
 def test_earlier_attitude_of_a_motion_reference_is_ignored() -> None:
     guard, start_ms = after(MOVING)
     times_ms = range(start_ms, start_ms + 2000, 50)
-    assert not any(guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, told(t % 700, 0.01 * t)) for t in times_ms)
+    assert not any(guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, reference_attitudes(t % 700, 0.01 * t)) for t in times_ms)
 
 
 def test_frozen_value_that_returns_to_the_bit_is_still_stuck() -> None:
     guard, start_ms = after(MOVING)
     for t in range(start_ms, start_ms + 1000, 50):
-        stuck = guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, told(t, MOVING[-1] + 0.001 * (t - start_ms)))
+        stuck = guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.001 * (t - start_ms)))
     assert stuck
-    assert not guard.observe((start_ms + 1000) * MS, rolled(-30.0), ARCSEC, told(start_ms + 1000, 3.0))
-    assert guard.observe((start_ms + 1050) * MS, rolled(MOVING[-1]), ARCSEC, told(start_ms + 1050, 3.0))
+    assert not guard.observe((start_ms + 1000) * MS, rolled(-30.0), ARCSEC, reference_attitudes(start_ms + 1000, 3.0))
+    assert guard.observe((start_ms + 1050) * MS, rolled(MOVING[-1]), ARCSEC, reference_attitudes(start_ms + 1050, 3.0))
 
 
 TAKEN, REFUSED, JUMPED = JumpDecision.ACCEPTED, JumpDecision.REJECTED, JumpDecision.JUMPED
@@ -151,4 +151,4 @@ def test_nan_is_within_no_bound() -> None:
     assert Continuation(ARCSEC).match(np.array([3.0, 0.0, 4.0]), far).fits
     at_the_bound = np.array([0.0, bound_rad(Continuation(ARCSEC), far), 0.0])
     assert Continuation(ARCSEC).match(at_the_bound, far).fits
-    assert size(np.array([3.0, 0.0, 4.0])) == 5.0
+    assert vector_length(np.array([3.0, 0.0, 4.0])) == 5.0

@@ -249,7 +249,7 @@ def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, 
     opened.callback(client.close)
     ship.say("ship/attitude", attitude(START_NS))
     hear(client, ship, "ship/attitude", attitude(START_NS))
-    assert client.told[0]["name"] == "demo"
+    assert client.server_messages[0]["name"] == "demo"
     assert process.end(signal.SIGINT) == 0
     client.until(lambda: client.is_over)
     assert len(process.log().splitlines()) == 2, process.log()

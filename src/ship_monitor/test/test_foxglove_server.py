@@ -210,6 +210,6 @@ def test_ipv6_address_is_in_brackets():
     server = FoxgloveServer("demo", "::1", 0)
     assert server.address.startswith("ws://[::1]:")
     client = FoxgloveClient(server.address)
-    client.until(lambda: client.told)
+    client.until(lambda: client.server_messages)
     client.close()
     server.close()

@@ -111,7 +111,7 @@ def test_alerts_of_an_ended_node_are_cleared(watch, until):
     for _ in range(2):
         ship = PublishingShip()
         alert = Alert(id="ins.out", priority=Alert.ALARM, instance=1, state=Alert.ACTIVE_UNACKNOWLEDGED)
-        ship.say("ship/alerts", AlertArray(alerts=[alert]), latched)
+        ship.publish("ship/alerts", AlertArray(alerts=[alert]), latched)
         until(lambda: heading(watch) and [alert.id for alert in watch.look().alerts or ()] == ["ins.out"])
         ship.stop()
         until(lambda: heading(watch) and watch.look().alerts is None)

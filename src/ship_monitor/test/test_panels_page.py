@@ -119,7 +119,7 @@ def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_pa
     with served(theme) as (address, _):
         opened(browser, address, theme, width)
         browser.wait(lambda: evaluated(browser, "found('Figure').length") == 14, "all plots")
-        browser.wait(lambda: is_told_at(browser, "found('Figure')[4]"), "what is told of the error of pitch")
+        browser.wait(lambda: has_text_at(browser, "found('Figure')[4]"), "what is told of the error of pitch")
         browser.photograph(tmp_path / f"{theme}_{width}.png", whole=True)
         assert browser.problems == []
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
@@ -180,7 +180,7 @@ def test_drag_zooms_all_plots_and_double_click_returns(browser):
         assert panels.times.range.end >= NOW_NS * 1e-6
 
 
-def is_told_at(browser, view):
+def has_text_at(browser, view):
     """True if a tooltip appears after the pointer has moved across a plot; its layout may not be finished yet."""
     box = f"((box) => [box.left + box.width / 2, box.top + box.height * 0.3])({view}.el.getBoundingClientRect())"
     x, y = evaluated(browser, box)

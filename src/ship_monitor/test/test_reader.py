@@ -206,7 +206,7 @@ def test_clock_topic_of_another_type_is_ignored(ship, reader, until):
 def test_location_names_other_namespaces_with_a_suite(reader, until):
     assert reader.place.startswith("namespace /demo, domain ")
     other = PublishingShip("voyage")
-    other.say("ship/attitude", attitude(1 * NS_PER_S))
+    other.publish("ship/attitude", attitude(1 * NS_PER_S))
     until(lambda: reader.take() and "suite found in /voyage" in reader.place)
     other.stop()
 

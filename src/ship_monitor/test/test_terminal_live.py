@@ -57,7 +57,7 @@ def test_live_terminal_view(terminal, until):
 
         def is_current(ship=ship, times=times):
             for _ in range(10):
-                ship.say("ship/attitude", attitude(next(times)))
+                ship.publish("ship/attitude", attitude(next(times)))
                 time.sleep(0.02)
             return any(row.startswith(" HEADING") and "057.30" in row and "OLD" not in row for row in terminal.rows())
 

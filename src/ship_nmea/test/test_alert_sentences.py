@@ -15,7 +15,7 @@ from ship_nmea.sentences.alerts import (
     LAST_IDENTIFIER,
     MOST_ALERTS,
     AlertCommand,
-    AlertToTell,
+    SentenceAlert,
     alc,
     alert_command,
     alf,
@@ -36,7 +36,7 @@ def rendered(sentences):
 
 
 def test_alf_in_one_sentence_equals_decoder_example():
-    lost = AlertToTell(192, 1, 1, 0, "W", "A", time_ns(12, 43, 4.5), "LOST TARGET")
+    lost = SentenceAlert(192, 1, 1, 0, "W", "A", time_ns(12, 43, 4.5), "LOST TARGET")
     (sentence,) = alf(lost, "II", "", 0)
     # Its category is A: the radar picture is needed to decide. It is never needed for alerts of the suite.
     sentence.category = "A"
@@ -44,7 +44,7 @@ def test_alf_in_one_sentence_equals_decoder_example():
 
 
 def test_alf_in_two_sentences_equals_decoder_example():
-    lost = AlertToTell(512, 1, 2, 0, "A", "S", time_ns(8, 19, 50.1), "HEADING LOST", "NO SYSTEM HEADING AVAILABLE")
+    lost = SentenceAlert(512, 1, 2, 0, "A", "S", time_ns(8, 19, 50.1), "HEADING LOST", "NO SYSTEM HEADING AVAILABLE")
     sentences = alf(lost, "II", "XYZ", 1)
     for sentence in sentences:
         sentence.alert = "0512"
@@ -59,7 +59,7 @@ def test_empty_alc_equals_recorded_line():
 
 
 def test_long_list_is_split_between_alerts():
-    alerts = [AlertToTell(9_990_000 + n, 999_999, 99, 0, "W", "V", 0, "") for n in range(20)]
+    alerts = [SentenceAlert(9_990_000 + n, 999_999, 99, 0, "W", "V", 0, "") for n in range(20)]
     found = []
     sentences = alc(alerts, "IN", "ZZZ", 7)
     for number, sentence in enumerate(sentences, start=1):
@@ -75,7 +75,7 @@ def test_long_list_is_split_between_alerts():
 
 def test_text_with_reserved_characters_is_one_field():
     text = "heading σ 3.2″ is over its limit of 2″, $PASHR*00!, because of the star sensor starboard"
-    sentences = alf(AlertToTell(10_000, 1, 1, 0, "A", "V", 0, "A,B*C$DE^F", text), "IN", "ZZZ", 3)
+    sentences = alf(SentenceAlert(10_000, 1, 1, 0, "A", "V", 0, "A,B*C$DE^F", text), "IN", "ZZZ", 3)
     for sentence in sentences:
         assert len(sentence.render()) + 2 <= LONGEST_BYTES
         assert len(pynmea2.parse(sentence.render(), check=True).data) == 13
@@ -158,7 +158,7 @@ def test_every_change_is_sent_once_with_the_next_revision():
     assert (seen.identifier, seen.revision, seen.state) == (first.identifier, 2, "A")
     (over,) = ledger.take([], 9)
     assert (over.identifier, over.revision, over.state, over.changed_ns) == (first.identifier, 3, "N", 9)
-    assert ledger.told == []
+    assert ledger.all == []
 
 
 def test_escalation_is_a_new_instance_after_the_old_one_is_normal():
@@ -171,7 +171,7 @@ def test_escalation_is_a_new_instance_after_the_old_one_is_normal():
     assert warning.identifier == ended.identifier == alarm.identifier
     (acknowledged,) = ledger.take([alert(instance=2, priority=Alert.ALARM, state=Alert.ACTIVE_ACKNOWLEDGED)], 0)
     assert acknowledged.escalation == 1
-    assert [told.instance for told in ledger.told] == [2]
+    assert [told.instance for told in ledger.all] == [2]
 
 
 def test_recurring_alert_starts_without_escalation():
@@ -243,7 +243,7 @@ def test_unreadable_list_changes_nothing():
     ledger.take([alert("a"), alert("b")], 0)
     with pytest.raises(IndexError):
         ledger.take([alert("a"), alert("b", priority=9)], 0)
-    assert len(ledger.told) == 2
+    assert len(ledger.all) == 2
     assert ledger.take([alert("a"), alert("b")], 0) == []
 
 

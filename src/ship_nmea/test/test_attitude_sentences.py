@@ -15,7 +15,7 @@ from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
-    AttitudeToTell,
+    SentenceAttitude,
     Worth,
     as_played,
     hdt,
@@ -34,7 +34,7 @@ MIDNIGHT_NS = 1_406_851_200 * 10**9
 
 def attitude(heading_deg, pitch_deg, roll_deg, worth=Worth.NORMAL, sigmas_deg=(0.01, 0.01, 0.01), time_ns=MIDNIGHT_NS):
     angles = tuple(math.radians(angle) for angle in (heading_deg, pitch_deg, roll_deg))
-    return AttitudeToTell(time_ns, worth, angles, tuple(math.radians(sigma) for sigma in sigmas_deg), 0.0)
+    return SentenceAttitude(time_ns, worth, angles, tuple(math.radians(sigma) for sigma in sigmas_deg), 0.0)
 
 
 def test_hdt_and_psxn23_equal_a_seapath_320():
@@ -65,13 +65,13 @@ def test_pashr_equals_the_novatel_manual():
 
 
 def test_rot_is_in_degrees_per_minute_and_negative_to_port():
-    shown = AttitudeToTell(MIDNIGHT_NS, Worth.NORMAL, (1.0, 0.0, 0.0), heading_rate=math.radians(-35.6 / 60.0))
+    shown = SentenceAttitude(MIDNIGHT_NS, Worth.NORMAL, (1.0, 0.0, 0.0), heading_rate=math.radians(-35.6 / 60.0))
     assert rot(shown, "GP", 1).render().startswith("$GPROT,-35.6,A*")
 
 
 @pytest.mark.parametrize("name", ATTITUDE_SENTENCES)
 def test_void_attitude_has_void_fields_and_status(name):
-    sentence = ATTITUDE_SENTENCES[name](AttitudeToTell(MIDNIGHT_NS), "IN", 4).render()
+    sentence = ATTITUDE_SENTENCES[name](SentenceAttitude(MIDNIGHT_NS), "IN", 4).render()
     assert sentence.rpartition("*")[0] == {
         "HDT": "$INHDT,,T",
         "THS": "$INTHS,,V",

@@ -15,7 +15,7 @@ import pynmea2
 import pytest
 
 from ship_msgs.msg import Alert
-from ship_testing.bridge import Display, TellingShip, until
+from ship_testing.bridge import Display, AttitudePublisher, until
 from ship_testing.listening_node import free_port
 
 pytestmark = pytest.mark.live
@@ -102,7 +102,7 @@ def processes(tmp_path):
 
 @pytest.fixture
 def ship():
-    ship = TellingShip()
+    ship = AttitudePublisher()
     yield ship
     ship.stop()
 

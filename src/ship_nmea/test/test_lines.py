@@ -13,9 +13,9 @@ from ship_testing.ship_logs import sentence
 HDT, PSXN23 = b"$HEHDT,218.53,T*12", b"$PSXN,23,0.35,-1.74,218.26,0.58*13"
 
 
-def said(line):
+def outcomes(line):
     """Return kind, name or reason of each text in a line."""
-    found = [heard.says for heard in parse_line(line)]
+    found = [heard.result for heard in parse_line(line)]
     return [
         says.kind if isinstance(says, Sentence) else says.name if isinstance(says, NotOfInterest)
         else says.detail or says.reason for says in found
@@ -50,7 +50,7 @@ def test_line_without_end_is_returned_once_and_not_kept(size):
         found += splitter.take(b"x" * 10_000)
     found += splitter.take(b"x\r\n" + HDT + b"\r\n")
     assert [len(line) for line in found] == [LONGEST_LINE + 1, len(HDT)]
-    assert said(found[0]) == [TOO_LONG]
+    assert outcomes(found[0]) == [TOO_LONG]
     assert splitter.take(b"a" * LONGEST_LINE + b"\n") == [b"a" * LONGEST_LINE]
 
 
@@ -88,7 +88,7 @@ def test_line_without_end_is_returned_once_and_not_kept(size):
     ],
 )
 def test_content_of_lines(line, expected):
-    assert said(line) == expected
+    assert outcomes(line) == expected
 
 
 UBX = b"\xb5b\x01\x07\x08\x00" + bytes(range(0x20, 0x28)) + b"\x8a\x3f"
@@ -102,14 +102,14 @@ def test_no_sentence_is_lost_after_binary_messages(binary, size):
     """A receiver that sends UBX or RTCM on the same line, in chunks of any size."""
     stream, splitter, found = 5 * (binary + HDT + b"\r\n" + PSXN23 + b"\r\n"), LineSplitter(), []
     for at in range(0, len(stream), size):
-        found += [name for line in splitter.take(stream[at : at + size]) for name in said(line)]
+        found += [name for line in splitter.take(stream[at : at + size]) for name in outcomes(line)]
     assert [name for name in found if name in ("HDT", "PSXN23")] == 5 * ["HDT", "PSXN23"]
     assert set(found) <= {"HDT", "PSXN23", BINARY, NOISE, TOO_LONG, HALF}
 
 
 def test_binary_before_a_sentence_is_not_rejected():
-    assert said(UBX + HDT) == [BINARY, BINARY, "HDT"]
-    assert said(UBX) == [BINARY, NOISE]
+    assert outcomes(UBX + HDT) == [BINARY, BINARY, "HDT"]
+    assert outcomes(UBX) == [BINARY, NOISE]
 
 
 def test_noise_never_raises():

@@ -178,12 +178,12 @@ def test_impossible_time_is_an_error(listening):
     """The status depends on published messages: sentences of 2014 give none today."""
     node = listening({"seapath": udp("ins", silent_after_s=0.5)})
 
-    def told():
+    def error_text():
         node.send("seapath", psxn(datetime(2014, 8, 1, tzinfo=timezone.utc), 10.0, 0.0, 0.0))
         level, text, _ = node.told("seapath")
         return level == ERROR and "instrument time" in text and text
 
-    text = node.wait_until(told)
+    text = node.wait_until(error_text)
     assert text.startswith("lines come, but no ins/imu for")
     assert "'2014-08-01T00:00:00Z is " in text
 

@@ -17,7 +17,7 @@ from ship_msgs.msg import Alert, AlertArray, ShipAttitude
 from ship_nmea.commands.nmea_out import main
 from ship_nmea.out.nmea_out import Pace
 from ship_replay.trials.live_process import free_domain_id
-from ship_testing.bridge import LATCHED, Display, TellingShip, until
+from ship_testing.bridge import LATCHED, Display, AttitudePublisher, until
 from ship_testing.listening_node import free_port
 
 pytestmark = pytest.mark.live
@@ -30,7 +30,7 @@ def ship():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         patch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
-        ship = TellingShip()
+        ship = AttitudePublisher()
         yield ship
         ship.stop()
 
@@ -69,7 +69,7 @@ def bridge(tmp_path_factory, ship):
     assert code == 0, (folder / "log.txt").read_text()
 
 
-def read_until(ship, bridge, found, tell=lambda: None):
+def read_until(ship, bridge, found, publish=lambda: None):
     """Read the bridge's sentences, from now on, until ``found`` is true."""
     bridge.forget()
 
@@ -77,7 +77,7 @@ def read_until(ship, bridge, found, tell=lambda: None):
         bridge.read()
         return found()
 
-    return until(ship, look, tell)
+    return until(ship, look, publish)
 
 
 def shows(bridge, heading_deg):
@@ -92,12 +92,12 @@ def test_attitude_is_sent_with_its_quality(ship, bridge, status, mode, quality):
     heading_deg = 100.0 + 10.0 * status
     told = {}
 
-    def tell():
+    def publish():
         message = ship.tell(heading_deg, status=status)
         stamp = message.header.stamp
         told[f"{stamp.sec % 60:02d}.{round(stamp.nanosec / 1e6):03d}"] = message
 
-    read_until(ship, bridge, lambda: shows(bridge, heading_deg) and bridge.last("SXN23"), tell)
+    read_until(ship, bridge, lambda: shows(bridge, heading_deg) and bridge.last("SXN23"), publish)
     assert bridge.last("THS").mode == mode
     assert (bridge.last("SXN20").head_qual, bridge.last("SXN20").rp_qual) == (quality, quality)
     assert bridge.last("ROT").status == "A"
@@ -136,11 +136,11 @@ def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
     read_until(ship, bridge, lambda: is_void(bridge), lambda: how and ship.tell(**how))
     bridge.forget()
 
-    def status_says_it():
+    def status_has_reason():
         status = ship.statuses.get("nmea_out: attitude")
         return status is not None and told in status.message
 
-    until(ship, status_says_it, lambda: how and ship.tell(**how))
+    until(ship, status_has_reason, lambda: how and ship.tell(**how))
     bridge.read()
     assert bridge.sentences
     assert not any(one.heading for one in bridge.sentences if type(one).__name__ == "HDT")
@@ -231,7 +231,7 @@ def test_busy_port_of_one_sink_does_not_stop_the_others(tmp_path):
 
 def test_no_alert_of_a_played_bag_is_sent(tmp_path):
     """A void PASHR before the first /clock does not have the time of 1970."""
-    ship = TellingShip()
+    ship = AttitudePublisher()
     path, began = tmp_path / "log.nmea", datetime.now(timezone.utc)
     process = started(tmp_path / "log.txt", *parameters(
         use_sim_time="true", sinks__log__kind="file", sinks__log__path=path, alerts_period_s=0.2,
@@ -242,7 +242,7 @@ def test_no_alert_of_a_played_bag_is_sent(tmp_path):
     clock = ship.node.create_publisher(Clock, "/clock", 10)
     try:
         until(ship, lambda: path.exists() and path.read_text().count("PASHR") > 2)
-        until(ship, lambda: "no alert is sent, heartbeat status V" in said(ship, "alerts"), lambda: tick(clock, began))
+        until(ship, lambda: "no alert is sent, heartbeat status V" in status_text(ship, "alerts"), lambda: tick(clock, began))
         beats = path.read_text().count("HBT")
         until(ship, lambda: path.read_text().count("HBT") > beats + 2, lambda: tick(clock, began))
     finally:
@@ -255,7 +255,7 @@ def test_no_alert_of_a_played_bag_is_sent(tmp_path):
     assert abs(first.hour * 60 + first.minute - began.hour * 60 - began.minute) <= 2
 
 
-def said(ship, name):
+def status_text(ship, name):
     status = ship.statuses.get(f"nmea_out: {name}")
     return status.message if status else ""
 

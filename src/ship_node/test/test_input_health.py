@@ -278,7 +278,7 @@ def test_duration_texts(seconds, text):
 
 def test_occasional_topics_have_no_timeout():
     target = "theodolite/target"
-    book = InputHealthBook([InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, at_times=True)])
+    book = InputHealthBook([InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, is_occasional=True)])
     book.statuses(START_NS)
     book.publisher_count(target, 1)
     (unheard,) = book.statuses(START_NS + 60 * S)

@@ -83,7 +83,7 @@ def test_a_change_of_level_is_one_log_line(lines: Lines) -> None:
     course = (Level.WARN, "none"), well, (Level.OK, "still"), ill, ill, well
     for level, message in course:
         log.see([DiagnosticStatus("attitude", level, message)])
-        assert log.tells_of("attitude") == (level is Level.ERROR)
+        assert log.has_open_error("attitude") == (level is Level.ERROR)
     assert lines.lines == ["info attitude: VALID", "error attitude: INVALID", "info attitude: VALID"]
 
 

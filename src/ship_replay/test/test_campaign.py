@@ -22,7 +22,7 @@ from ship_replay.campaign.one_item import failed, make
 from ship_replay.campaign.page import page
 from ship_replay.campaign.pooled import pools, worst_items
 from ship_replay.campaign.processes import MOST_DEATHS, in_processes
-from ship_replay.campaign.results import PAGE, TABLE, ResultFolder, table
+from ship_replay.campaign.results import PAGE, TABLE, ResultFolder, csv_table
 from ship_replay.commands.campaign import main
 from ship_replay.commands.evaluate import main as evaluate
 from ship_replay.commands.replay import main as replay
@@ -417,7 +417,7 @@ class TestPooled:
         assert [(each.item.seed, each.ratio) for each in worst_items(made)] == [(1, 1.5), (2, 1.0)]
 
     def test_the_order_of_completion_has_no_effect(self, made):
-        assert table(made[::-1]) == table(made)
+        assert csv_table(made[::-1]) == csv_table(made)
         assert page(made[::-1]) == page(made)
 
 

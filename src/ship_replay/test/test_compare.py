@@ -258,15 +258,15 @@ def test_a_sensor_out_in_one_only(plain, given, folder):
     assert both > 0
 
 
-def with_outages(told, outages_s):
+def with_outages(report_data, outages_s):
     """The same recording with outages of star.fore from and to so many seconds after its start; None: to the end."""
-    start_ns = told.night.start_utc_ns
+    start_ns = report_data.night.start_utc_ns
     events = []
     for from_s, to_s in outages_s:
         events.append(Event(start_ns + from_s * SECOND_NS, "source", "star.fore", "star.fore OUT, no data"))
         if to_s is not None:
             events.append(Event(start_ns + to_s * SECOND_NS, "source", "star.fore", "star.fore IN"))
-    return replace(told, night=replace(told.night, events=events))
+    return replace(report_data, night=replace(report_data.night, events=events))
 
 
 @pytest.mark.parametrize(("in_a", "in_b", "expected"), [

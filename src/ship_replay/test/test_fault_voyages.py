@@ -22,7 +22,7 @@ from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, repl
 from ship_replay.trials.one_fault import one_fault_lines
 from ship_replay.trials.passage import UNDETECTABLE_CASES, UNREPORTED_CASES, Passage
 from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, draw_faults
-from ship_replay.trials.voyage_told import EXCLUSION, NO_DATA, Claim, HealthBook, Sign, Told, VoyageSink
+from ship_replay.trials.voyage_told import EXCLUSION, NO_DATA, Claim, HealthBook, Sign, VoyageOutputs, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems
@@ -95,10 +95,10 @@ def test_bags_and_modes_take_turns():
     ]  # fmt: skip
 
 
-def told_of(claims=(), not_valid=(), signs=()):
+def outputs_of(claims=(), not_valid=(), signs=()):
     """Return outputs with times in s after the start at 0."""
     ns = NS_PER_S
-    return Told(
+    return VoyageOutputs(
         claims=[Claim("ship/attitude", round(t * ns), round(t * ns), sigmas, level) for t, sigmas, level in claims],
         not_valid=[("ship/attitude", round(t * ns), round(t * ns), 2) for t in not_valid],
         signs=[Sign(source, round(t * ns), round(t * ns), reason) for source, t, reason in signs],
@@ -108,17 +108,17 @@ def told_of(claims=(), not_valid=(), signs=()):
 FAULT = Fault(topic="ins/imu", kind="bias", start_s=10.0, end_s=20.0, up_arcsec=30.0)
 
 
-def passage(told=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan):
+def passage(outputs=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan):
     """Return a minute without faults."""
     lights_ns = (np.array(lights_s) * NS_PER_S).astype(np.int64)
     sigmas_arcsec = encoder_sigma_arcsec, ins_sigma_arcsec
-    return Passage(told or told_of(), arrivals_ns or {}, lights_ns, *sigmas_arcsec, 0, 60 * NS_PER_S)
+    return Passage(outputs or outputs_of(), arrivals_ns or {}, lights_ns, *sigmas_arcsec, 0, 60 * NS_PER_S)
 
 
-def outcome(told, clean=None, until_s=60.0, first_s=10.02):
+def outcome(outputs, clean=None, until_s=60.0, first_s=10.02):
     """Return the outcome of a fault whose changed messages arrive every 0.1 s from 10.02 s on."""
     changed_ns = np.arange(round(first_s * NS_PER_S), 20 * NS_PER_S, NS_PER_S // 10)
-    return judged(FAULT, changed_ns, told, passage(clean), until_s)
+    return judged(FAULT, changed_ns, outputs, passage(clean), until_s)
 
 
 def test_time_limit_for_detection():
@@ -129,23 +129,23 @@ def test_time_limit_for_detection():
 
 def test_a_fault_counts_from_the_first_message_that_it_changed():
     """Earlier indications do not count, and the time to detection begins there."""
-    before = told_of(not_valid=[12.0], signs=[("ins", 12.0, "gate"), ("ins", 12.1, "gate")])
+    before = outputs_of(not_valid=[12.0], signs=[("ins", 12.0, "gate"), ("ins", 12.1, "gate")])
     assert outcome(before).detected
     assert not outcome(before, first_s=13.0).detected
-    found = outcome(told_of(not_valid=[12.0, 14.5]), first_s=14.0)
+    found = outcome(outputs_of(not_valid=[12.0, 14.5]), first_s=14.0)
     assert (round(found.alert_s, 2), found.changed) == (0.5, 60)
 
 
 def test_effects_of_an_earlier_fault_do_not_count():
     """No output is VALID then: the fault counts as detected immediately."""
     left = [round(8.0 + 0.1 * n, 1) for n in range(60)]
-    found = outcome(told_of(not_valid=left))
+    found = outcome(outputs_of(not_valid=left))
     assert (found.detected, round(found.alert_s, 2)) == (False, 0.08)
-    assert outcome(told_of(not_valid=[*left, 15.0])).detected
+    assert outcome(outputs_of(not_valid=[*left, 15.0])).detected
 
 
 def test_an_excluded_wrong_source_is_detected_and_not_attributed():
-    found = outcome(told_of(signs=[("star.bow", 10.5, EXCLUSION)]))
+    found = outcome(outputs_of(signs=[("star.bow", 10.5, EXCLUSION)]))
     assert (found.detected, found.attributed) == (True, False)
 
 
@@ -220,25 +220,25 @@ def test_undetectable_cases_are_those_of_the_page():
 
 
 def test_a_fault_is_detected_by_status_or_by_name_in_time():
-    assert not outcome(told_of()).detected
-    found = outcome(told_of(not_valid=[10.5]))
+    assert not outcome(outputs_of()).detected
+    found = outcome(outputs_of(not_valid=[10.5]))
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, False, 0.48)
-    found = outcome(told_of(signs=[("ins", 10.1, "gate"), ("ins", 10.2, "gate")]))
+    found = outcome(outputs_of(signs=[("ins", 10.1, "gate"), ("ins", 10.2, "gate")]))
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, True, 0.08)
     # Another source's name alone is no alert of the faulty one, and after the time nothing is.
-    assert not outcome(told_of(signs=[("star.bow", 10.1, "gate")])).detected
-    assert not outcome(told_of(not_valid=[23.1], signs=[("ins", 23.1, "gate")])).detected
+    assert not outcome(outputs_of(signs=[("star.bow", 10.1, "gate")])).detected
+    assert not outcome(outputs_of(not_valid=[23.1], signs=[("ins", 23.1, "gate")])).detected
 
 
 def test_indications_of_the_fault_free_voyage_do_not_count():
     signs, not_valid = [("ins", 12.0, "gate")], [15.0, 15.5]
-    clean = told_of(not_valid=not_valid, signs=signs)
-    assert not outcome(told_of(not_valid=[15.3], signs=signs), clean).detected
-    assert outcome(told_of(not_valid=[14.4], signs=signs), clean).detected
+    clean = outputs_of(not_valid=not_valid, signs=signs)
+    assert not outcome(outputs_of(not_valid=[15.3], signs=signs), clean).detected
+    assert outcome(outputs_of(not_valid=[14.4], signs=signs), clean).detected
 
 
 def named(*signs):
-    return first_named(told_of(signs=signs).signs)
+    return first_named(outputs_of(signs=signs).signs)
 
 
 STARS_REFUSED = [("star.bow", 10.1 + 0.1 * i, "gate") for i in range(5)]
@@ -273,16 +273,16 @@ def test_repeated_rejections_precede_a_single_one():
 
 def test_claims_beyond_five_sigmas_are_counted_until_the_next_fault():
     claims = [(t / 10.0, 6.0 if 300 <= t < 325 or 400 <= t < 410 else 1.0, 0.5) for t in range(100, 600)]
-    found = outcome(told_of(claims=claims))
+    found = outcome(outputs_of(claims=claims))
     assert (found.worst_sigmas, found.beyond_s, found.longest_beyond_s) == (6.0, pytest.approx(3.5), pytest.approx(2.5))
-    assert outcome(told_of(claims=claims), until_s=30.0).beyond_s == 0.0
+    assert outcome(outputs_of(claims=claims), until_s=30.0).beyond_s == 0.0
     assert found.worst_over_level == 0.5
-    assert math.isnan(outcome(told_of(claims=[(11.0, 1.0, math.nan)])).worst_over_level)
+    assert math.isnan(outcome(outputs_of(claims=[(11.0, 1.0, math.nan)])).worst_over_level)
 
 
 def test_an_output_that_was_not_valid_in_between_is_a_break():
     """Two wrong outputs ten seconds apart are not continuous."""
-    claims = told_of(claims=[(10.0, 9.0, 0.1), (10.1, 9.0, 0.1), (20.0, math.inf, 0.1), (20.1, 1.0, 0.1)]).claims
+    claims = outputs_of(claims=[(10.0, 9.0, 0.1), (10.1, 9.0, 0.1), (20.0, math.inf, 0.1), (20.1, 1.0, 0.1)]).claims
     assert beyond(claims) == (pytest.approx(0.3), pytest.approx(0.2))
 
 
@@ -366,7 +366,7 @@ def test_levels_and_exclusions_are_those_of_the_last_integrity_message():
     for excluded in ([], ["ins"], ["ins"], [], ["ins"]):
         integrity = Message(header=Message(stamp=stamp), protection_level=[1e-4] * 3, excluded=excluded)
         sink.write("ship/integrity", integrity, 5)
-    assert [sign[0] for sign in sink.told.signs] == ["ins", "ins"]
+    assert [sign[0] for sign in sink.outputs.signs] == ["ins", "ins"]
 
 
 @pytest.mark.slow
@@ -394,7 +394,7 @@ def test_an_exception_is_recorded_with_its_faults(bag, monkeypatch):
 
 def test_a_replay_without_faults_is_that_of_the_bag(bag):
     told, clean = replayed(Injection(bag, {}, 1)), clean_voyage(bag)
-    assert [claim[:4] for claim in told.claims] == [claim[:4] for claim in clean.told.claims]
+    assert [claim[:4] for claim in told.claims] == [claim[:4] for claim in clean.outputs.claims]
     assert round(clean.length_s) == 40
     assert len(clean.arrivals_ns["ins/imu"]) == 1001
     assert clean.beacon_times_ns.size == 0

@@ -28,9 +28,9 @@ PROCESS = GaussMarkovProcess(TILT, TILT_S, HEADING, HEADING_S, WHITE)
 CHANGES = {"tilt": 2.0 * TILT**2 / TILT_S, "heading": 2.0 * HEADING**2 / HEADING_S}
 
 
-def told(fitted: FittedModel) -> dict[str, tuple[float, float]]:
+def suite_values(fitted: FittedModel) -> dict[str, tuple[float, float]]:
     """Return name of a suite parameter → value and sigma of its logarithm."""
-    return {what.name: fitted.told(what) for what in fitted.model.told}
+    return {what.name: fitted.suite_value(what) for what in fitted.model.suite_parameters}
 
 
 def changes(fitted: FittedModel) -> dict[str, tuple[float, float]]:
@@ -49,7 +49,7 @@ def test_three_hours_determine_white_noise_and_change(three_hours: Identificatio
     best = three_hours.best
     assert best.model.name == "gauss_markov"
     assert three_hours.model_choice.startswith("gauss_markov fits: log likelihood ")
-    white, log_sigma = told(best)["white_sigma_arcsec"]
+    white, log_sigma = suite_values(best)["white_sigma_arcsec"]
     assert white == pytest.approx(WHITE, rel=0.1)
     assert log_sigma < 0.05
     for axis, (value, log_sigma) in changes(best).items():
@@ -62,7 +62,7 @@ def test_three_hours_do_not_separate_sigma_and_time(three_hours: Identification)
     assert "correlation times, too short to separate σ and τ" in tilt
     assert "10 % and 30 % need 200 times" in tilt
     assert tilt.endswith("only 2σ²/τ is determined")
-    log_sigmas = {name: log_sigma for name, (_, log_sigma) in told(three_hours.best).items()}
+    log_sigmas = {name: log_sigma for name, (_, log_sigma) in suite_values(three_hours.best).items()}
     assert log_sigmas["tilt_time_s"] > 0.3
     assert log_sigmas["heading_time_s"] > 0.5
 
@@ -91,7 +91,7 @@ def test_schuler_is_selected_and_gauss_markov_is_inconsistent(free_ins: Identifi
     (line,) = (line for line in found.warnings if line.startswith(start))
     assert "× its σ of" in line
     assert not any("of schuler are inconsistent" in line for line in found.warnings)
-    errors = {name: value for name, (value, _) in told(found.best).items()}
+    errors = {name: value for name, (value, _) in suite_values(found.best).items()}
     assert errors["white_sigma_arcsec"] == pytest.approx(1.0, rel=0.4)
 
 
@@ -100,7 +100,7 @@ def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_
     file.write_text(parameter_file_text(free_ins), encoding="utf-8")
     ins = load_config(ShipAttitudeConfig, file, "/ship_attitude").ins
     assert ins.model == "schuler"
-    found = {name: value for name, (value, _) in told(free_ins.best).items()}
+    found = {name: value for name, (value, _) in suite_values(free_ins.best).items()}
     assert ins.schuler.velocity_sigma_m_per_s == pytest.approx(found["schuler.velocity_sigma_m_per_s"], rel=1e-3)
     assert ins.heading_sigma_arcsec == pytest.approx(found["heading_sigma_arcsec"], rel=1e-3)
     assert ins.schuler.damping_time_s == 0.0
@@ -113,7 +113,7 @@ def test_two_hundred_times_determine_sigma_and_time() -> None:
     # Issue: sigma within 10 %, tau within 30 %.
     slow = {"tilt_sigma_arcsec": 10.0, "tilt_time_s": 60.0, "heading_sigma_arcsec": 20.0, "heading_time_s": 60.0}
     session = noise_session(scenario(12_000.0, **slow), 1)
-    found = told(fit(star_record(session), GaussMarkovModel(session.config.ins)))
+    found = suite_values(fit(star_record(session), GaussMarkovModel(session.config.ins)))
     for axis, sigma in (("tilt", 10.0), ("heading", 20.0)):
         assert found[f"{axis}_sigma_arcsec"][0] == pytest.approx(sigma, rel=0.1)
         assert found[f"{axis}_time_s"][0] == pytest.approx(60.0, rel=0.3)
@@ -146,7 +146,7 @@ def test_wrong_sigmas_in_the_configuration_do_not_matter() -> None:
         fit(star_record(session), GaussMarkovModel(session.config.ins))
         for session in (
             noise_session(of, 3),
-            noise_session(of, 3, told={"tilt_sigma_arcsec": 5.0, "tilt_time_s": 600.0, "white_sigma_arcsec": 1.5}),
+            noise_session(of, 3, ins_changes={"tilt_sigma_arcsec": 5.0, "tilt_time_s": 600.0, "white_sigma_arcsec": 1.5}),
         )
     ]
     np.testing.assert_allclose(found[0].log_likelihood, found[1].log_likelihood, atol=0.05)

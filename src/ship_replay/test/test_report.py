@@ -16,7 +16,7 @@ from ship_replay.report.page import SECTIONS, page
 from ship_replay.report.summary import summary
 from ship_replay.report.tables import outages
 from ship_replay.report.time_axis import UtcTicks
-from ship_replay.report.told import read_told
+from ship_replay.report.told import read_report_data
 from ship_replay.report.wording import duration, number
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, ship_attitude
 from ship_testing.refusals import refused
@@ -30,7 +30,7 @@ def night_path(tmp_path_factory):
 
 
 def test_every_section_in_its_order_and_nothing_of_the_network(night_path):
-    text = page(read_told(night_path))
+    text = page(read_report_data(night_path))
     places = [text.index(f'<h2 id="{name}">{title}</h2>') for name, title in SECTIONS]
     assert places == sorted(places)
     assert not re.search(r"https?://|<script|<link|@import|url\((?!#)", text)
@@ -42,11 +42,11 @@ def test_every_section_in_its_order_and_nothing_of_the_network(night_path):
 
 
 def test_the_same_bag_gives_the_same_bytes(night_path):
-    assert page(read_told(night_path)) == page(read_told(night_path))
+    assert page(read_report_data(night_path)) == page(read_report_data(night_path))
 
 
 def test_numbers_are_those_of_evaluate(night_path):
-    text = page(read_told(night_path))
+    text = page(read_report_data(night_path))
     fused = evaluate(night_path).errors[0].statistics()
     row = re.search(r"<tr><td>fused</td><td>heading</td>(.*?)</tr>", text).group(1)
     shown = re.findall(r'<td class="r">([^<]*)</td>', row)[:4]
@@ -82,7 +82,7 @@ def test_rejections_are_counted_with_their_times(night_path):
 
 
 def test_a_source_rejected_five_times_is_in_summary_and_alerts(night_path):
-    told = read_told(night_path)
+    told = read_report_data(night_path)
     out = [event for event in told.recording.events if event.subject == "star.fore" and "OUT" in event.text]
     assert abs(out[0].utc_ns - (START_NS + 34 * SECOND_NS)) <= 2 * SECOND_NS // 10
     assert summary(told.recording)[1].startswith("Worst source: star.fore, out once, ")
@@ -105,7 +105,7 @@ def test_an_outage_whose_reason_changes_is_one(night_path):
 
 
 def test_without_truth_innovations_take_the_room(tmp_path):
-    text = page(read_told(write_bag(tmp_path / "out.mcap", with_truth=False)))
+    text = page(read_report_data(write_bag(tmp_path / "out.mcap", with_truth=False)))
     assert "No truth in this recording" in text
     assert '<svg' in text[text.index('id="errors"'):text.index('id="budget"')]
 
@@ -113,7 +113,7 @@ def test_without_truth_innovations_take_the_room(tmp_path):
 def test_truth_of_another_bag(tmp_path):
     out = write_bag(tmp_path / "out.mcap", with_truth=False)
     truth = write_bag(tmp_path / "truth.mcap")
-    assert read_told(out, truth).evaluation.errors[0].label == "fused"
+    assert read_report_data(out, truth).evaluation.errors[0].label == "fused"
 
 
 class TestBadInput:
@@ -166,7 +166,7 @@ def test_missing_accuracy_is_no_obstacle(tmp_path):
             stamp_ns = START_NS + second * SECOND_NS
             bag.write("ship/attitude", ship_attitude(stamp_ns), stamp_ns)
             bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
-    assert 'id="status"' in page(read_told(tmp_path / "out.mcap"))
+    assert 'id="status"' in page(read_report_data(tmp_path / "out.mcap"))
 
 
 def test_thinned_lines_keep_their_extremes():
@@ -198,7 +198,7 @@ def events(*entries):
 
 class TestFiveSentences:
     def test_each_opens_the_page_in_its_order(self, night_path):
-        told = read_told(night_path)
+        told = read_report_data(night_path)
         sentences = summary(told.recording)
         assert [text.partition(":")[0] for text in sentences] == [
             "Availability", "Worst source", "Cause → consequence", "Mountings", "To do"
@@ -255,7 +255,7 @@ class TestEvents:
         assert len(event_rows(events(*apart))) == 8
 
     def test_each_time_leads_to_its_line_in_the_figure(self, night_path):
-        text = page(read_told(night_path))
+        text = page(read_report_data(night_path))
         targets = re.findall(r'href="#(status-mark-\d+)"', section(text, "events"))
         assert targets
         assert {*targets} <= {*re.findall(r'id="([^"]*)"', section(text, "status"))}
@@ -282,7 +282,7 @@ def test_ticks_are_at_round_times(length_s, step_s):
 
 
 def test_a_source_has_one_colour_in_all_figures(night_path):
-    told = read_told(night_path)
+    told = read_report_data(night_path)
     colours = source_colours(told.recording, told.evaluation)
     assert len({*colours.values()}) == len(colours) == 2
     text = page(told)
@@ -295,7 +295,7 @@ def test_the_commit_of_the_suite_is_stated_of_a_plain_bag(tmp_path):
     with BagWriter(tmp_path / "out.mcap") as writer:
         writer.add_metadata(COMMIT_RECORD, {"commit": "0123abcd"})
         copied(write_bag(tmp_path / "night.mcap", 5), writer)
-    text = section(page(read_told(tmp_path / "out.mcap")), "provenance")
+    text = section(page(read_report_data(tmp_path / "out.mcap")), "provenance")
     made_bag, made_report = text.split("Versions that made this report")
     assert "<tr><td>suite, commit</td><td>0123abcd</td></tr>" in made_bag
     assert f"<td>{suite_commit() or 'unknown: no git checkout'}</td>" in made_report

@@ -15,7 +15,7 @@ from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.stamps import make_header
 from ship_replay.commands.report import main
 from ship_replay.report.page import page
-from ship_replay.report.told import read_told
+from ship_replay.report.told import read_report_data
 from ship_replay.report.wording import utc
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, star_message
 from ship_testing.reported_nights import SECOND_NS, SIGMA_ENU, copied, section, write_bag
@@ -36,15 +36,15 @@ def test_a_recording_in_a_namespace(night_path, tmp_path, namespace):
     assert main([str(tmp_path / "recorded.mcap"), "--namespace", f"/{namespace}", "--out", str(out)]) == 0
     told = out.read_text()
     for name in ("verdict", "errors", "consistency", "events", "refusals"):
-        assert section(told, name) == section(page(read_told(night_path)), name)
+        assert section(told, name) == section(page(read_report_data(night_path)), name)
 
 
 @pytest.mark.slow
 def test_a_rosbag2_folder_of_several_files(night_path, tmp_path):
     folder = tmp_path / "night"
     copied(night_path, FolderWriter(folder, SplitLimits(size_bytes=10_000)))
-    told = page(read_told(folder))
-    alone = page(read_told(night_path))
+    told = page(read_report_data(folder))
+    alone = page(read_report_data(night_path))
     for name in ("verdict", "errors", "consistency", "events", "refusals"):
         assert section(told, name) == section(alone, name)
     parts = sorted(folder.glob("*.mcap"))
@@ -55,7 +55,7 @@ def test_a_rosbag2_folder_of_several_files(night_path, tmp_path):
 
 def test_the_hash_of_a_file_is_that_of_sha256sum(night_path):
     whole = hashlib.sha256(night_path.read_bytes()).hexdigest()
-    assert f">{whole}</td>" in section(page(read_told(night_path)), "provenance")
+    assert f">{whole}</td>" in section(page(read_report_data(night_path)), "provenance")
 
 
 def alert(state, second, text="star.fore out: no data"):
@@ -82,7 +82,7 @@ def test_alerts_that_were_recorded_stand_before_those_computed(night_path, tmp_p
                 writer.write("ship/alerts", message, time_ns)
             else:
                 writer.write_raw(what.topic, what.type_name, what.data, time_ns)
-    reported = read_told(path)
+    reported = read_report_data(path)
     assert [(one.what, one.alert.id) for one in reported.recording.alerts] == [
         ("active unacknowledged", "star.fore.out"), ("active acknowledged", "star.fore.out"), ("over", "star.fore.out")
     ]
@@ -102,13 +102,13 @@ def test_outputs_of_one_node_alone(tmp_path):
             bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
             told = star_message(stamp_ns, np.eye(3), SIGMA_ENU @ SIGMA_ENU, "joint")
             bag.write("star/joint/solution", told, stamp_ns)
-    text = page(read_told(tmp_path / "out.mcap"))
+    text = page(read_report_data(tmp_path / "out.mcap"))
     assert "no attitude and no pointing was published" in section(text, "verdict")
     assert "<td>star.joint</td>" in section(text, "errors")
 
 
 def test_versions_of_the_bag_and_of_the_report_are_separate(night_path, tmp_path):
-    shown = section(page(read_told(night_path)), "provenance")
+    shown = section(page(read_report_data(night_path)), "provenance")
     assert "The bag does not contain the commit or the versions of the suite that made it." in shown
     assert shown.count("<h3>") == 1
     path = tmp_path / "box.mcap"
@@ -116,7 +116,7 @@ def test_versions_of_the_bag_and_of_the_report_are_separate(night_path, tmp_path
     told = {"suite": {"ship_node": "0.0.7"}, "python": "3.9.2", "machine": "riscv64", "libraries": {"numpy": "1.2.3"}}
     writer.add_attachment("versions.json", json.dumps(told))
     copied(night_path, writer)
-    made, _, here = section(page(read_told(path)), "provenance").partition("Versions that made this report")
+    made, _, here = section(page(read_report_data(path)), "provenance").partition("Versions that made this report")
     rows = [("ship_node", "0.0.7"), ("numpy", "1.2.3"), ("python", "3.9.2"), ("machine", "riscv64")]
     for name, version in rows:
         assert f"<td>{name}</td><td>{version}</td>" in made
@@ -129,7 +129,7 @@ def test_damaged_versions_are_none(night_path, tmp_path, damaged):
     writer = BagWriter(tmp_path / "box.mcap")
     writer.add_attachment("versions.json", damaged)
     copied(night_path, writer)
-    assert "The bag does not contain the commit" in section(page(read_told(tmp_path / "box.mcap")), "provenance")
+    assert "The bag does not contain the commit" in section(page(read_report_data(tmp_path / "box.mcap")), "provenance")
 
 
 @pytest.mark.parametrize(("left", "end_s"), [(0.97, 40.0), (0.5, 30.0)])

@@ -60,20 +60,20 @@ def suite_without(bag_path: Path, node: str, source: str, folder: Path) -> Path:
     return path
 
 
-def estimates(told: Published, source: str) -> tuple[Published, int]:
+def estimates(published: Published, source: str) -> tuple[Published, int]:
     """Return all outputs except health, diagnostics and reports that the source is off, and the report count."""
     kept, count = {}, 0
-    for topic, messages in told.items():
+    for topic, messages in published.items():
         if topic not in OF_ITSELF:
             kept[topic] = list(messages)
         if topic in INNOVATIONS:
-            is_off = [is_told_off(data, source) for _, data in messages]
+            is_off = [is_reported_off(data, source) for _, data in messages]
             count += sum(is_off)
             kept[topic] = [message for message, off in zip(messages, is_off, strict=True) if not off]
     return {topic: messages for topic, messages in kept.items() if messages}, count
 
 
-def is_told_off(data: bytes, source: str) -> bool:
+def is_reported_off(data: bytes, source: str) -> bool:
     innovation = message_store().deserialize_cdr(data, "ship_msgs/msg/Innovation")
     off = innovation.reason == Reason.OFF
     assert not off or (innovation.source, innovation.accepted) == (source, False)

@@ -20,7 +20,7 @@ START_NS, SECOND_NS = 1_767_225_600_000_000_000, 1_000_000_000
 SIGMA, SIGMA_M, NORTH_M = 2.0 * ARCSEC, 3.0, 1000.0
 
 
-def told(
+def target_direction(
     number: int,
     east_arcsec: float = 0.0,
     up_arcsec: float = 0.0,
@@ -52,13 +52,13 @@ def _bag(tmp_path: Path) -> Path:
     with BagWriter(tmp_path / "run.mcap") as bag:
         for number in range(4):
             for target_id in ("buoy", "kite"):
-                bag.write(TARGET_TRUTH, told(number, target_id=target_id), START_NS + number * SECOND_NS)
+                bag.write(TARGET_TRUTH, target_direction(number, target_id=target_id), START_NS + number * SECOND_NS)
         published = [
-            told(0, 4.0, 0.0, 6.0),
-            told(1, 0.0, 2.0, **no_place),
-            told(2, 100.0, status=3),
-            told(9, 100.0),
-            told(3, 1.0, 1.0, 3.0, target_id="kite"),
+            target_direction(0, 4.0, 0.0, 6.0),
+            target_direction(1, 0.0, 2.0, **no_place),
+            target_direction(2, 100.0, status=3),
+            target_direction(9, 100.0),
+            target_direction(3, 1.0, 1.0, 3.0, target_id="kite"),
         ]
         for number, message in enumerate(published):
             bag.write(TARGET_DIRECTION, message, START_NS + number * SECOND_NS)
@@ -112,7 +112,7 @@ def test_the_command_shows_them_in_a_table_and_in_json(bag: Path, tmp_path: Path
 
 def test_without_truth_there_are_none(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "run.mcap") as bag:
-        bag.write(TARGET_DIRECTION, told(0), START_NS)
+        bag.write(TARGET_DIRECTION, target_direction(0), START_NS)
         bag.write("theodolite/calibration", calibration(), START_NS)
     assert not any(name.startswith("target.") for name in evaluate(tmp_path / "run.mcap").flat())
 
@@ -134,11 +134,11 @@ def vector3(x: float, y: float, z: float) -> Any:
 )
 def test_a_direction_of_wrong_form_is_left_out_by_name(tmp_path: Path, changes: dict[str, Any], text: str) -> None:
     found = []
-    for name, bad in (("without", {}), ("with", {3: told(3, **changes)})):
+    for name, bad in (("without", {}), ("with", {3: target_direction(3, **changes)})):
         with BagWriter(tmp_path / f"{name}.mcap") as bag:
             for number in range(4):
-                bag.write(TARGET_TRUTH, told(number), START_NS + number * SECOND_NS)
-            for number, message in enumerate([told(0, 4.0), told(1, 0.0, 2.0), told(2, 1.0)]):
+                bag.write(TARGET_TRUTH, target_direction(number), START_NS + number * SECOND_NS)
+            for number, message in enumerate([target_direction(0, 4.0), target_direction(1, 0.0, 2.0), target_direction(2, 1.0)]):
                 bag.write(TARGET_DIRECTION, message, START_NS + number * SECOND_NS)
             for number, message in bad.items():
                 bag.write(TARGET_DIRECTION, message, START_NS + number * SECOND_NS)
@@ -152,10 +152,10 @@ def test_a_direction_of_wrong_form_is_left_out_by_name(tmp_path: Path, changes: 
 
 def test_a_truth_that_is_no_number_is_left_out_by_name(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "run.mcap") as bag:
-        bag.write(TARGET_TRUTH, told(0), START_NS)
-        bag.write(TARGET_TRUTH, told(1, direction=vector3(np.inf, 0.0, 0.0)), START_NS + SECOND_NS)
+        bag.write(TARGET_TRUTH, target_direction(0), START_NS)
+        bag.write(TARGET_TRUTH, target_direction(1, direction=vector3(np.inf, 0.0, 0.0)), START_NS + SECOND_NS)
         for number in range(2):
-            bag.write(TARGET_DIRECTION, told(number), START_NS + number * SECOND_NS)
+            bag.write(TARGET_DIRECTION, target_direction(number), START_NS + number * SECOND_NS)
         bag.write("theodolite/calibration", calibration(), START_NS + 5 * SECOND_NS)
     found = evaluate(tmp_path / "run.mcap")
     assert found.flat()["target.buoy.samples"] == 1.0

@@ -199,7 +199,7 @@ class _Voyage:
     def samples(self, stretch: Stretch) -> SimulatedRun:
         """Return the samples of the next stretch."""
         scenario, carrier, draws, seed = self.scenario, self._carrier, self._draws, self._draws.seed
-        draws.begin(stretch)
+        draws.begin_stretch(stretch)
         deflection = self._deflection
         ins, ins_truth = simulate_ins(scenario, carrier, stretch, draws, deflection)
         stars, star_truth, sightings_truth = _simulate_stars(scenario, carrier, self._sky, stretch, draws)

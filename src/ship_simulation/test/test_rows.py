@@ -11,7 +11,7 @@ from ship_simulation.messages.ship_messages import quaternion_rows
 COUNT = 2 * BLOCK_ROWS + 5
 
 
-class Asked:
+class CountedRows:
     """Squares of numbers, with a record of the computed blocks."""
 
     def __init__(self):
@@ -29,7 +29,7 @@ def test_rows_equal_those_computed_all_at_once():
 
 
 def test_blocks_are_computed_once_in_order_of_time():
-    asked = Asked()
+    asked = CountedRows()
     rows = Rows(asked)
     # Order of arrival: some samples out of the order of their stamps, here across the ends of blocks.
     order = np.argsort(np.arange(COUNT) + np.random.default_rng(1).uniform(0.0, 50.0, COUNT))
@@ -38,7 +38,7 @@ def test_blocks_are_computed_once_in_order_of_time():
 
 
 def test_a_row_far_back_is_computed_again():
-    asked = Asked()
+    asked = CountedRows()
     rows = Rows(asked)
     assert [rows[0], rows[BLOCK_ROWS], rows[2 * BLOCK_ROWS], rows[3]] == [0, BLOCK_ROWS**2, 4 * BLOCK_ROWS**2, 9]
     assert len(asked.parts) == 4
@@ -46,4 +46,4 @@ def test_a_row_far_back_is_computed_again():
 
 def test_a_row_beyond_the_last_is_an_error():
     with pytest.raises(IndexError):
-        Rows(Asked())[COUNT]
+        Rows(CountedRows())[COUNT]

@@ -57,8 +57,8 @@ def by_atco13(sky, rows, time_ns):
     return np.stack([np.cos(azimuth) * sine, np.cos(zenith_distance), np.sin(azimuth) * sine], axis=-1)
 
 
-def stars_by_exposure(said, truth):
-    return [set(truth.hip[said.rows(number)].tolist()) for number in range(said.time_ns.size)]
+def stars_by_exposure(sightings, truth):
+    return [set(truth.hip[sightings.rows(number)].tolist()) for number in range(sightings.time_ns.size)]
 
 
 @pytest.mark.parametrize("most_stars", [1000, 5])
@@ -149,12 +149,12 @@ def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
     assert_sigma(said.stars.magnitude - sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)], 0.2)
 
 
-def ways_of(scenario, said, truth, count=200):
+def ways_of(scenario, sightings, truth, count=200):
     """Return the true points of each star at many times of its exposure, shape (count, k, 2)."""
     sensor, carrier = scenario.star_sensors[FORE], carrier_of(scenario.carrier, 1)
-    camera, first_ns = sensor.camera.camera("camera"), said.time_ns[0]
-    exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
-    middle_s = (said.time_ns - first_ns)[exposure] / SECOND_NS
+    camera, first_ns = sensor.camera.camera("camera"), sightings.time_ns[0]
+    exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))
+    middle_s = (sightings.time_ns - first_ns)[exposure] / SECOND_NS
     mounting = carrier.attitude(np.zeros(1))[0].T @ truth.rotation_nv[0]
     place_n = (carrier.attitude(middle_s) @ mounting @ truth.direction_s[..., None])[..., 0]
     since_s = sensor.exposure_s * ((np.arange(count) + 0.5) / count - 0.5)

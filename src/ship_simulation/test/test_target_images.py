@@ -38,7 +38,7 @@ def exact(**target):
     return without_errors(short_run(detector=detector, **target))
 
 
-def told(run):
+def target_messages(run):
     """Return topic → its messages."""
     found = {}
     for topic, message, _ in messages([run], RosbagsFactory()):
@@ -65,7 +65,7 @@ def of_vector(vector):
 
 
 def test_images_show_the_direction_of_the_truth():
-    found = told(simulate(exact(), seed=1))
+    found = target_messages(simulate(exact(), seed=1))
     pointings, truths = by_stamp(found[POINTING]), by_stamp(found[TRUTH])
     assert len(found[IMAGE]) == len(truths) == 61
     rotations = set()
@@ -110,7 +110,7 @@ def test_points_and_ranges_have_white_noise_of_their_sigmas():
 
 def test_a_target_without_a_range_has_none_and_a_hidden_one_no_image():
     scenario = short_run(range_sigma_m=0.0, hidden={"x": Outage(1.0, 2.0)}, leaves_s=4.0)
-    found = told(simulate(scenario, seed=1))
+    found = target_messages(simulate(scenario, seed=1))
     assert len(found[IMAGE]) == len(found[TRUTH]) == 30
     assert all(np.isnan([image.range, image.range_sigma]).all() for image in found[IMAGE])
     assert not any(np.isnan([truth.position.x, truth.position.y, truth.position.z]).any() for truth in found[TRUTH])
@@ -119,7 +119,7 @@ def test_a_target_without_a_range_has_none_and_a_hidden_one_no_image():
 def test_a_target_off_the_detector_has_no_image():
     run = simulate(short_run(course__escort__right_deg=0.6), seed=1)
     assert run.theodolite.targets.time_ns.size == 0
-    assert IMAGE not in told(run)
+    assert IMAGE not in target_messages(run)
 
 
 def test_an_exposure_shows_the_mean_of_the_path():

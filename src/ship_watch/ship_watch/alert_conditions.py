@@ -126,7 +126,7 @@ def _output_conditions(suite_state: SuiteState, shown: tuple[FunctionShown, ...]
                 f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
                 f"{topic} never received" if never else _alert_text(missing, f"no data on {topic}"),
                 becomes_alarm=never, may_be_startup=never, is_blind=never,
-                under=above[:1] if never else (), lost=_lost(missing),
+                under=above[:1] if never else (), lost_functions=_lost(missing),
             )
             continue
         members = [one for one in members if not _is_over_for_a_moment(one, limits)]
@@ -136,7 +136,7 @@ def _output_conditions(suite_state: SuiteState, shown: tuple[FunctionShown, ...]
             yield Condition(
                 f"{output}.degraded", priority, "", _alert_text(members, worst.reason), worst.accuracy_arcsec,
                 worst.limit_arcsec, "arcsec", becomes_alarm=priority is Priority.WARNING,
-                may_be_startup=True, under=(*above, *outs), lost=_lost(members),
+                may_be_startup=True, under=(*above, *outs), lost_functions=_lost(members),
             )
 
 
@@ -200,7 +200,7 @@ def _out(
     if is_late:
         delays_s = [one.latency_s for one in suite_state.inputs if one.topic in source.topics]
         value, unit = max(delays_s, default=math.nan), "s"
-    return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), under=under, lost=lost)
+    return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), under=under, lost_functions=lost)
 
 
 def _age_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Condition]:
@@ -255,8 +255,8 @@ def _node_conditions(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable
         if status.name not in _NODE_STATUSES:
             continue
         ending, priority = _NODE_STATUSES[status.name]
-        told = status.values.get("lost", "")
-        lost = int(told) if told.isdecimal() else 0
+        lost_text = status.values.get("lost", "")
+        lost = int(lost_text) if lost_text.isdecimal() else 0
         if ending == "box" and 0 < lost <= limits.machine.box_lost:
             continue
         value = (float(lost), float(limits.machine.box_lost), "entries") if lost else (math.nan, math.nan, "")

@@ -45,7 +45,7 @@ class Condition:
     may_be_startup: bool = False
     is_blind: bool = False
     under: tuple[str, ...] = ()
-    lost: frozenset[str] = frozenset()
+    lost_functions: frozenset[str] = frozenset()
 
 
 class AlertState(enum.IntEnum):

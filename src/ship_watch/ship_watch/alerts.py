@@ -48,9 +48,9 @@ class _Kept:
     hold_ns: int
     present_ns: int
     """Last time at which the situation was present."""
-    other_since_ns: int | None = None
+    deviates_since_ns: int | None = None
     """Time since which the situation has a lower priority or another text than its alert; None if it has not."""
-    lost: frozenset[str] = frozenset()
+    lost_functions: frozenset[str] = frozenset()
     becomes_alarm: bool = False
     unanswered_from_ns: int = 0
     silenced_ns: int = 0
@@ -82,13 +82,13 @@ class AlertBook:
     @property
     def alerts(self) -> tuple[AlertShown, ...]:
         """Alerts that are not NORMAL, the most urgent first: unacknowledged before acknowledged, alarms first."""
-        told = [kept.alert for kept in self._kept.values() if kept.alert.state != AlertState.NORMAL]
-        return tuple(sorted(told, key=lambda alert: alert.urgency))
+        active = [kept.alert for kept in self._kept.values() if kept.alert.state != AlertState.NORMAL]
+        return tuple(sorted(active, key=lambda alert: alert.urgency))
 
     def saved(self) -> list[dict[str, Any]]:
         """Return the alerts as plain values for a file, with the instance counts of those that are over."""
         return [
-            {**dataclasses.asdict(kept.alert), "lost": sorted(kept.lost)} for _, kept in sorted(self._kept.items())
+            {**dataclasses.asdict(kept.alert), "lost": sorted(kept.lost_functions)} for _, kept in sorted(self._kept.items())
         ]
 
     def take(self, conditions: Iterable[Condition], now_ns: int, utc_ns: int) -> tuple[AlertChange, ...]:
@@ -181,17 +181,17 @@ class AlertBook:
         kept.present_ns, kept.becomes_alarm = now_ns, condition.becomes_alarm
         if condition.is_blind:
             return []
-        more, is_graver = condition.lost - kept.lost, condition.priority > kept.alert.priority
+        more, is_graver = condition.lost_functions - kept.lost_functions, condition.priority > kept.alert.priority
         if (more or is_graver) and not self._has_lasted(f"{condition.id}, graver", now_ns):
             return []
-        kept.lost |= condition.lost
+        kept.lost_functions |= condition.lost_functions
         if is_graver:
             what = f"was a {kept.alert.priority.name.lower()}, is a{_n(condition.priority)} now"
             return [self._worsen(condition, kept, what, now_ns, utc_ns)]
         if more and condition.priority is not Priority.CAUTION:
             if kept.alert.is_acknowledged:
                 return [self._worsen(condition, kept, f"now also affects {', '.join(sorted(more))}", now_ns, utc_ns)]
-            kept.alert = _told(kept.alert, condition)
+            kept.alert = _with_condition(kept.alert, condition)
             return [AlertChange(kept.alert, f"now also affects {', '.join(sorted(more))}")]
         return self._ease(condition, kept, now_ns, utc_ns)
 
@@ -210,16 +210,16 @@ class AlertBook:
             text=condition.text, value=condition.value, limit=condition.limit, unit=condition.unit,
             raised_ns=utc_ns, changed_ns=utc_ns,
         )
-        new = _Kept(alert, hold_ns, now_ns, None, condition.lost, condition.becomes_alarm, now_ns)
+        new = _Kept(alert, hold_ns, now_ns, None, condition.lost_functions, condition.becomes_alarm, now_ns)
         self._kept[condition.id] = new
         return self._happens(new, AlertEvent.COMES, utc_ns, "raised")
 
     @staticmethod
     def _worsen(condition: Condition, kept: _Kept, what: str, now_ns: int, utc_ns: int) -> AlertChange:
         """Raise a new instance: the situation is more severe than the one that was acknowledged."""
-        kept.unanswered_from_ns, kept.other_since_ns = now_ns, None
+        kept.unanswered_from_ns, kept.deviates_since_ns = now_ns, None
         kept.alert = dataclasses.replace(
-            _told(kept.alert, condition), priority=max(condition.priority, kept.alert.priority),
+            _with_condition(kept.alert, condition), priority=max(condition.priority, kept.alert.priority),
             instance=kept.alert.instance + 1, state=AlertState.ACTIVE_UNACKNOWLEDGED, changed_ns=utc_ns,
         )
         return AlertChange(kept.alert, what)
@@ -232,15 +232,15 @@ class AlertBook:
         """
         alert = kept.alert
         if condition.text == alert.text and condition.priority == alert.priority:
-            kept.other_since_ns = None
-            kept.alert = _told(alert, condition)
+            kept.deviates_since_ns = None
+            kept.alert = _with_condition(alert, condition)
             return []
-        kept.other_since_ns = kept.other_since_ns if kept.other_since_ns is not None else now_ns
+        kept.deviates_since_ns = kept.deviates_since_ns if kept.deviates_since_ns is not None else now_ns
         is_lower = condition.priority < alert.priority
-        if (is_lower and not alert.is_acknowledged) or now_ns - kept.other_since_ns < kept.hold_ns:
+        if (is_lower and not alert.is_acknowledged) or now_ns - kept.deviates_since_ns < kept.hold_ns:
             return []
-        kept.other_since_ns = None
-        kept.alert = _told(alert, condition)
+        kept.deviates_since_ns = None
+        kept.alert = _with_condition(alert, condition)
         if not is_lower:
             return [AlertChange(kept.alert, "text changed")]
         kept.alert = dataclasses.replace(kept.alert, priority=condition.priority, changed_ns=utc_ns)
@@ -274,7 +274,7 @@ class AlertBook:
         return AlertChange(kept.alert, what)
 
 
-def _told(alert: AlertShown, condition: Condition) -> AlertShown:
+def _with_condition(alert: AlertShown, condition: Condition) -> AlertShown:
     return dataclasses.replace(
         alert, source=condition.source, text=condition.text, value=condition.value, limit=condition.limit,
         unit=condition.unit,

@@ -70,7 +70,7 @@ class _Sample:
     angles: tuple[AngleShown, ...]
 
     @property
-    def is_decided(self) -> bool:
+    def is_limit_decisive(self) -> bool:
         """True if the limit alone determines whether the quantity is SAFE."""
         return not self.is_start and all(angle.safety is Safety.SAFE for angle in self.angles)
 
@@ -106,7 +106,7 @@ class AvailabilityRecord:
     def availability(self, quantity: str) -> Availability | None:
         """Return the expected availability of a quantity; None if the limit is never decisive."""
         samples = self._samples[quantity]
-        decided = [sample for sample in samples if sample.is_decided]
+        decided = [sample for sample in samples if sample.is_limit_decisive]
         if not decided:
             return None
         accuracies = np.array([max(angle.accuracy_95 for angle in each.angles) for each in decided]) / ARCSEC
@@ -116,7 +116,7 @@ class AvailabilityRecord:
             if share >= WANTED_SHARE or (1.0 - MARGIN) * proposed_arcsec > np.max(accuracies):
                 break
         later = [sample for sample in samples if not sample.is_start]
-        reasons = Counter(_reason(sample.angles) for sample in later if not sample.is_decided)
+        reasons = Counter(_reason(sample.angles) for sample in later if not sample.is_limit_decisive)
         return Availability(
             quantity, limit_arcsec, self._share(quantity, limit_arcsec), float(np.median(accuracies)),
             proposed_arcsec, share, len(decided) / len(later),
@@ -138,7 +138,7 @@ class AvailabilityRecord:
         for sample in self._samples[quantity]:
             for hysteresis, angle in zip(words, sample.angles, strict=True):
                 hysteresis.note(self._angle_word(angle, limit_arcsec * ARCSEC), sample.time_ns)
-            if sample.is_decided:
+            if sample.is_limit_decisive:
                 safe.append(all(held.word is Safety.SAFE for held in words))
         return sum(safe) / len(safe)
 

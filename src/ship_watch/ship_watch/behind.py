@@ -50,7 +50,7 @@ class BehindBook:
         since_ns = now_ns if known is None or now_ns - known.reported_ns > _NEW_OVERLOAD_NS else known.since_ns
         self._nodes[node] = _Behind(str(message.reason_text), since_ns, now_ns)
 
-    def text(self, now_ns: int, is_pointing: bool, by_attitude: bool) -> str:
+    def overload_text(self, now_ns: int, is_pointing: bool, by_attitude: bool) -> str:
         """Return the overload text of the first overloaded node on which an output depends; empty without one.
 
         Args:

@@ -28,17 +28,17 @@ class EventBook:
         self.events: deque[Event] = deque(maxlen=EVENTS_KEPT)
         self._presence: dict[str, tuple[Presence, str]] = {}
 
-    def tell(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
+    def add(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
         """Add a change; see :class:`~ship_watch.suite_state.Event`."""
         self.events.appendleft(Event(utc_ns, kind, subject, text))
 
-    def tell_start(self, node: str, utc_ns: int) -> None:
+    def add_node_start(self, node: str, utc_ns: int) -> None:
         """Add the start of a node, once for all of its topics."""
-        told = any(event.kind == "node" and utc_ns - event.utc_ns < SETTLED_NS for event in self.events)
-        if not told:
-            self.tell("node", node, f"{node} started", utc_ns)
+        is_reported = any(event.kind == "node" and utc_ns - event.utc_ns < SETTLED_NS for event in self.events)
+        if not is_reported:
+            self.add("node", node, f"{node} started", utc_ns)
 
-    def tell_sources(self, sources: Iterable[SourceStanding], utc_ns: int) -> None:
+    def add_source_changes(self, sources: Iterable[SourceStanding], utc_ns: int) -> None:
         """Add the sources that went OUT or IN, and those whose reason or correction changed."""
         for source in sources:
             is_out = source.presence is Presence.OUT
@@ -49,29 +49,29 @@ class EventBook:
                 continue
             self._presence[source.name] = source.presence, kind
             if is_out:
-                told = ", ".join(part for part in (source.reason, source.disagreement) if part)
-                self.tell("source", source.name, f"{source.name} OUT, {told}", utc_ns)
+                details = ", ".join(part for part in (source.reason, source.disagreement) if part)
+                self.add("source", source.name, f"{source.name} OUT, {details}", utc_ns)
             elif before[0] is Presence.OUT or kind:
                 text = f"{source.name} {source.presence.value}" + (f", {kind}" if kind else "")
-                self.tell("source", source.name, text, utc_ns)
+                self.add("source", source.name, text, utc_ns)
 
-    def tell_alerts(self, before: Iterable[AlertShown], now: Iterable[AlertShown], utc_ns: int) -> None:
+    def add_alert_changes(self, before: Iterable[AlertShown], now: Iterable[AlertShown], utc_ns: int) -> None:
         """Add the alerts whose state changed, and those that are over."""
         states = {(alert.id, alert.instance): alert.state for alert in before}
         for alert in now:
             if states.pop((alert.id, alert.instance), None) != alert.state:
                 text = f"{alert.priority.name} {_ALERT_WORDS.get(alert.state, '')}: {alert.text}"
-                self.tell("alert", alert.id, text, alert.changed_ns)
+                self.add("alert", alert.id, text, alert.changed_ns)
         for name, _ in states:
-            self.tell("alert", name, f"{name} is over", utc_ns)
+            self.add("alert", name, f"{name} is over", utc_ns)
 
 
 def alerts_shown(message: Any) -> list[AlertShown]:
     """Return the alerts of an AlertArray in its order, without those of an unknown priority."""
-    return [_alert(alert) for alert in message.alerts[:MOST_NAMES] if alert.priority in _PRIORITIES]
+    return [_alert_from_message(alert) for alert in message.alerts[:MOST_NAMES] if alert.priority in _PRIORITIES]
 
 
-def _alert(alert: Any) -> AlertShown:
+def _alert_from_message(alert: Any) -> AlertShown:
     return AlertShown(
         id=str(alert.id),
         instance=int(alert.instance),

@@ -148,7 +148,7 @@ def diagnostic_entries(suite_state: SuiteState, limits: Limits) -> tuple[Branch,
     branches = []
     for function in functions(suite_state):
         path = f"{function.name} within {limit_arcsec[function.name]:g}″"
-        branches.append(Branch(path, _level(function), _function_text(function)))
+        branches.append(Branch(path, _diagnostic_level(function), _function_text(function)))
         configured = (source for source in function.sources if source.presence is not Presence.OFF)
         branches += [_source_branch(path, function, source) for source in configured]
     return tuple(branches)
@@ -177,7 +177,7 @@ def _function_text(function: FunctionShown) -> str:
     return ", ".join(filter(None, [lost, because, function.angle.reason, known]))
 
 
-def _level(function: FunctionShown) -> int:
+def _diagnostic_level(function: FunctionShown) -> int:
     if function.safety is None:
         return 0
     return 3 if function.is_output_missing else int(function.safety)

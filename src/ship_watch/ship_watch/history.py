@@ -212,7 +212,7 @@ def append_point(buffer: deque[Point], point: Point) -> None:
         buffer.popleft()
 
 
-def place_in_order(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
+def replace_or_append(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
     """Replace the point of the same time; add the point if there is none."""
     buffer = buffers.get(name, deque())
     for place in range(len(buffer) - 1, -1, -1):

@@ -22,7 +22,7 @@ from ship_watch.history import (
     SafetyPoint,
     append,
     append_point,
-    place_in_order,
+    replace_or_append,
 )
 from ship_watch.names import LONGEST_NAME, MOST_NAMES, has_room
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
@@ -58,7 +58,7 @@ class ErrorsBeside:
         self._last_ns = 0
         self._topic_knows = False
 
-    def note_told(self, message: Any) -> None:
+    def record_published_error(self, message: Any) -> None:
         """Record a message of the output's own error topic."""
         channels = self._orientation.channels
         error = {name: float(getattr(message, f"error_{name}")) for name in channels}
@@ -137,7 +137,7 @@ class HistoryKeeper:
     def note_error(self, topic: str, message: Any) -> None:
         """Record a message of ship/error_arcsec or theodolite/error_arcsec."""
         orientation = SHIP_ATTITUDE if topic == SHIP_ATTITUDE.error_topic else POINTING
-        self._errors[orientation.topic].note_told(message)
+        self._errors[orientation.topic].record_published_error(message)
 
     def note_innovation(self, source: str, message: Any, now_ns: int) -> None:
         """Record an Innovation of a source; rejections without a residual are not plotted."""
@@ -145,7 +145,7 @@ class HistoryKeeper:
             return
         point = innovation_point(message)
         if message.reason == Reason.REVISED:
-            place_in_order(self.history.innovations, source, point)
+            replace_or_append(self.history.innovations, source, point)
         else:
             append(self.history.innovations, source, point)
         if source.startswith("star."):
@@ -189,7 +189,7 @@ class HistoryKeeper:
         """Record an AlignmentState or a TheodoliteCalibration."""
         if len(message.names) > MOST_NAMES:
             return
-        unobservable = {name for told in getattr(message, "unobservable", ()) for name in str(told).split()}
+        unobservable = {name for combination in getattr(message, "unobservable", ()) for name in str(combination).split()}
         names, count = [str(name) for name in message.names], len(message.names)
         covariance = np.asarray(message.covariance, dtype=float)
         variances = covariance.reshape(count, count).diagonal() if covariance.size == count**2 else [math.nan] * count
@@ -243,7 +243,7 @@ def innovation_point(message: Any) -> InnovationPoint:
         nis=float(message.nis),
         gate=float(message.gate),
         is_accepted=bool(message.accepted),
-        reason=_WORDS.get(int(message.reason), ""),
+        reason=_REASON_WORDS.get(int(message.reason), ""),
         object_names=names if names != ("",) else (),
     )
 
@@ -257,4 +257,4 @@ def _mean(values: FloatArray) -> FloatArray:
     return np.where(counts > 0, sums / np.maximum(counts, 1), math.nan)
 
 
-_WORDS = {int(reason): "" if reason is Reason.NONE else reason.word for reason in Reason}
+_REASON_WORDS = {int(reason): "" if reason is Reason.NONE else reason.word for reason in Reason}

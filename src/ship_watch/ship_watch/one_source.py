@@ -22,7 +22,7 @@ _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
 }
 """Reason of a rejection → kind of the rejected source → the sources that may be its cause."""
 
-_SAYS_SO_ITSELF = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
+_SELF_REPORTED = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
 """Reason and source for which the device itself reports that it has no value."""
 
 _PUT_RIGHT = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
@@ -70,7 +70,7 @@ class SourceRecord:
         self.topics: dict[str, TopicReports] = {}
         self.decisions: dict[tuple[str, str], DecisionHistory] = {}
         self.used_at_rejection: dict[tuple[str, str], int] = {}
-        self.window = NisWindow()
+        self.nis_window = NisWindow()
         self.excluded_since: dict[str, int] = {}
         self.evaluated_ns: int | None = None
         self.used_ns: int | None = None
@@ -80,7 +80,7 @@ class SourceRecord:
         self.first_word = name.partition(".")[0]
         self._well = SourceStanding(name, Presence.IN, "", "", math.nan, 0, "")
 
-    def add(self, reports: TopicReports) -> None:
+    def add_topic(self, reports: TopicReports) -> None:
         """Add a topic on which the source publishes."""
         self.topics = dict(sorted({**self.topics, reports.topic: reports}.items()))
 
@@ -98,7 +98,7 @@ class SourceRecord:
         """Record an accepted Innovation; of lights also for each light named in its components."""
         degrees = sum(1 for residual in message.residual if math.isfinite(residual))
         if message.reason != Reason.REVISED:
-            self.window.add(now_ns, float(message.nis), degrees)
+            self.nis_window.add(now_ns, float(message.nis), degrees)
         self.used_ns = now_ns
         if word := _PUT_RIGHT.get(int(message.reason)):
             self.put_right, self.put_right_ns = word, now_ns
@@ -117,7 +117,7 @@ class SourceRecord:
             utc_offset_ns: UTC minus caller's time, ns.
         """
         topics = list(self.topics.values())
-        if missed := [topic for topic in topics if topic.is_expected]:
+        if missed := [topic for topic in topics if topic.is_never_received]:
             return SourceFault(_with_members("never received", missed, topics))
         if timed_out := [topic for topic in topics if topic.is_timed_out(now_ns)]:
             since_ns = min(topic.arrived_ns or 0 for topic in timed_out) + utc_offset_ns
@@ -141,7 +141,7 @@ class SourceRecord:
         word = _NOTHING_USABLE.get(self.first_word)
         if word is None or self.evaluated_ns is None or math.isnan(self.period_ns):
             return None
-        if not all(topic.is_fresh(now_ns) for topic in self.topics.values()):
+        if not all(topic.is_report_recent(now_ns) for topic in self.topics.values()):
             return None
         if now_ns - self.evaluated_ns <= max(2e9, _UNUSABLE_PERIODS * self.period_ns):
             return None
@@ -188,7 +188,7 @@ class SourceRecord:
         has_acceptances = any(streak.has_acceptances for streak in streaks)
         return SourceShown(
             **vars(standing),
-            nis_consistency=self.window.consistency(now_ns) if has_acceptances else None,
+            nis_consistency=self.nis_window.consistency(now_ns) if has_acceptances else None,
             age_s=self.age_s(now_ns),
             rate_hz=max(rates, default=math.nan),
             rejected_in_a_row=max((streak.rejected_in_a_row for streak in streaks), default=0),
@@ -203,16 +203,16 @@ def standing_off(name: str) -> SourceStanding:
 
 def _rejection_text(source: str, name: str, streak: DecisionHistory) -> str:
     """Return the text of a run of rejections; a rejection by the gate is not named."""
-    if (streak.reason, source) in _SAYS_SO_ITSELF:
+    if (streak.reason, source) in _SELF_REPORTED:
         return "invalid"
     if streak.reason is Reason.EXCLUDED:
         return "excluded"
     if streak.reason is Reason.OFF:
         return "switched off"
     if not streak.rejected_in_a_row:
-        return _with_member(f"{streak.accepted_again} accepted again", name)
-    told = streak.reason not in (Reason.GATE, Reason.NONE)
-    text = f"{streak.rejected_in_a_row} rejected in a row" + (f": {streak.reason.word.replace('_', ' ')}" if told else "")
+        return _with_member(f"{streak.accepted_in_a_row} accepted again", name)
+    has_reason = streak.reason not in (Reason.GATE, Reason.NONE)
+    text = f"{streak.rejected_in_a_row} rejected in a row" + (f": {streak.reason.word.replace('_', ' ')}" if has_reason else "")
     return _with_member(text, name)
 
 

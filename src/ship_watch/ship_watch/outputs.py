@@ -109,7 +109,7 @@ class OutputRecord:
             self._arrived_ns = now_ns
         changes = []
         if self.stamp_ns and status is not self.status:
-            changes.append(("status", f"{self.topic} {_name(self.status)} → {_name(status)}"))
+            changes.append(("status", f"{self.topic} {_status_name(self.status)} → {_status_name(status)}"))
         self.status, self.stamp_ns = status, stamp_ns
         return changes
 
@@ -212,5 +212,5 @@ def _accuracy_95(variance: float) -> float:
     return NORMAL_95 * math.sqrt(variance) if variance > 0.0 else math.nan
 
 
-def _name(status: Status | None) -> str:
+def _status_name(status: Status | None) -> str:
     return "unknown" if status is None else status.name

@@ -27,7 +27,7 @@ _PRESENCES = tuple(Presence)
 _LONGEST_TEXT = 4 * LONGEST_NAME
 
 
-def state_fields(state: SuiteState) -> dict[str, Any]:
+def suite_state_fields(state: SuiteState) -> dict[str, Any]:
     """Return the fields of a SuiteState message for :meth:`ship_bags.message_factory.MessageFactory.make`."""
     return {
         "header": {"stamp": state.utc_ns, "frame_id": ""},

@@ -105,7 +105,7 @@ class TopicReports:
         )
         self.reported_ns = now_ns
         self.rate_hz, self._latency_s, self._level = float(message.rate_hz), float(message.latency_s), message.level
-        is_new, before = self._assign(report)
+        is_new, before = self._match_reporter(report)
         if report.received:
             self._note_arrival(message, report, before)
         self.used = max(reporter.accepted for reporter in self._reporters)
@@ -117,7 +117,7 @@ class TopicReports:
         self.arrived_ns = now_ns if self.arrived_ns is None else max(self.arrived_ns, now_ns)
 
     @property
-    def is_expected(self) -> bool:
+    def is_never_received(self) -> bool:
         """True if a node reports the topic as missing and no reporting node has ever received it."""
         return self._level > 0 and bool(self._reporters) and not any(one.received for one in self._reporters)
 
@@ -128,7 +128,7 @@ class TopicReports:
         """
         if self.arrived_ns is None:
             return math.inf
-        if self._has_come and self.reported_ns is not None and self.is_fresh(now_ns):
+        if self._has_come and self.reported_ns is not None and self.is_report_recent(now_ns):
             now_ns = self.reported_ns
         return max(0, now_ns - self.arrived_ns) * 1e-9
 
@@ -157,7 +157,7 @@ class TopicReports:
         """True if the node that reads the topic has not reported for three report periods."""
         return self.reported_ns is not None and now_ns - self.reported_ns > 3.0 * self._report_period_ns
 
-    def is_fresh(self, now_ns: int) -> bool:
+    def is_report_recent(self, now_ns: int) -> bool:
         """True if the last report is at most 1.5 report periods old."""
         return self.reported_ns is not None and now_ns - self.reported_ns <= 1.5 * self._report_period_ns
 
@@ -196,7 +196,7 @@ class TopicReports:
             passed_ns = 0.0 if math.isnan(self.period_ns) else come * self.period_ns
             self.record_arrival(min(report.received_ns, before.received_ns + round(passed_ns)))
 
-    def _assign(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
+    def _match_reporter(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
         """Replace the report that this one follows; if it may follow several, the oldest.
 
         Returns:

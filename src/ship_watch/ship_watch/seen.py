@@ -52,15 +52,15 @@ class StarsSeenBook:
         if not innovations:
             return
         if exposures is None:
-            self._show(source, innovations[-1], None)
+            self._store(source, innovations[-1], None)
             return
-        told = {ns_from_stamp(innovation.header.stamp): innovation for innovation in innovations}
+        by_stamp = {ns_from_stamp(innovation.header.stamp): innovation for innovation in innovations}
         for exposure in reversed(exposures):
-            if verdict := told.get(ns_from_stamp(exposure.header.stamp)):
-                self._show(source, verdict, exposure)
+            if verdict := by_stamp.get(ns_from_stamp(exposure.header.stamp)):
+                self._store(source, verdict, exposure)
                 return
 
-    def _show(self, source: str, innovation: Any, exposure: Any) -> None:
+    def _store(self, source: str, innovation: Any, exposure: Any) -> None:
         utc_ns, solution = ns_from_stamp(innovation.header.stamp), self._solutions.get(source)
         known = self._history.stars.get(source)
         if known is not None and known.utc_ns > utc_ns:
@@ -105,11 +105,11 @@ class BeaconDetections:
         self._join(now_ns)
 
     def _join(self, now_ns: int) -> None:
-        told = dict(self._innovations)
+        by_stamp = dict(self._innovations)
         while self._images:
             utc_ns, came_ns, image = self._images[0]
-            innovation = told.get(utc_ns)
-            later = any(verdict_ns > utc_ns for verdict_ns in told)
+            innovation = by_stamp.get(utc_ns)
+            later = any(verdict_ns > utc_ns for verdict_ns in by_stamp)
             if innovation is None and not later and now_ns - came_ns < _INNOVATION_TIMEOUT_NS:
                 return
             self._images.popleft()

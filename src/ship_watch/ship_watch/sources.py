@@ -74,7 +74,7 @@ class SourceBook:
             name = source_of_topic(topic)
             reports = self._reports[topic] = TopicReports(topic, self._limits.input_limits(name).age_s)
             if name and has_room(self._sources, name, "source"):
-                self._source_record(name).add(reports)
+                self._source_record(name).add_topic(reports)
             self.has_theodolite |= topic.startswith("theodolite/")
             self.beacon_count += topic.startswith("beacon/") and topic.endswith("/baseline")
         has_started = self._reports[topic].note(message, now_ns)

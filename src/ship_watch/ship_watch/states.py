@@ -26,7 +26,7 @@ MARGIN = 0.1
 WITHIN_MARGIN_TIMES = 6
 """Number of hold times after which an accuracy within the limit, but not within the margin, counts as better."""
 
-BRIEF_NS = 1_000_000_000
+BRIEF_DIP_NS = 1_000_000_000
 """Time below the limit that does not end a period over the limit, ns."""
 
 OVER_THE_LIMIT = "over the limit"
@@ -183,8 +183,8 @@ class ShownWord(NamedTuple):
 
     word: Safety
     cause: str
-    better: Safety | None = None
-    better_in_ns: int = 0
+    next_safety: Safety | None = None
+    next_in_ns: int = 0
 
     def reason(self, now: AngleWord, limit: float) -> str:
         """Return the current reason, with the time until the safety gets better.
@@ -193,10 +193,10 @@ class ShownWord(NamedTuple):
             now: current safety of the angle, without hold.
             limit: limit of the accuracy, rad.
         """
-        if self.better is None:
+        if self.next_safety is None:
             return now.reason
         good = f"within {words.limit_text(limit)} again" if self.cause.startswith("over ") else "good again"
-        return f"{now.reason or good}{COUNTDOWN}{self.better.name} in {-(-self.better_in_ns // NS_PER_S)} s"
+        return f"{now.reason or good}{COUNTDOWN}{self.next_safety.name} in {-(-self.next_in_ns // NS_PER_S)} s"
 
 
 class SafetyHysteresis:
@@ -223,7 +223,7 @@ class SafetyHysteresis:
             if now.word >= level:
                 was_over = now.by_accuracy >= level or (hold is not None and hold.was_over)
                 self._holds[level] = _Hold(now_ns, now_ns, was_over, now.reason)
-            elif hold is not None and now_ns >= self._end_ns(level, now, now_ns):
+            elif hold is not None and now_ns >= self._hold_end_ns(level, now, now_ns):
                 del self._holds[level]
             elif hold is not None and now.by_margin >= level:
                 self._holds[level] = hold._replace(near_ns=now_ns)
@@ -238,14 +238,14 @@ class SafetyHysteresis:
         for level in (Safety.UNSAFE, Safety.CAUTION):
             if now.word >= level:
                 return ShownWord(now.word, now.reason)
-            end_ns = self._end_ns(level, now, now_ns)
+            end_ns = self._hold_end_ns(level, now, now_ns)
             if now_ns < end_ns:
-                is_caution_next = level is Safety.UNSAFE and end_ns < self._end_ns(Safety.CAUTION, now, now_ns)
+                is_caution_next = level is Safety.UNSAFE and end_ns < self._hold_end_ns(Safety.CAUTION, now, now_ns)
                 better = Safety.CAUTION if is_caution_next or now.word >= Safety.CAUTION else Safety.SAFE
                 return ShownWord(level, self._holds[level].cause, better, end_ns - now_ns)
         return ShownWord(Safety.SAFE, "")
 
-    def _end_ns(self, level: Safety, now: AngleWord, now_ns: int) -> int:
+    def _hold_end_ns(self, level: Safety, now: AngleWord, now_ns: int) -> int:
         """Return the time at which the hold of a level ends if nothing changes; ``now_ns`` without a hold."""
         hold = self._holds.get(level)
         if hold is None:
@@ -276,15 +276,15 @@ class TimeOver:
     """Duration for which an accuracy has been over its limit; a dip below it of less than a second is ignored."""
 
     def __init__(self) -> None:
-        self._first_ns = self._last_ns = -BRIEF_NS
+        self._first_ns = self._last_ns = -BRIEF_DIP_NS
 
     def note(self, claim: AngleClaim, now_ns: int) -> None:
         """Update with the current accuracy and limit."""
         if not claim.accuracy_95 <= claim.limit:
-            if now_ns - self._last_ns >= BRIEF_NS:
+            if now_ns - self._last_ns >= BRIEF_DIP_NS:
                 self._first_ns = now_ns
             self._last_ns = now_ns
 
     def lasted_s(self, now_ns: int) -> float:
         """Return the time from the first to the last sample over the limit, s; 0 after a second below it."""
-        return (self._last_ns - self._first_ns) * 1e-9 if now_ns - self._last_ns < BRIEF_NS else 0.0
+        return (self._last_ns - self._first_ns) * 1e-9 if now_ns - self._last_ns < BRIEF_DIP_NS else 0.0

@@ -16,7 +16,7 @@ _LOOKED_AT = 5
 SHOWN_NS = 2_000_000_000
 """Minimum time for which a fault is displayed after its last report, ns."""
 
-_KEPT = 24
+_DECISIONS_KEPT = 24
 """Minimum number of decisions that are kept: later messages may revise them."""
 
 _IN_A_ROW_PERIODS = 1.5
@@ -54,11 +54,11 @@ class DecisionHistory:
         has_acceptances: True if accepted measurements are reported too.
     """
 
-    def __init__(self, out_after: int, in_after: int) -> None:
-        self._out_after, self._in_after = out_after, in_after
-        self._kept = max(_KEPT, in_after)
+    def __init__(self, rejections_until_out: int, acceptances_until_in: int) -> None:
+        self._out_after, self._in_after = rejections_until_out, acceptances_until_in
+        self._kept = max(_DECISIONS_KEPT, acceptances_until_in)
         self._decisions: list[tuple[int, bool]] = []
-        self._off: deque[Any] = deque(maxlen=_LOOKED_AT)
+        self._rejected_messages: deque[Any] = deque(maxlen=_LOOKED_AT)
         self.is_out, self.rejected_in_a_row, self.out_since_ns = False, 0, 0
         self.last_rejection_ns: int | None = None
         self.reason = Reason.NONE
@@ -74,9 +74,9 @@ class DecisionHistory:
                 self.reason = Reason(message.reason) if message.reason in _REASONS else Reason.NONE
             # An excluded source is estimated again and soon fits: only rejections by the gate show how it is off.
             if len(message.residual) and not message.nis <= message.gate:
-                self._off.append(message)
+                self._rejected_messages.append(message)
         self._add_decision(stamp_ns, accepted, revised, period_ns)
-        self._decide()
+        self._update_presence()
 
     def note_whole(self, stamp_ns: int, is_used: bool, now_ns: int) -> None:
         """Record the decision on a whole exposure, after rejections of single stars or lights in it."""
@@ -84,7 +84,7 @@ class DecisionHistory:
         if not is_used:
             self.last_rejection_ns, self.reason = now_ns, Reason.TOO_FEW_STARS
         self._add_decision(stamp_ns, is_used, False, math.nan)
-        self._decide()
+        self._update_presence()
 
     def reinstate_if_used(self, now_ns: int, period_ns: float, used_since: int) -> None:
         """Set a source IN of which only rejections are reported: none for some periods, and enough used since.
@@ -103,14 +103,14 @@ class DecisionHistory:
             self.rejected_in_a_row = 0
 
     @property
-    def accepted_again(self) -> int:
+    def accepted_in_a_row(self) -> int:
         """Current number of acceptances in a row."""
         return self._last_in_a_row(True)
 
     @property
     def disagreement(self) -> Disagreement:
         """Component and size of the last rejected residuals."""
-        return disagreement(self._off) if self._off else NO_DISAGREEMENT
+        return disagreement(self._rejected_messages) if self._rejected_messages else NO_DISAGREEMENT
 
     def _add_decision(self, stamp_ns: int, accepted: bool, revised: bool, period_ns: float) -> None:
         """Append a decision in the order of arrival, whatever its stamp, or revise the one with the same stamp."""
@@ -141,16 +141,16 @@ class DecisionHistory:
         run = self._last_in_a_row(False)
         self.rejected_in_a_row = max(run, self.rejected_in_a_row) if run == len(decisions) else run
 
-    def _decide(self) -> None:
+    def _update_presence(self) -> None:
         if self.rejected_in_a_row >= self._out_after and not self.is_out:
             self.is_out = True
             self.out_since_ns = self._decisions[-min(self.rejected_in_a_row, len(self._decisions))][0]
-        elif self.is_out and self.accepted_again >= self._in_after:
+        elif self.is_out and self.accepted_in_a_row >= self._in_after:
             self._reinstate()
 
     def _reinstate(self) -> None:
         self.is_out, self.out_since_ns = False, 0
-        self._off.clear()
+        self._rejected_messages.clear()
 
     def _last_in_a_row(self, accepted: bool) -> int:
         run = 0

@@ -22,7 +22,7 @@ class MonitoredTopic:
 
     pattern: str
     type_name: str
-    every: bool
+    keeps_every_message: bool
 
     def fits(self, topic: str) -> bool:
         """True if a topic's name matches the pattern."""

@@ -159,12 +159,12 @@ class SuiteMonitor:
         stamp_ns = ns_from_stamp(message.header.stamp)
         if message.status != Status.INVALID and stamp_ns < output.stamp_ns - BACK_NS:
             self._forget()
-            self._events.tell("node", "time", "time went back: history cleared", stamp_ns)
+            self._events.add("node", "time", "time went back: history cleared", stamp_ns)
             output = self._attitude if output.topic == self._attitude.topic else self._pointing
         self._note_time(stamp_ns, now_ns)
         changes = output.note(message, stamp_ns, now_ns)
         for kind, text in changes:
-            self._events.tell(kind, output.topic, text, stamp_ns)
+            self._events.add(kind, output.topic, text, stamp_ns)
         self._book.record_arrival(output.topic, now_ns)
         self._keeper.note_output(output.topic, message, stamp_ns)
 
@@ -194,11 +194,11 @@ class SuiteMonitor:
         self._note_time(ns_from_stamp(message.header.stamp), now_ns)
         has_started = self._book.note_health(message, now_ns)
         if has_started and self._first_ns is not None and now_ns - self._first_ns > SETTLED_NS:
-            self._events.tell_start(reading_node(str(message.topic)), ns_from_stamp(message.header.stamp))
+            self._events.add_node_start(reading_node(str(message.topic)), ns_from_stamp(message.header.stamp))
 
     def _take_alerts(self, message: Any, now_ns: int) -> None:
         alerts = alerts_shown(message)
-        self._events.tell_alerts(self._alerts or (), alerts, ns_from_stamp(message.header.stamp))
+        self._events.add_alert_changes(self._alerts or (), alerts, ns_from_stamp(message.header.stamp))
         self._alerts = tuple(sorted(alerts, key=lambda alert: alert.urgency))
 
     def _note_time(self, stamp_ns: int, now_ns: int) -> None:
@@ -280,19 +280,19 @@ class SuiteMonitor:
             sources = list(published.sources)
             words = {angle.name: (angle.safety, angle.reason) for angle in published.angles if angle.stamp_ns}
             are_old = {angle.name for angle in published.angles if angle.is_old}
-        self._events.tell_sources(sources, utc_ns)
+        self._events.add_source_changes(sources, utc_ns)
         for name, text in self._mountings.note_sources(sources, utc_ns):
-            self._events.tell("source", name, text, utc_ns)
+            self._events.add("source", name, text, utc_ns)
         for name, (word, reason) in words.items():
             before = self._shown_words.get(name)
             if word is not before:
                 self._shown_words[name] = word
                 change = word.name if before is None else f"{before.name} → {word.name}"
                 why = reason.partition(COUNTDOWN)[0]
-                self._events.tell("state", name, f"{name} {change}" + (f", {why}" if why else ""), utc_ns)
+                self._events.add("state", name, f"{name} {change}" + (f", {why}" if why else ""), utc_ns)
         if self._newest_ns:
-            told = {name: None if name in are_old or name not in words else words[name][0] for name in ANGLES}
-            self._keeper.note_words(utc_ns, told)
+            recorded = {name: None if name in are_old or name not in words else words[name][0] for name in ANGLES}
+            self._keeper.note_words(utc_ns, recorded)
 
     def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, AngleClaim]:
         """Return the data for the safety of each angle; those of a theodolite only if there is one.
@@ -312,7 +312,7 @@ class SuiteMonitor:
 
     def _claim(self, name: str, faulty_source: SourceStanding | None, now_ns: int) -> AngleClaim:
         output, beacons = self._output(name), self._book.beacon_count
-        behind = self._behind.text(now_ns, output is self._pointing, self._book.reads(self._attitude.topic))
+        behind = self._behind.overload_text(now_ns, output is self._pointing, self._book.reads(self._attitude.topic))
         return AngleClaim(
             topic=output.topic,
             is_received=output.is_received,

@@ -82,7 +82,7 @@ CASES: dict[tuple[str, str], tuple[SuiteState, Machine | None]] = {
 }
 
 
-def told(shown: SuiteState, machine: Machine | None = None) -> dict[str, Condition]:
+def alerts_of(shown: SuiteState, machine: Machine | None = None) -> dict[str, Condition]:
     """Return id → situation of those that have an alert after 20 s."""
     book = AlertBook(Limits().alerts)
     found = conditions(shown, LIMITS, machine)
@@ -95,7 +95,7 @@ def told(shown: SuiteState, machine: Machine | None = None) -> dict[str, Conditi
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_each_row_is_one_alert(case: tuple[str, str]) -> None:
     """The situation of a row gives one alert with its id and priority."""
-    (found,) = told(*CASES[case]).values()
+    (found,) = alerts_of(*CASES[case]).values()
     assert (kind_of(found.id), found.priority.name.lower()) == case
     assert "\n" not in found.text
     assert len(found.text) < 90
@@ -111,7 +111,7 @@ def test_documented_table_matches_the_code() -> None:
 
 
 def test_accuracy_over_its_limit_refers_to_the_error_budget() -> None:
-    (found,) = told(suite_state(over("roll"))).values()
+    (found,) = alerts_of(suite_state(over("roll"))).values()
     assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
 
 
@@ -136,9 +136,9 @@ def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
     """A brief excess is no alert of the output, but the alert of a source that causes it names it at once."""
     moment = {"over_s": 4.9}
     assert conditions(suite_state(replace(over("roll"), **moment)), LIMITS) == []
-    assert list(told(suite_state(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
+    assert list(alerts_of(suite_state(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
     by_ins = conditions(suite_state(out("ins", "no data"), replace(over("roll", "ins"), **moment)), LIMITS)
-    assert [each.lost for each in by_ins] == [{"tilt"}]
+    assert [each.lost_functions for each in by_ins] == [{"tilt"}]
 
 
 def test_all_well_is_no_alert() -> None:
@@ -150,20 +150,20 @@ def test_all_well_is_no_alert() -> None:
 def test_alert_of_a_source_names_the_lost_functions() -> None:
     """INS without data, heading, tilt and pointing lost: one alarm that names the INS and the lost functions."""
     angles = [lost(name, "ins") for name in (*ATTITUDE, "azimuth", "elevation")]
-    found = told(suite_state(out("ins", "no data", age_s=4.0), *angles))
+    found = alerts_of(suite_state(out("ins", "no data", age_s=4.0), *angles))
     assert list(found) == ["ins.out"]
     alert = found["ins.out"]
     assert (alert.priority, alert.source) == (Priority.ALARM, "ins")
     assert alert.text == "Heading, tilt and pointing lost: ins no data"
     assert (alert.value, alert.unit) == (4.0, "s")
-    assert alert.lost == {"heading", "tilt", "pointing"}
+    assert alert.lost_functions == {"heading", "tilt", "pointing"}
 
 
 def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None:
     """Drones on deck and no INS data: the pointing is lost because of the INS, not of the lights."""
     angles = [lost(name, "ins") for name in ATTITUDE] + [lost(name, "lights") for name in ANGLES_OF_POINTING]
     shown = suite_state(out("lights", "no lights"), out("ins", "no data"), *angles)
-    found = told(shown)
+    found = alerts_of(shown)
     assert {id_: one.priority for id_, one in found.items()} == {
         "ins.out": Priority.ALARM,
         "lights.out": Priority.CAUTION,
@@ -175,27 +175,27 @@ def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None
 def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
     """Two reasons are two situations; sensors that need another source are covered by its alert."""
     taken = over("heading", "star.fore")
-    both = told(suite_state(out("star.fore", "no data"), out("star.starboard", "no data"), taken))
+    both = alerts_of(suite_state(out("star.fore", "no data"), out("star.starboard", "no data"), taken))
     assert list(both) == ["stars.out"]
     assert both["stars.out"].text == "Heading over its limit: all star sensors no data"
     assert both["stars.out"].becomes_alarm
-    two = told(suite_state(out("star.fore", "no data"), out("star.starboard", "81 rejected in a row"), taken))
+    two = alerts_of(suite_state(out("star.fore", "no data"), out("star.starboard", "81 rejected in a row"), taken))
     assert sorted(two) == ["star.fore.out", "star.starboard.out"]
     needs = [out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("fore", "starboard")]
-    assert list(told(suite_state(out("ins", "no data"), *needs))) == ["ins.out"]
+    assert list(alerts_of(suite_state(out("ins", "no data"), *needs))) == ["ins.out"]
 
 
 def test_ended_node_is_one_situation() -> None:
     """No attitude, no reports of its sources, invalid pointing: one alarm."""
     gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.fore", "star.starboard")]
     angles = [*angles_timed_out(*ATTITUDE), lost("azimuth"), lost("elevation")]
-    assert list(told(suite_state(*gone, *angles))) == ["attitude.silent"]
+    assert list(alerts_of(suite_state(*gone, *angles))) == ["attitude.silent"]
 
 
 def test_suite_with_pointing_only_needs_no_attitude() -> None:
     """A suite with a pointing that never published an attitude has no attitude functions."""
     shown = suite_state(*angles_without_data(*ATTITUDE))
-    assert told(shown) == {}
+    assert alerts_of(shown) == {}
     assert [one.safety for one in functions(shown)] == [None, None, Safety.SAFE]
 
 
@@ -225,15 +225,15 @@ def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
     late = out("ship_attitude", "81 rejected in a row: late", topics=("ship/attitude",))
     lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
     angles = [lost(name, "ship_attitude") for name in ANGLES_OF_POINTING]
-    (found,) = told(suite_state(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
+    (found,) = alerts_of(suite_state(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
     assert (found.text, found.value, found.unit) == ("Pointing lost: ship_attitude arrives late", 1.0, "s")
-    (alone,) = told(suite_state(late)).values()
+    (alone,) = alerts_of(suite_state(late)).values()
     assert alone.text == "ship_attitude out: arrives late"
 
 
 def test_lost_functions_come_before_those_over_their_limit() -> None:
     """The worst function comes first in the text, in any order of the functions."""
-    (found,) = told(suite_state(out("ins", "no data"), over("heading", "ins"), lost("roll", "ins"))).values()
+    (found,) = alerts_of(suite_state(out("ins", "no data"), over("heading", "ins"), lost("roll", "ins"))).values()
     assert found.text == "Tilt lost, heading over its limit: ins no data"
 
 

@@ -144,7 +144,7 @@ def test_more_lost_functions_than_acknowledged_give_a_new_instance() -> None:
         voyage.go(0.5, heading)
         voyage.go(0.5, both)
     assert voyage.book.alerts[0].instance == 1
-    pointing = replace(both, lost=both.lost | {"pointing"})
+    pointing = replace(both, lost=both.lost_functions | {"pointing"})
     assert [change.what for change in voyage.go(1.0, pointing)] == ["now also affects pointing"]
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     assert voyage.book.alerts[0].instance == 2

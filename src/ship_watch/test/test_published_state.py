@@ -16,7 +16,7 @@ from ship_watch.published_state import (
     STATE_TYPE,
     change_of_state,
     published_state,
-    state_fields,
+    suite_state_fields,
 )
 
 PICTURES = {
@@ -32,7 +32,7 @@ PICTURES = {
 
 def through_a_message(shown: SuiteState, elapsed_ns: int = 0) -> SuiteState:
     """Return the state of a viewer whose own state is different, after receiving the published one."""
-    message = RosidlFactory().make(STATE_TYPE, **state_fields(shown))
+    message = RosidlFactory().make(STATE_TYPE, **suite_state_fields(shown))
     own = replace(shown, angles=(), sources=(), ages_s={}, pointing_by="?", horizon="?", waiting_for="?")
     return published_state(message, NOW_NS).shown_in(own, NOW_NS + elapsed_ns)
 
@@ -58,7 +58,7 @@ def test_ages_grow_only_while_a_message_is_overdue() -> None:
     shown = PICTURES["all well"]
     ages = {late: through_a_message(shown, late).angles[0].age_s for late in (0, PERIOD_NS, PERIOD_NS + 10**9)}
     assert [round(age_s - shown.angles[0].age_s, 6) for age_s in ages.values()] == [0.0, 0.0, 1.0]
-    state = published_state(RosidlFactory().make(STATE_TYPE, **state_fields(shown)), NOW_NS)
+    state = published_state(RosidlFactory().make(STATE_TYPE, **suite_state_fields(shown)), NOW_NS)
     assert state.is_current(NOW_NS + LONGEST_AGE_NS)
     assert not state.is_current(NOW_NS + LONGEST_AGE_NS + 1)
 
@@ -66,7 +66,7 @@ def test_ages_grow_only_while_a_message_is_overdue() -> None:
 @pytest.mark.parametrize("what", ["safety", "presence"])
 def test_unknown_safety_or_presence_is_refused(what: str) -> None:
     """A message of another version is never shown as SAFE."""
-    message = RosidlFactory().make(STATE_TYPE, **state_fields(PICTURES["all well"]))
+    message = RosidlFactory().make(STATE_TYPE, **suite_state_fields(PICTURES["all well"]))
     setattr(message.angles[0] if what == "safety" else message.sources[0], what, 7)
     with pytest.raises(ValueError, match="7"):
         published_state(message, NOW_NS)
@@ -74,7 +74,7 @@ def test_unknown_safety_or_presence_is_refused(what: str) -> None:
 
 def test_long_lists_and_texts_are_cut() -> None:
     """At most 256 entries, and texts of about a thousand characters, are taken from a message."""
-    message = RosidlFactory().make(STATE_TYPE, **state_fields(PICTURES["all well"]))
+    message = RosidlFactory().make(STATE_TYPE, **suite_state_fields(PICTURES["all well"]))
     message.sources = [message.sources[0]] * 2000
     message.sources[0].reason = "x" * 10**6
     state = published_state(message, NOW_NS)

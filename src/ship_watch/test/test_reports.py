@@ -131,14 +131,14 @@ def test_topic_that_was_never_received() -> None:
     reports.note(report(0, 0, age_s=math.nan, rate_hz=math.nan), at(0))
     assert math.isinf(reports.age_s(at(1.0)))
     assert not reports.is_timed_out(at(100.0))
-    assert not reports.is_expected
+    assert not reports.is_never_received
     told = report(6, 0, age_s=math.nan, rate_hz=math.nan)
     told.level = 2
     reports.note(told, at(6))
-    assert reports.is_expected
+    assert reports.is_never_received
     # The monitor may receive a topic that the node does not, because of another quality of service.
     reports.record_arrival(at(6.5))
-    assert reports.is_expected
+    assert reports.is_never_received
     came = report(7, 3, age_s=0.1)
     reports.note(came, at(7))
-    assert not reports.is_expected
+    assert not reports.is_never_received

@@ -14,7 +14,7 @@ from ship_watch.alert_conditions import conditions
 from ship_watch.alerts import AlertBook
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, Presence, Safety
-from ship_watch.published_state import STATE_TYPE, state_fields
+from ship_watch.published_state import STATE_TYPE, suite_state_fields
 from ship_watch.topics import TOPICS, source_of_name, source_of_topic, monitored_topic
 from ship_watch.watch import SuiteMonitor
 
@@ -509,7 +509,7 @@ def test_source_out_before_an_overload_keeps_its_own_fault() -> None:
 
 def published(watch: SuiteMonitor, seconds: float) -> SimpleNamespace:
     """Return the SuiteState message of a monitor, as published by the alert node."""
-    return RosidlFactory().make(STATE_TYPE, **state_fields(watch.current_state(at(seconds))))
+    return RosidlFactory().make(STATE_TYPE, **suite_state_fields(watch.current_state(at(seconds))))
 
 
 def test_published_state_replaces_the_own_one_while_it_is_current() -> None:

@@ -47,7 +47,7 @@ def samples(seed, encoder_step=(0.0, 0.0), ship_step_n=(0.0, 0.0, 0.0), rates=Tr
     return encoder, ship
 
 
-def told(encoder, ship):
+def check_streams(encoder, ship):
     return streams_since(SINCE_NS, encoder, ship, (2 * PERIOD_NS, 2 * PERIOD_NS), ARCSEC)
 
 
@@ -66,7 +66,7 @@ def told(encoder, ship):
 def test_who_stepped_is_named(steps, off_arcsec, name, rates):
     """Independent of the source isolated by the subfilters: both explain the step."""
     named = [
-        isolate_step_fault(rows, BOTH, told(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
+        isolate_step_fault(rows, BOTH, check_streams(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
         for seed in range(20)
         for rows in (ENCODER, SHIP)
     ]
@@ -78,7 +78,7 @@ def test_who_stepped_is_named(steps, off_arcsec, name, rates):
 
 @pytest.mark.parametrize("rows", [ENCODER, SHIP])
 def test_undetectable_step_keeps_the_isolated_source(rows):
-    assert {isolate_step_fault(rows, BOTH, told(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {rows}
+    assert {isolate_step_fault(rows, BOTH, check_streams(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {rows}
 
 
 def test_degraded_ship_is_isolated_or_no_source():
@@ -86,7 +86,7 @@ def test_degraded_ship_is_isolated_or_no_source():
     doubtful = [*ship[:25], replace(ship[25], status=Status.DEGRADED), *ship[26:]]
     gappy = [*ship[:20], *ship[24:]]
     for attitudes in (doubtful, gappy):
-        streams = told(encoder, attitudes)
+        streams = check_streams(encoder, attitudes)
         assert isolate_step_fault(ENCODER, BOTH, streams, 25.0 * ARCSEC) == SHIP
         assert isolate_step_fault(ENCODER, {ENCODER}, streams, 25.0 * ARCSEC) is None
 
@@ -95,9 +95,9 @@ def test_stopped_encoders_do_not_implicate_the_telescope():
     """Stuck encoders have no step either; the beacons move on without them."""
     encoder, ship = samples(1)
     frozen = [*encoder[:22], *(replace(one, vector=encoder[22].vector) for one in encoder[22:])]
-    assert isolate_step_fault(ENCODER, BOTH, told(frozen, ship), 100.0 * ARCSEC) == ENCODER
+    assert isolate_step_fault(ENCODER, BOTH, check_streams(frozen, ship), 100.0 * ARCSEC) == ENCODER
     at_rest = [replace(one, vector=encoder[0].vector) for one in encoder]
-    assert isolate_step_fault(ENCODER, BOTH, told(at_rest, ship), 100.0 * ARCSEC) == TELESCOPE
+    assert isolate_step_fault(ENCODER, BOTH, check_streams(at_rest, ship), 100.0 * ARCSEC) == TELESCOPE
 
 
 def test_uninformative_streams_keep_the_isolated_source():
@@ -105,7 +105,7 @@ def test_uninformative_streams_keep_the_isolated_source():
     assert isolate_step_fault(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER
 
 
-def ships(seed, drift_arcsec_per_s, rates=True, drift_s=20.0):
+def drifting_ship(seed, drift_arcsec_per_s, rates=True, drift_s=20.0):
     """Return a minute of attitudes at 20 Hz that drift about Up from 10 s on, then return."""
     rng = np.random.default_rng(seed)
     found = []
@@ -121,29 +121,29 @@ def ships(seed, drift_arcsec_per_s, rates=True, drift_s=20.0):
 def test_drifting_ship_attitude_departs_from_its_rates():
     """Drifts of 20" and 60" with a noise of 1" per sample and 1"/s of a rate."""
     for seed in range(10):
-        assert has_ship_drifted(ships(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
-        assert has_ship_drifted(ships(seed, -3.0), 2 * PERIOD_NS, ARCSEC) is True
-        assert has_ship_drifted(ships(seed, 0.0), 2 * PERIOD_NS, ARCSEC) is not True
-    assert has_ship_drifted(ships(0, 0.0), 2 * PERIOD_NS, ARCSEC) is False
+        assert has_ship_drifted(drifting_ship(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
+        assert has_ship_drifted(drifting_ship(seed, -3.0), 2 * PERIOD_NS, ARCSEC) is True
+        assert has_ship_drifted(drifting_ship(seed, 0.0), 2 * PERIOD_NS, ARCSEC) is not True
+    assert has_ship_drifted(drifting_ship(0, 0.0), 2 * PERIOD_NS, ARCSEC) is False
 
 
 @pytest.mark.parametrize("every", [4, 10])
 def test_attitudes_that_come_rarely_leave_their_rates_by_the_coarseness_of_the_sum(every):
     """At 5 Hz and 2 Hz the trapezoidal error alone exceeds eight arcseconds: that is no drift."""
     for seed in range(10):
-        assert has_ship_drifted(ships(seed, 0.0)[::every], 2 * every * PERIOD_NS, ARCSEC) is not True
+        assert has_ship_drifted(drifting_ship(seed, 0.0)[::every], 2 * every * PERIOD_NS, ARCSEC) is not True
 
 
 def test_ship_drift_is_unknown_without_rates_or_with_a_gap():
-    assert has_ship_drifted(ships(0, 3.0, rates=False), 2 * PERIOD_NS, ARCSEC) is None
-    assert has_ship_drifted(ships(0, 3.0)[:100] + ships(0, 3.0)[110:], 2 * PERIOD_NS, ARCSEC) is None
+    assert has_ship_drifted(drifting_ship(0, 3.0, rates=False), 2 * PERIOD_NS, ARCSEC) is None
+    assert has_ship_drifted(drifting_ship(0, 3.0)[:100] + drifting_ship(0, 3.0)[110:], 2 * PERIOD_NS, ARCSEC) is None
     assert has_ship_drifted([], 2 * PERIOD_NS, ARCSEC) is None
 
 
 def test_corrected_ship_attitude_is_no_drift():
     sharper = [
         replace(sample, slow_covariance_n=np.eye(3) * ((30.0 if sample.time_ns < 30 * 10**9 else 1.0) * ARCSEC) ** 2)
-        for sample in ships(0, 3.0)
+        for sample in drifting_ship(0, 3.0)
     ]
     assert has_ship_drifted(sharper, 2 * PERIOD_NS, ARCSEC) is None
 

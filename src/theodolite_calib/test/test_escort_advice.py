@@ -15,7 +15,7 @@ from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, Ship, Survey, lines_of_sight
-from theodolite_calib.lights.telescope_attitude import solve
+from theodolite_calib.lights.telescope_attitude import solve_attitude
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 AZIMUTH, LEVER_M = 1.3, np.array([12.0, 7.0, -3.0])
@@ -73,7 +73,7 @@ def test_accuracy_without_priors_is_that_of_the_beacons(elevation_deg: float) ->
     lights = BeaconPoses(places_n - accuracy.centre_n, noise_n, np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3, 3)))
     lines = lines_of_sight(lights, Ship(np.eye(3), np.zeros((3, 3)), np.eye(3)), survey)
     points_m = camera.points(lines.direction_n @ accuracy.rotation_nt)
-    covariance_n = solve(Image(points_m, np.full(2, IMAGE_SIGMA_M)), camera, lines).covariance_n
+    covariance_n = solve_attitude(Image(points_m, np.full(2, IMAGE_SIGMA_M)), camera, lines).covariance_n
     axis_n = accuracy.rotation_nt[:, 0]
     expected = np.sqrt(np.trace(covariance_n) - axis_n @ covariance_n @ axis_n)
     found = accuracy.sigma(("a", "b"), places_n)

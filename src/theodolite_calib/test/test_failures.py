@@ -25,7 +25,7 @@ def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Cal
     return call
 
 
-def assert_told(run: AdapterRun, source: str, time_ns: int) -> None:
+def assert_reported(run: AdapterRun, source: str, time_ns: int) -> None:
     (innovation,) = run.innovations(Reason.FAILED)
     assert (innovation.source, stamp_of(innovation), innovation.accepted) == (source, time_ns, False)
     assert innovation.reason_text.startswith("ArithmeticError: a defect (")
@@ -44,7 +44,7 @@ def test_exposure_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.Mon
     assert run.results() == expected.results()
     assert run.state() == expected.state()
     assert run.reasons(BEACONS) == {"failed": 1}
-    assert_told(run, "lights", bad_ns)
+    assert_reported(run, "lights", bad_ns)
 
 
 def test_failed_pointing_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,7 +55,7 @@ def test_failed_pointing_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch
     expected = [stamp_of(m) for m in clean.pointings if stamp_of(m) != bad_ns]
     assert [stamp_of(m) for m in run.pointings] == expected
     assert run.state() == clean.state()
-    assert_told(run, "theodolite/pointing", bad_ns)
+    assert_reported(run, "theodolite/pointing", bad_ns)
 
 
 def test_exact_values_pass_the_gate_as_others() -> None:

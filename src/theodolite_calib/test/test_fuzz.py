@@ -27,14 +27,14 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
         for arrival in session():
             now_ns = start_ns + arrival.receive_ns - START_NS
             good = later(arrival, start_ns - START_NS)
-            take(run, good, now_ns)
+            give_message(run, good, now_ns)
             if arrival.topic == SHIP and start_ns == START_NS:
                 continue  # No lights are used while both the encoders and the ship contradict themselves.
             pickled = pickle.dumps(good.message)  # copies three times as fast as deepcopy()
             for _ in range(6):
                 bad = pickle.loads(pickled)
                 spoil(bad, fields[arrival.topic], rng)
-                take(run, Arrival(good.topic, bad, now_ns), now_ns)
+                give_message(run, Arrival(good.topic, bad, now_ns), now_ns)
                 tried += 1
             if tried % 60 == 0:
                 run.published += [(now_ns, *item) for item in adapter.tick(now_ns)]
@@ -48,7 +48,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
 
     adapter.service("reset", now_ns)
     for arrival in session():
-        take(run, later(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
+        give_message(run, later(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
     last, clean_last = run.pointings[-1], clean_run().pointings[-1]
     assert last.status == Status.VALID
     for angle in ("azimuth", "elevation", "image_rotation"):
@@ -61,7 +61,7 @@ def later(arrival: Arrival, ns: int) -> Arrival:
     return Arrival(arrival.topic, message, arrival.receive_ns + ns)
 
 
-def take(run: Run, arrival: Arrival, now_ns: int) -> None:
+def give_message(run: Run, arrival: Arrival, now_ns: int) -> None:
     """Pass a message to the adapter; assert that all outputs can be sent."""
     run.now_ns = now_ns
     for topic, message in run.adapter.handle(arrival.topic, arrival.message, now_ns):

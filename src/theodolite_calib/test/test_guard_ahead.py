@@ -10,7 +10,7 @@ from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from theodolite_calib.measured.guard_ahead import GuardAhead, told_step_rad
+from theodolite_calib.measured.guard_ahead import GuardAhead, stated_step_rad
 from theodolite_calib.measured.samples import ShipSample
 
 CONFIG = CheckedInsConfig(white_sigma_arcsec=2.0)
@@ -51,22 +51,22 @@ class Run:
         self.guard, self.said = guard, []
         self._used, self._stated = AttitudeTrack(500_000_000), None
 
-    def take(self, samples: Iterable[ShipSample]) -> None:
+    def check_samples(self, samples: Iterable[ShipSample]) -> None:
         for sample in samples:
-            told_rad = told_step_rad(sample.correlated_covariance_n, self._stated)
+            told_rad = stated_step_rad(sample.correlated_covariance_n, self._stated)
             judged = self._checked(sample, told_rad)
-            self.said.append((said(judged), self.guard.rates))
+            self.said.append((comparable_result(judged), self.guard.rates))
             if judged.rejection is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
                 self._stated = sample.correlated_covariance_n
                 self._used.insert(judged.sample)
 
-    def _checked(self, sample: ShipSample, told_rad: float) -> JudgedIns:
+    def _checked(self, sample: ShipSample, reported_step_rad: float) -> JudgedIns:
         if isinstance(self.guard, InsGuard):
-            return self.guard.check(sample, self._used, {}, told_rad)
-        return self.guard.check(sample, self._used, told_rad)
+            return self.guard.check(sample, self._used, {}, reported_step_rad)
+        return self.guard.check(sample, self._used, reported_step_rad)
 
 
-def said(result: JudgedIns) -> tuple[Any, ...]:
+def comparable_result(result: JudgedIns) -> tuple[Any, ...]:
     """Return all fields of a result, comparable to the bit."""
     jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.is_drift) for jump in result.jumps)
     return result.sample.content(), result.rejection, jumps, result.rates_wrong_after_ns
@@ -74,7 +74,7 @@ def said(result: JudgedIns) -> tuple[Any, ...]:
 
 def one_by_one(samples: Sequence[ShipSample]) -> list[Any]:
     run = Run(InsGuard(CONFIG))
-    run.take(samples)
+    run.check_samples(samples)
     return run.said
 
 
@@ -98,7 +98,7 @@ def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.M
     run, samples = Run(GuardAhead(CONFIG)), VOYAGES[name]
     for start in range(0, COUNT, BLOCK):
         run.guard.expect(samples[start : start + BLOCK])
-        run.take(samples[start : start + BLOCK])
+        run.check_samples(samples[start : start + BLOCK])
     assert run.said == one_by_one(samples)
     assert sum(ahead) > COUNT // 3
     if name != "calm":
@@ -118,19 +118,19 @@ def test_wrong_announcement_gives_the_same_results(name: str) -> None:
             [*block[:middle], block[middle + 1], block[middle], *block[middle + 2 :]],
         ][number % 3]
         run.guard.expect(block)
-        run.take(coming)
+        run.check_samples(coming)
         came += coming
     assert run.said == one_by_one(came)
 
 
 def test_partial_or_early_announcement_gives_the_same_results() -> None:
     run, samples = Run(GuardAhead(CONFIG)), VOYAGES["calm"]
-    run.take(samples[:600])
+    run.check_samples(samples[:600])
     run.guard.expect(samples[600:700])
     run.guard.expect(samples[700:900])
-    run.take(samples[600:800])
+    run.check_samples(samples[600:800])
     run.guard.expect(samples[900:1000])  # a hundred of the last ones have not come yet
-    run.take(samples[800:])
+    run.check_samples(samples[800:])
     assert run.said == one_by_one(samples)
 
 
@@ -140,7 +140,7 @@ def test_noise_change_within_a_batch() -> None:
     run.guard.expect(samples)
     for some in (slice(0, 1000), slice(1000, COUNT)):
         for one in (run, plain):
-            one.take(samples[some])
+            one.check_samples(samples[some])
             one.guard.reconfigure(louder)
     assert run.said == plain.said
 

@@ -90,7 +90,7 @@ def lost_lights() -> Any:
 @pytest.mark.parametrize("arrivals", [frozen_ship(), lost_lights()], ids=["ship frozen", "no lights"])
 def test_published_levels_cover_each_output(arrivals: Any) -> None:
     run = LevelledRun(new_adapter(), arrivals)
-    assert len(run.told_and_own()) > 100
+    assert len(run.published_and_own_levels()) > 100
     assert run.uncovered() == []
 
 

@@ -114,10 +114,10 @@ def test_nan_beacon_fails_the_gate(three, row: int) -> None:
         values = np.array(getattr(last.image, field), dtype=float)
         values[row] = np.nan
         wrong = replace(last, image=replace(last.image, **{field: values}))
-        assert_no_part(step, state, wrong, row)
+        assert_excluded(step, state, wrong, row)
 
 
-def assert_no_part(step, state, wrong: Sighting, row: int) -> None:
+def assert_excluded(step, state, wrong: Sighting, row: int) -> None:
     for sighting in (wrong, wrong.chosen([row]), wrong.chosen([row, (row + 1) % 3])):
         after, decision = step(state, sighting, exposure(sighting))
         assert np.isfinite(after.mean).all()

@@ -131,7 +131,7 @@ def test_flood_of_random_stamps_costs_few_steps(
     )
 
 
-def told_twice(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
+def repeat_times(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
     """Repeat the stamps 2.0 s to 2.3 s of some sources with data of one second later."""
 
     def again(message: Any) -> None:
@@ -150,7 +150,7 @@ def lights_used(run: Run) -> list[float]:
 
 
 def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:
-    run = drive(new_adapter(), told_twice((ENCODER, SHIP)))
+    run = drive(new_adapter(), repeat_times((ENCODER, SHIP)))
     core = run.adapter.core
     assert not core.state.trust.left_out
     assert run.pointings[-1].status == Status.VALID
@@ -160,7 +160,7 @@ def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:
 
 
 def test_repeated_times_reject_beacons_in_any_order() -> None:
-    arrivals = told_twice((ENCODER, SHIP))
+    arrivals = repeat_times((ENCODER, SHIP))
     one = drive(new_adapter(), arrivals)
     rng = np.random.default_rng(7)
     slow = np.array([a.topic in (BEACONS, ALPHA) for a in arrivals])
@@ -169,5 +169,5 @@ def test_repeated_times_reject_beacons_in_any_order() -> None:
 
 
 def test_beacons_are_used_while_one_source_repeats_times() -> None:
-    used = lights_used(drive(new_adapter(), told_twice((SHIP,))))
+    used = lights_used(drive(new_adapter(), repeat_times((SHIP,))))
     assert len([s for s in used if 3.5 < s < 12.0]) == 17  # all: there are two a second

@@ -17,7 +17,7 @@ from ship_testing.simulated_sightings import (
     truth_of,
 )
 from theodolite_calib.lights.light_check import BeaconCheck, BeaconCheckResult, angle_residuals, check_beacons
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, solve
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, solve_attitude
 
 PROBABILITY = 0.999
 THREE_LIGHTS_DEG = FOUR_BEACONS_DEG[:3]
@@ -159,7 +159,7 @@ def test_angle_residual_is_what_the_likelihood_leaves():
     assert angles.sigma.mean() / ARCSEC == pytest.approx(26.0, abs=0.5)
     low, high = mean_nees_band(2_000, 1)
     assert low < angles.chi2.mean() < high
-    attitude = solve(epochs.image, epochs.camera, epochs.lines())
+    attitude = solve_attitude(epochs.image, epochs.camera, epochs.lines())
     # To first order: three sigma of the focal length are 0.3 %, of chi² twice that.
     assert angles.chi2[:, 0] == pytest.approx(attitude.chi2, rel=1e-2, abs=5e-3)
 

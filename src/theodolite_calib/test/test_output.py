@@ -36,7 +36,7 @@ def seen(source: str) -> tuple[OpticalAxisConfig, CalibrationFilter, Calibration
     state, step = filter_.initial_state(), SightingStep(settings, filter_)
     for sighting in session(settings, 4, TIMES_S, sweep(TIMES_S)).sightings:
         state, _ = step(state, sighting, Exposure(sighting.time_ns, ()))
-    assert state.used_ns is not None
+    assert state.last_beacons_ns is not None
     return settings, filter_, state
 
 

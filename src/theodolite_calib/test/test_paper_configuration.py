@@ -12,7 +12,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
 from ship_testing.paper_method import angles, mean_of_two_triads
 from ship_testing.simulated_sightings import Epochs, paper_epochs, truth_of
-from theodolite_calib.lights.telescope_attitude import TelescopeAttitude, solve
+from theodolite_calib.lights.telescope_attitude import TelescopeAttitude, solve_attitude
 
 EPOCHS = 10_000
 AZIMUTH_DEG = 77.0
@@ -29,7 +29,7 @@ def solved(
 ) -> tuple[Epochs, TelescopeAttitude]:
     truth = truth_of(np.full(EPOCHS, AZIMUTH_DEG), elevation_deg, rotation_deg)
     epochs = paper_epochs(truth, seed=5, common_refraction=common_refraction)
-    return epochs, solve(epochs.image, epochs.camera, epochs.lines())
+    return epochs, solve_attitude(epochs.image, epochs.camera, epochs.lines())
 
 
 def axis_error_arcsec(epochs: Epochs, rotation_nt: FloatArray) -> FloatArray:
@@ -80,7 +80,7 @@ def test_the_papers_method(elevation_deg, rotation_deg):
     assert error.std() == pytest.approx(2.02, abs=0.1)
 
 
-def untold_lens_errors_arcsec(direction: FloatArray, elevation_deg: float = 30.0, epochs: int = EPOCHS) -> FloatArray:
+def unsurveyed_lens_errors_arcsec(direction: FloatArray, elevation_deg: float = 30.0, epochs: int = EPOCHS) -> FloatArray:
     """Return the errors of the paper's method with an unsurveyed N' of 60 mm in a direction, 2.7 cm as a norm."""
     drawn = paper_epochs(
         truth_of(np.full(epochs, AZIMUTH_DEG), elevation_deg, 0.0),
@@ -94,7 +94,7 @@ def untold_lens_errors_arcsec(direction: FloatArray, elevation_deg: float = 30.0
 
 @pytest.mark.parametrize("elevation_deg", ELEVATIONS_DEG)
 def test_the_papers_method_with_the_lens_left_in(elevation_deg):
-    error = untold_lens_errors_arcsec(np.ones(3), elevation_deg, 4 * EPOCHS)
+    error = unsurveyed_lens_errors_arcsec(np.ones(3), elevation_deg, 4 * EPOCHS)
     # models.md §5: 5.91", 1.88", 6.20"; printed are 5.90", 1.71", 6.15".
     assert error.mean() == pytest.approx(5.91, abs=0.04)
     assert error.std() == pytest.approx(1.88, abs=0.04)
@@ -105,7 +105,7 @@ def test_of_fourteen_directions_equal_parts_fit_the_print_best():
     """Along the axes and midway between them; the opposite of a direction has the same errors."""
     directions = [np.array(each) for each in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(each) in (1, 3)]
     assert len(directions) == 14
-    found = [untold_lens_errors_arcsec(direction) for direction in directions]
+    found = [unsurveyed_lens_errors_arcsec(direction) for direction in directions]
     off = [np.hypot(error.mean() - 5.90, error.std() - 1.71) for error in found]
     right, up = directions[int(np.argmin(off))][[2, 1]]
     assert right == up != 0.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from theodolite_calib.axis_fit.doubts import correlated_pairs, table_warnings, poorly_told_apart
+from theodolite_calib.axis_fit.doubts import correlated_pairs, table_warnings, near_dependencies
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit, rms, sizes
 from theodolite_calib.axis_fit.sighting_file import read_sightings
 from theodolite_calib.axis_fit.sightings import Sightings, directions
@@ -45,7 +45,7 @@ def test_outliers(sightings: Sightings, six_terms: AxisFit) -> None:
 def test_collimation_and_tilt_are_nearly_dependent(six_terms: AxisFit) -> None:
     pairs = {pair[:2]: pair[2] for pair in correlated_pairs(six_terms)}
     assert pairs["c", "I"] < -0.98
-    assert [combination.names for combination in poorly_told_apart(six_terms)] == [("g", "c", "I")]
+    assert [combination.names for combination in near_dependencies(six_terms)] == [("g", "c", "I")]
 
 
 def test_left_out_is_what_refits_give(sightings: Sightings, six_terms: AxisFit) -> None:

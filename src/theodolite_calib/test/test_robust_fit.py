@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.axis_sightings import ERRORS, STRAIGHT, sight, spread
-from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, poorly_told_apart, unobservable
+from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, near_dependencies, unobservable
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
 from theodolite_calib.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up, correlated_map
 from theodolite_calib.chain.axes import NAMES, AxisErrors, direction_change
@@ -137,7 +137,7 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
     rng = np.random.default_rng(6)
     azimuth, elevation = spread(rng, 300, (20.0, 30.0))
     narrow = fit(sight(rng, ERRORS, (azimuth, elevation), 2.5), STRAIGHT)
-    (valley,) = poorly_told_apart(narrow)
+    (valley,) = near_dependencies(narrow)
     assert valley.names == ("g", "c", "I")
     across, along = np.sqrt(np.linalg.eigvalsh(narrow.covariance)[[0, -1]])
     assert along > 500.0 * across
@@ -162,7 +162,7 @@ def test_good_coverage_separates_the_errors() -> None:
     azimuth, elevation = spread(rng, 100, (0.0, 85.0))
     elevation[::2] = np.pi - elevation[::2]
     result = fit(sight(rng, ERRORS, (azimuth, elevation), 5.0), STRAIGHT)
-    assert poorly_told_apart(result) == []
+    assert near_dependencies(result) == []
     assert unobservable(result) is None
     assert condition_number(result) < 10.0
 

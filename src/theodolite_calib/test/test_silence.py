@@ -24,7 +24,7 @@ def claimed(run: Run) -> list[Any]:
     return [m for m in run.pointings if m.status != Status.INVALID]
 
 
-def said_invalid(run: Run) -> list[int]:
+def invalid_times(run: Run) -> list[int]:
     """Return the times of INVALID outputs, except at the start."""
     return [ns for ns, topic, m in run.published if topic == POINTING and m.status == Status.INVALID and ns > at(0.5)]
 
@@ -48,7 +48,7 @@ def until(arrivals: Iterable[Arrival], s: float, *topics: str) -> list[Arrival]:
 def test_published_pointing_is_final(dead: tuple[str, ...], missing: str) -> None:
     """The beacons continue all the time."""
     run = drive(new_adapter(slow_topics_period_s=0.2), until(session(), FROM_S, *dead), until_ns=at(5.0))
-    said = said_invalid(run)
+    said = invalid_times(run)
     assert at(FROM_S + 0.9) < said[0] <= at(FROM_S + 1.2)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
     assert len(said) == 3
@@ -65,7 +65,7 @@ def test_encoder_and_ship_time_out_and_return() -> None:
     spans = {topic: range(*map(at, gap)) for topic, gap in gaps.items()}
     arrivals = [a for a in session() if a.stamp_ns not in spans.get(a.topic, ())]
     run = drive(new_adapter(), arrivals)
-    assert len(said_invalid(run)) in (1, 2)
+    assert len(invalid_times(run)) in (1, 2)
     assert_in_order(run)
     back = [m for m in claimed(run) if stamp_of(m) >= at(3.6)]
     assert [stamp_of(m) for m in back] == [stamp_of(m) for m in claimed(clean_run()) if stamp_of(m) >= at(3.6)]
@@ -80,7 +80,7 @@ def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tup
 def test_old_stamps_are_no_timeout(late: tuple[str, ...]) -> None:
     run = drive(new_adapter(), later(session(), lambda topic: 1.3 if topic in late else 0.0))
     assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
-    assert [ns for ns in said_invalid(run) if ns > at(1.4)] == []
+    assert [ns for ns in invalid_times(run) if ns > at(1.4)] == []
 
 
 @pytest.mark.parametrize("step_s", [-0.04, 1.0, 5.0])
@@ -94,6 +94,6 @@ def test_corrected_clock_is_no_timeout(step_s: float) -> None:
 def test_data_received_during_a_stop_are_published_after_it() -> None:
     arrivals = [replace(a, receive_ns=at(3.4)) if at(2.2) < a.receive_ns < at(3.4) else a for a in session()]
     run = drive(new_adapter(), arrivals)
-    assert len(said_invalid(run)) == 1
+    assert len(invalid_times(run)) == 1
     assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
     assert run.state() == clean_run().state()

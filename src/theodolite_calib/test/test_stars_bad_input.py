@@ -47,7 +47,7 @@ def seen(time_ns: int = START_NS) -> Any:
     )
 
 
-def told(adapter: OpticalAxisAdapter, message: Any) -> list[Any]:
+def reported_reasons(adapter: OpticalAxisAdapter, message: Any) -> list[Any]:
     published = adapter.handle(STARS, message, START_NS + 50_000_000)
     return [one for topic, one in published if topic == INNOVATION]
 
@@ -68,7 +68,7 @@ def test_unreadable_exposure_is_rejected(adapter, path, value, reason: Reason, t
     for way in ways:
         target = getattr(target, way)
     setattr(target, leaf, value)
-    (refused,) = told(adapter, message)
+    (refused,) = reported_reasons(adapter, message)
     assert (refused.source, refused.accepted, refused.reason) == ("star.night", False, reason)
     assert text in refused.reason_text
 
@@ -77,7 +77,7 @@ def test_a_star_that_cannot_be_read_is_left_out_by_its_place_in_the_message(adap
     message = seen(START_NS + 10_000_000)
     message.stars[0].u = float("nan")
     message.stars[1].catalogue_id = 99_999_999
-    texts = [(one.source, one.reason, one.reason_text) for one in told(adapter, message)]
+    texts = [(one.source, one.reason, one.reason_text) for one in reported_reasons(adapter, message)]
     assert [(source, reason) for source, reason, _ in texts] == [
         ("star.night", Reason.NON_FINITE),
         ("star.night", Reason.UNKNOWN_STAR),
@@ -89,10 +89,10 @@ def test_second_exposure_of_one_stamp_is_a_conflict(adapter) -> None:
     first = seen(START_NS + 20_000_000)
     second = copy.deepcopy(first)
     second.stars[0].u += 3.0
-    assert told(adapter, first) == []
-    (conflict,) = told(adapter, second)
+    assert reported_reasons(adapter, first) == []
+    (conflict,) = reported_reasons(adapter, second)
     assert conflict.reason == Reason.CONFLICT
-    (again,) = told(adapter, copy.deepcopy(first))
+    (again,) = reported_reasons(adapter, copy.deepcopy(first))
     assert again.reason in (Reason.DUPLICATE, Reason.CONFLICT)
 
 

@@ -21,13 +21,13 @@ from ship_testing.simulated_sightings import (
 )
 from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.line_of_sight import LeverArm
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve_attitude
 
 RTK_ONLY = replace(SURVEY, rtk_bias_sigma_m=np.full(3, 0.027))
 
 
 def solved(epochs: Epochs, prior: AttitudePrior | None = None) -> TelescopeAttitude:
-    return solve(epochs.image, epochs.camera, epochs.lines(), prior)
+    return solve_attitude(epochs.image, epochs.camera, epochs.lines(), prior)
 
 
 def error_n(epochs: Epochs, attitude: TelescopeAttitude) -> FloatArray:

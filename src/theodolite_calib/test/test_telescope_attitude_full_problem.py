@@ -19,12 +19,12 @@ from ship_testing.simulated_sightings import (
     truth_of,
 )
 from theodolite_calib.lights.line_of_sight import LeverArm, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, linearised, solve, total
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, linearised, solve_attitude, total
 
 
 def solved(problem: "FullProblem") -> TelescopeAttitude:
     epoch = problem.epoch
-    return solve(epoch.image, epoch.camera, epoch.lines(), problem.prior)
+    return solve_attitude(epoch.image, epoch.camera, epoch.lines(), problem.prior)
 
 
 class FullProblem:

@@ -31,7 +31,7 @@ def agreeing(received_ns: dict[str, int]) -> FaultState:
     return replace(trust, means=replace(trust.innovation_means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
 
 
-def since_ns(trust: FaultState) -> list[int | None]:
+def consistent_since_ns(trust: FaultState) -> list[int | None]:
     assert trust.conflict is not None
     exclusions = [trust.exclusions[name].exclusion for name in (BEACON + FIRST, ENCODER)]
     return [*(exclusion.consistent_since_ns for exclusion in exclusions), trust.conflict.consistent_since_ns]
@@ -47,13 +47,13 @@ def since_ns(trust: FaultState) -> list[int | None]:
 )
 def test_reinstatement_timers_restart_after_a_gap_of_all_beacons(silent_s, names, expected) -> None:
     trust = agreeing({FIRST: LAST_NS, SECOND: LAST_NS})
-    assert since_ns(REFEREE.restart_timers(trust, names, LAST_NS + silent_s * SECOND_NS)) == expected
+    assert consistent_since_ns(REFEREE.restart_timers(trust, names, LAST_NS + silent_s * SECOND_NS)) == expected
 
 
 def test_gap_of_one_beacon_restarts_its_timer_only() -> None:
     trust = agreeing({FIRST: LAST_NS - 20 * SECOND_NS, SECOND: LAST_NS})
     later_ns = LAST_NS + SECOND_NS
-    assert since_ns(REFEREE.restart_timers(trust, (FIRST, SECOND), later_ns)) == [None, AGREED_NS, AGREED_NS]
+    assert consistent_since_ns(REFEREE.restart_timers(trust, (FIRST, SECOND), later_ns)) == [None, AGREED_NS, AGREED_NS]
 
 
 def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:

@@ -35,7 +35,7 @@ def reading(number: int, azimuth: float, elevation: float = 0.5) -> EncoderSampl
     return EncoderSample(number * PERIOD_NS, np.array([azimuth, elevation]), ARCSEC)
 
 
-def check(encoder_check: EncoderCheck, sample: EncoderSample) -> Rejection | None:
+def check_reading(encoder_check: EncoderCheck, sample: EncoderSample) -> Rejection | None:
     return encoder_check.check(sample, VectorTrack(PERIOD_NS)).rejection
 
 
@@ -47,9 +47,9 @@ def stopped(rate: float = 0.02) -> tuple[EncoderCheck, int]:
     """Return ten readings in motion, rad/s, and one equal to the last."""
     watch = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
-        assert check(watch, reading(number, 1.0 + rate * number * 0.01)) is None
+        assert check_reading(watch, reading(number, 1.0 + rate * number * 0.01)) is None
         assert not watch.unconfirmed_reason
-    check(watch, reading(10, 1.0 + rate * 0.09))
+    check_reading(watch, reading(10, 1.0 + rate * 0.09))
     return watch, 10
 
 
@@ -66,8 +66,8 @@ def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
     """The first beacons fit any inflated estimate, also an axis that stands still while it rotates."""
     watch = EncoderCheck(ARCSEC, max_acceleration=1.0)
     for number in range(10):
-        check(watch, reading(number, 1.0 + 2e-4 * number))
-    jumped = next(n for n in range(10, 40) if check(watch, reading(n, 1.3 + 2e-4 * n)) is None)
+        check_reading(watch, reading(number, 1.0 + 2e-4 * number))
+    jumped = next(n for n in range(10, 40) if check_reading(watch, reading(n, 1.3 + 2e-4 * n)) is None)
     assert watch.unconfirmed_reason
     watch.confirm((jumped - 20) * PERIOD_NS)  # of before the jump
     for _ in range(2):  # the same beacons twice are one time
@@ -85,14 +85,14 @@ def test_slowly_stopping_readings_are_confirmed() -> None:
 def test_motion_across_the_wrap_is_no_jump() -> None:
     watch = EncoderCheck(ARCSEC, FREE)
     for number, azimuth in enumerate([2 * np.pi - 1e-4, 2 * np.pi - 5e-5, 1e-9, 1e-9 + 1e-6]):
-        assert check(watch, reading(number, azimuth)) is None
+        assert check_reading(watch, reading(number, azimuth)) is None
     assert not watch.unconfirmed_reason
 
 
 def test_a_mount_at_rest_is_never_stuck() -> None:
     watch, number = stopped()
     for later in range(number + 1, number + 200):
-        assert check(watch, reading(later, 1.0 + 0.02 * 0.09)) is None
+        assert check_reading(watch, reading(later, 1.0 + 0.02 * 0.09)) is None
         if later % 10 == 0:
             give_beacon_attitude(watch, later, 1.0 + 0.02 * 0.09)
 
@@ -100,11 +100,11 @@ def test_a_mount_at_rest_is_never_stuck() -> None:
 def test_beacons_before_the_stop_are_no_reference() -> None:
     watch = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
-        check(watch, reading(number, 1.0 + 0.01 * number))
+        check_reading(watch, reading(number, 1.0 + 0.01 * number))
     # The beacon of 5 is received only now; meanwhile the mount has come to rest.
     give_beacon_attitude(watch, 5, 1.05)
     for number in range(10, 60):
-        assert check(watch, reading(number, 1.09)) is None
+        assert check_reading(watch, reading(number, 1.09)) is None
         if number == 30:
             give_beacon_attitude(watch, number, 1.09)
 
@@ -114,35 +114,35 @@ def test_stuck_detection_and_recovery() -> None:
     refusals = []
     for later in range(number + 1, number + 60):
         give_beacon_attitude(watch, later, 1.0 + 0.001 * later)
-        refusals.append(check(watch, reading(later, 1.0 + 0.02 * 0.09)))
+        refusals.append(check_reading(watch, reading(later, 1.0 + 0.02 * 0.09)))
     # Half a second is not judged: that of the last reading that moved, the one after it, and forty-eight of these.
     assert [r is not None for r in refusals] == [False] * 48 + [True] * 11
     assert refusals[-1].reason is Reason.STUCK
-    assert [check(watch, reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25
+    assert [check_reading(watch, reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25
 
 
 def test_angles_are_taken_modulo_a_turn() -> None:
     watch = EncoderCheck(ARCSEC, FREE)
     # The mount counts on past a full turn, and its zero is set back by two turns at 50.
     turns = [6.2 + 0.01 * number - (4.0 * np.pi if number >= 50 else 0.0) for number in range(100)]
-    refusals = [check(watch, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)]
+    refusals = [check_reading(watch, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)]
     assert refusals == [None] * 100
     assert watch.unconfirmed_reason == ""
     # Plunged, the elevation goes up to three quarters of a turn.
-    assert check(EncoderCheck(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
+    assert check_reading(EncoderCheck(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
 
 
 def test_degrees_are_rejected_until_radians_persist() -> None:
     watch = EncoderCheck(ARCSEC, FREE)
-    assert check(watch, reading(0, 6.2, 0.5)) is None
-    assert check(watch, reading(1, 355.0, 28.6)).reason is Reason.UNITS
-    assert check(watch, reading(2, 6.2, 0.5)) is None
+    assert check_reading(watch, reading(0, 6.2, 0.5)) is None
+    assert check_reading(watch, reading(1, 355.0, 28.6)).reason is Reason.UNITS
+    assert check_reading(watch, reading(2, 6.2, 0.5)) is None
     for number in range(3, 23):
-        assert check(watch, reading(number, 355.0, 28.6)).reason is Reason.UNITS
+        assert check_reading(watch, reading(number, 355.0, 28.6)).reason is Reason.UNITS
     # An elevation of nine degrees could be one in radians, counted too far.
-    refusals = [check(watch, reading(30 + number, 355.0, 9.0)) for number in range(19)]
+    refusals = [check_reading(watch, reading(30 + number, 355.0, 9.0)) for number in range(19)]
     assert all(refusal.reason is Reason.UNITS for refusal in refusals)
-    assert check(watch, reading(60, 6.2, 0.5)) is None
+    assert check_reading(watch, reading(60, 6.2, 0.5)) is None
 
 
 # -- in a whole session -------------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ def encoder_from(from_s: float, until_s: float = 1e9) -> Callable[[Arrival], boo
     return lambda a: a.topic == ENCODER and from_s <= (a.stamp_ns - START_NS) * 1e-9 < until_s
 
 
-def never_wrong(run: Run) -> bool:
+def assert_within_covariance(run: Run) -> bool:
     claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
     return max(error_in_sigmas(message) for message in claimed) < 6.0
 
@@ -188,7 +188,7 @@ def test_permanent_slip_inflates_the_zero_points_until_beacons_agree(off_deg: fl
     assert seconds(degraded[-1]) < 4.5
     assert error_in_sigmas(after[0]) < 3.0
     assert {m.status for m in after[len(degraded) :]} == {Status.VALID}
-    assert never_wrong(run)
+    assert assert_within_covariance(run)
     assert run.reasons(BEACONS).keys() <= {"gap"}
 
 
@@ -209,7 +209,7 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
     frozen = changed_where(session(10.0), encoder_from(2.0, 5.0), freeze)
     adapter = new_adapter(integrity__return_after_s=1.0)
     run = drive(adapter, replaced(frozen, index_at(frozen, ENCODER, 4.0), read_off(20.0)))
-    assert never_wrong(run)
+    assert assert_within_covariance(run)
     (wrong,) = [m for m in run.pointings if seconds(m) == 4.0]
     assert wrong.status == Status.DEGRADED
     assert run.pointings[-1].status == Status.VALID

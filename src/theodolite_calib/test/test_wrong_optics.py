@@ -59,14 +59,14 @@ def sky_model() -> SkyModel:
     return mount_sky(through(CAMERA_ID), START_NS, 60)
 
 
-def lens(seed: int, ratio: float) -> TrueOptics:
+def random_optics(seed: int, ratio: float) -> TrueOptics:
     """Return optics with a longer focal length than configured by a ratio; random principal point and k1."""
     drawn = draw_optics(np.random.default_rng(2000 + seed), Detector(**CAMERA, width_px=2201, height_px=2201), "camera")
     return replace(drawn, camera=replace(drawn.camera, focal_length_m=LENGTH_M * (1.0 + ratio)))
 
 
 @dataclass(frozen=True)
-class Voyage:
+class SessionResult:
     """What the pointings of one session were worth; k of them.
 
     Attributes:
@@ -93,9 +93,9 @@ class Voyage:
         return int(np.count_nonzero(self.valid & ((self.in_sigmas > 5.0) | (self.of_level > 1.0))))
 
 
-def voyage(seed: int, camera_id: str, ratio: float, lights: bool = False, named: bool = True) -> Voyage:
+def run_session(seed: int, camera_id: str, ratio: float, lights: bool = False, named: bool = True) -> SessionResult:
     """Return a session through a lens with a longer focal length than configured by a ratio."""
-    settings, optics = through(camera_id), lens(seed, ratio)
+    settings, optics = through(camera_id), random_optics(seed, ratio)
     shared = camera_id == TELESCOPE
     drawn = session(settings, seed, TIMES_S, ENCODER, focal_length_m=optics.camera.focal_length_m if shared else None)
     filter_, rng = CalibrationFilter(settings), np.random.default_rng(1000 + seed)
@@ -128,7 +128,7 @@ def voyage(seed: int, camera_id: str, ratio: float, lights: bool = False, named:
             state, decision = by_stars(state, StarSighting(camera_id, seen, sighting.ship, encoder))
         texts.append((estimate.text, decision.text))
     nees = normalized_error_squared(error_n, estimate.covariance_n)
-    return Voyage(np.array(valid), np.array(in_sigmas), np.array(of_level), nees, texts, state, filter_)
+    return SessionResult(np.array(valid), np.array(in_sigmas), np.array(of_level), nees, texts, state, filter_)
 
 
 def ratio_of(seed: int, size: float) -> float:
@@ -140,7 +140,7 @@ def ratio_of(seed: int, size: float) -> float:
 @pytest.mark.parametrize("camera_id", [TELESCOPE, CAMERA_ID])
 @pytest.mark.parametrize("size", [2e-4, 5e-4, 1e-3, 3e-3])
 def test_no_pointing_is_valid_beyond_five_sigma_or_its_level(size: float, camera_id: str, lights: bool) -> None:
-    voyages = [voyage(seed, camera_id, ratio_of(seed, size), lights) for seed in range(SEEDS)]
+    voyages = [run_session(seed, camera_id, ratio_of(seed, size), lights) for seed in range(SEEDS)]
     assert sum(one.misleading for one in voyages) == 0
     if size <= OWN_SIGMA or camera_id == TELESCOPE:
         low, high = mean_nees_band(SEEDS, 3)
@@ -156,7 +156,7 @@ def test_a_focal_length_that_stars_contradict_is_not_valid_and_the_value_that_fi
 ) -> None:
     for seed in range(2):
         ratio = ratio_of(seed, size)
-        found = voyage(seed, CAMERA_ID, ratio, named=named)
+        found = run_session(seed, CAMERA_ID, ratio, named=named)
         pointing, decision = found.texts[-1]
         assert not found.valid[-1]
         for text in (pointing, decision):
@@ -171,7 +171,7 @@ def test_a_focal_length_that_stars_contradict_is_not_valid_and_the_value_that_fi
 def test_focal_length_from_stars_matches_the_beacons() -> None:
     """Three sigma off and observed by stars alone: the calibration has it, to 0.01 %."""
     ratio = 3e-3
-    found = voyage(0, TELESCOPE, ratio)
+    found = run_session(0, TELESCOPE, ratio)
     calibration = calibration_of(found.filter_, through(TELESCOPE), found.state)
     row = calibration.names.index("focal_length")
     sigma_m = np.sqrt(calibration.covariance[row, row])

@@ -27,7 +27,7 @@ from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 
-_LONGEST_M = 200.0
+_MAX_LEVER_M = 200.0
 """Largest lever of any ship, m: a larger number is in millimetres, or another mistake."""
 
 _SHORTEST_FOCAL_LENGTH_M = 0.001
@@ -58,11 +58,11 @@ class LeverConfig:
     """A surveyed vector in the axes (forward, up, right) of the device that carries it."""
 
     forward_m: float = parameter(
-        0.0, doc="component along forward (bow)", unit="m", minimum=-_LONGEST_M, maximum=_LONGEST_M
+        0.0, doc="component along forward (bow)", unit="m", minimum=-_MAX_LEVER_M, maximum=_MAX_LEVER_M
     )
-    up_m: float = parameter(0.0, doc="component along up", unit="m", minimum=-_LONGEST_M, maximum=_LONGEST_M)
+    up_m: float = parameter(0.0, doc="component along up", unit="m", minimum=-_MAX_LEVER_M, maximum=_MAX_LEVER_M)
     right_m: float = parameter(
-        0.0, doc="component along right (starboard)", unit="m", minimum=-_LONGEST_M, maximum=_LONGEST_M
+        0.0, doc="component along right (starboard)", unit="m", minimum=-_MAX_LEVER_M, maximum=_MAX_LEVER_M
     )
     sigma_m: float = parameter(
         0.0, doc="error of the survey, each axis; 0 for none", unit="m", minimum=0.0, maximum=10.0
@@ -494,12 +494,12 @@ class OpticalAxisConfig:
         if own_m:
             twice.append(("camera.focal_length_sigma_m", own_m, "focal_length_sigma_m", telescope.focal_length_sigma_m))
         for name, of_telescope in (("azimuth", "azimuth"), ("elevation", "elevation"), ("roll", "rotation")):
-            told_arcsec = getattr(telescope, f"{of_telescope}_arcsec")
-            told_sigma = getattr(telescope, f"{of_telescope}_sigma_arcsec")
+            telescope_arcsec = getattr(telescope, f"{of_telescope}_arcsec")
+            telescope_sigma_arcsec = getattr(telescope, f"{of_telescope}_sigma_arcsec")
             own_sigma = getattr(seen, f"{name}_sigma_arcsec")
             twice += [
-                (f"{name}_deg", getattr(seen, f"{name}_deg"), f"{of_telescope}_arcsec", told_arcsec / 3600.0),
-                (f"{name}_sigma_arcsec", own_sigma, f"{of_telescope}_sigma_arcsec", told_sigma),
+                (f"{name}_deg", getattr(seen, f"{name}_deg"), f"{of_telescope}_arcsec", telescope_arcsec / 3600.0),
+                (f"{name}_sigma_arcsec", own_sigma, f"{of_telescope}_sigma_arcsec", telescope_sigma_arcsec),
             ]
         for name, value, other, expected in twice:
             if not abs(value - expected) <= _SAME * max(abs(expected), 1.0):

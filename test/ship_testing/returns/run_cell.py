@@ -172,7 +172,7 @@ def _evaluate(cell: Cell, run: "_Run") -> dict[str, Any]:
     for topic, since_ns in sink.valid_since_ns.items():
         is_there = since_ns is not None and now_ns - sink.last_ns[topic] <= _LONGEST_GAP_NS
         returns_s[topic] = round(max(since_ns - consistent_ns, 0) / NS_PER_S, 2) if is_there else None
-    claims = [claim for claim in sink.told.claims if claim.log_ns >= data.time_ns(cell.starts_s)]
+    claims = [claim for claim in sink.outputs.claims if claim.log_ns >= data.time_ns(cell.starts_s)]
     worst = max(claims, key=lambda claim: np.nan_to_num(claim.over_level), default=None)
     return {
         "returned": all(time_s is not None and time_s <= bounds_s[topic] for topic, time_s in returns_s.items()),
@@ -180,7 +180,7 @@ def _evaluate(cell: Cell, run: "_Run") -> dict[str, Any]:
         "ran_s": round((now_ns - consistent_ns) / NS_PER_S, 1),
         "worst_over_level": round(float(np.nan_to_num(worst.over_level)), 3) if worst else 0.0,
         "worst_at_s": round((worst.log_ns - data.start_ns) / NS_PER_S, 2) if worst else 0.0,
-        "failures": sink.told.failures,
+        "failures": sink.outputs.failures,
         "excluded": sorted({source for sources in sink.excluded.values() for source in sources}),
         "texts": sink.texts,
     }

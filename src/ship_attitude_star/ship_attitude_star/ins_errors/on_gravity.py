@@ -93,11 +93,11 @@ class OnGravity:
             noise[:, self._ins, rows, columns] += propagation.ins_noise
             noise[:, self._deflection, rows, columns] += propagation.deflection_noise
         after = transition[:, None] @ covariance_by_source @ np.swapaxes(transition, -1, -2)[:, None] + noise
-        told, of_deflection = self._told(verticals), after[:, :, _DEFLECTION, _DEFLECTION].sum(axis=1)
+        to_output, of_deflection = self._output_matrix(verticals), after[:, :, _DEFLECTION, _DEFLECTION].sum(axis=1)
         to_four = np.zeros((count, 4, size))
-        to_four[:, :3, self._of_process], to_four[:, 3, _CLOCK] = told, 1.0
+        to_four[:, :3, self._of_process], to_four[:, 3, _CLOCK] = to_output, 1.0
         return InsErrors(
-            error_n=(told @ of_process[:, :, None])[..., 0],
+            error_n=(to_output @ of_process[:, :, None])[..., 0],
             covariance_by_source=np.ascontiguousarray(to_four[:, None] @ after @ np.swapaxes(to_four, -1, -2)[:, None]),
             deflection=of_process[:, DEFLECTION] if self._models_deflection else np.empty((count, 0)),
             deflection_covariance=of_deflection if self._models_deflection else np.empty((count, 0, 0)),
@@ -113,7 +113,7 @@ class OnGravity:
         known |= 4.0 * np.trace(covariance, axis1=1, axis2=2) <= 2.0 * self._unknown_variance
         return known
 
-    def _told(self, verticals: Sequence[VerticalHere]) -> FloatArray:
+    def _output_matrix(self, verticals: Sequence[VerticalHere]) -> FloatArray:
         """Return the matrix from process states to the error relative to the published horizon, shape (N, 3, n)."""
         size = self._process.size
         if not self._to_gravity:

@@ -148,8 +148,8 @@ class Requirement:
 
     def limits_arcsec(self) -> FloatArray:
         """Return the maximum sigma of heading, pitch, roll, shape (3,); infinite where nothing is required."""
-        asked = np.array([self.heading_arcsec, self.pitch_arcsec, self.roll_arcsec])
-        return np.where(asked > 0.0, asked, np.inf)
+        required = np.array([self.heading_arcsec, self.pitch_arcsec, self.roll_arcsec])
+        return np.where(required > 0.0, required, np.inf)
 
     @property
     def given(self) -> bool:

@@ -111,7 +111,7 @@ class JointAttitude:
     gains: FloatArray
 
 
-def combine(
+def combine_attitudes(
     covariances: FloatArray, common_effects: FloatArray | None = None, common_covariance: FloatArray | None = None
 ) -> JointAttitude:
     """Return the best linear unbiased combination of N attitudes whose errors are ``own + effect @ common``.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
-from ship_attitude_star.layout.installation_model import JointAttitude, combine
+from ship_attitude_star.layout.installation_model import JointAttitude, combine_attitudes
 from ship_geometry.frames import (
     angle_covariance,
     angle_errors_from_rotation_vector,
@@ -144,7 +144,7 @@ class Layout:
         variances = self.noise_sigmas**2 + self.installation_sigmas**2
         own = (rotations_ns * variances[..., None, :]) @ np.swapaxes(rotations_ns, -1, -2)
         effects = _common_effects(rotations_ns)
-        return combine(own, effects, np.diag(self.common_sigmas**2)), rotations_ns, effects
+        return combine_attitudes(own, effects, np.diag(self.common_sigmas**2)), rotations_ns, effects
 
 
 def _common_effects(rotations_ns: FloatArray) -> FloatArray:

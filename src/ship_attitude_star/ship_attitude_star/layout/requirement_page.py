@@ -44,17 +44,17 @@ def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
 
 
 def _summary(required: RequirementResult) -> str:
-    asked = ", ".join(
+    limits_text = ", ".join(
         f"{name} {limit:g}″"
         for name, limit in zip(SHIP_ANGLES, required.limits_arcsec, strict=True)
         if np.isfinite(limit)
     )
     if not required.met:
-        return f"Required (1σ): {asked}. <b>No layout meets it.</b> Nearest miss: {escape(nearest_miss(required))}."
+        return f"Required (1σ): {limits_text}. <b>No layout meets it.</b> Nearest miss: {escape(nearest_miss(required))}."
     given, best = required.given, required.ranking[0]
     as_given = "The layout as given meets it" if given.admissible else "The layout as given does not meet it"
     return (
-        f"Required (1σ): {asked}. {as_given}. Least use: “{escape(best.name)}” with "
+        f"Required (1σ): {limits_text}. {as_given}. Least use: “{escape(best.name)}” with "
         f"{100.0 * best.use:.1f} % ({escape(places(best.layout))})."
     )
 

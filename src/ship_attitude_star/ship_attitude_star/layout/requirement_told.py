@@ -21,15 +21,15 @@ _SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
 
 def requirement_lines(required: RequirementResult) -> list[str]:
     """Return the ranking, the dominant errors and, if no layout meets the requirement, the nearest miss."""
-    asked = [
+    limits = [
         f"{name} {limit:g}"
         for name, limit in zip(SHIP_ANGLES, required.limits_arcsec, strict=True)
         if np.isfinite(limit)
     ]
-    lines = [f"required [arcsec, 1 sigma]: {', '.join(asked)}"]
+    lines = [f"required [arcsec, 1 sigma]: {', '.join(limits)}"]
     for place, one in enumerate(required.ranking, start=1):
         result = "meets it" if one.admissible else "does not"
-        lines.append(f"{place:3d} {one.name:24}{result}: {told(one, required)}")
+        lines.append(f"{place:3d} {one.name:24}{result}: {candidate_text(one, required)}")
     if not required.met:
         lines.append(f"no layout meets the requirement; nearest miss: {nearest_miss(required)}")
     for name, allocations in required.allocations.items():
@@ -37,7 +37,7 @@ def requirement_lines(required: RequirementResult) -> list[str]:
     return lines
 
 
-def told(one: Candidate, required: RequirementResult) -> str:
+def candidate_text(one: Candidate, required: RequirementResult) -> str:
     """Return a description of one layout: requirement use, directions of the sensors, obstructions."""
     if np.isnan(one.use):
         uses = "a boresight is too near to the horizon"
@@ -59,7 +59,7 @@ def nearest_miss(required: RequirementResult) -> str:
     """Return a description of the best layout that is not admissible: its deficit or its obstructions."""
     nearest = required.ranking[0]
     if nearest.obstacles or np.isnan(nearest.use):
-        return f"'{nearest.name}': {told(nearest, required)}"
+        return f"'{nearest.name}': {candidate_text(nearest, required)}"
     angle = binding_angle(nearest.sigmas_arcsec, required.limits_arcsec)
     return (
         f"'{nearest.name}', {SHIP_ANGLES[angle]} {nearest.sigmas_arcsec[angle]:.2f} of "

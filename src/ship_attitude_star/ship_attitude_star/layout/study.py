@@ -108,7 +108,7 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
         joint_arcsec=layout.sigmas_arcsec(),
         best=best,
         best_arcsec=best.sigmas_arcsec(),
-        scans=[scan(best, number, obstructions) for number in range(min(1, count - 1), count)],
+        scans=[scan_azimuth(best, number, obstructions) for number in range(min(1, count - 1), count)],
         maps=maps,
         budget=layout.budget(),
         curves=all_curves(config.figures),
@@ -185,7 +185,7 @@ def recommended(layout: Layout, obstructions: Obstructions | None = None) -> Lay
     return candidates[int(np.argmax(totals <= totals.min() * (1.0 + _NEARLY_SAME)))]
 
 
-def scan(layout: Layout, number: int, obstructions: Obstructions | None = None) -> AzimuthScan:
+def scan_azimuth(layout: Layout, number: int, obstructions: Obstructions | None = None) -> AzimuthScan:
     """Return the error over all azimuths of the sensor with that number; NaN where a mask is in its field."""
     azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
     angles = np.tile(layout.angles, (azimuths_deg.size, 1, 1))
@@ -205,7 +205,7 @@ def _descended(layout: Layout, obstructions: Obstructions | None) -> Layout:
     for _ in range(_MOST_ROUNDS):
         before = layout.angles[:, 0].copy()
         for number in range(1, len(layout.names)):
-            scanned = scan(layout, number, obstructions)
+            scanned = scan_azimuth(layout, number, obstructions)
             totals = total_arcsec(scanned.sigmas_arcsec)
             best = scanned.azimuths_deg[totals <= np.nanmin(totals) * (1.0 + _SAME)]
             away = np.abs(wrap_pi(np.deg2rad(best) - layout.angles[number, 0]))

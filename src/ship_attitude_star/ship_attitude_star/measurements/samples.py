@@ -82,7 +82,7 @@ class SolvedAttitude(AttitudeMeasurement):
         has_noise_covariance: False if the message contains only one covariance for all errors.
     """
 
-    noise_told: bool = True
+    has_noise_covariance: bool = True
 
 
 ATTITUDE_COMPONENTS = ("forward", "up", "right")

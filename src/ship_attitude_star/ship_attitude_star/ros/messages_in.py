@@ -82,11 +82,11 @@ def star_measurement(
         total_n = rotation_vector_covariance(total_angles, azimuth, elevation)
     else:
         noise_s = _configured_noise(config)
-        told = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
-        return _read(_sharing(told, config.sharing, noise_told=True))
+        attitude = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
+        return _read(_sharing(attitude, config.sharing, has_noise_covariance=True))
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
-    noise_told = noise_enu is not None
-    return attitude_read(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.sharing, noise_told)
+    has_noise_covariance = noise_enu is not None
+    return attitude_read(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.sharing, has_noise_covariance)
 
 
 def attitude_read(
@@ -96,7 +96,7 @@ def attitude_read(
     total_n: FloatArray,
     noise_n: FloatArray,
     sharing: str,
-    noise_told: bool = True,
+    has_noise_covariance: bool = True,
 ) -> ReadMessage[AttitudeMeasurement]:
     """Return the attitude of a star sensor from the numbers of its message.
 
@@ -113,20 +113,20 @@ def attitude_read(
         MessageRejected: the noise covariance is larger than the total covariance.
     """
     noise_s = rotation_ns.T @ noise_n @ rotation_ns
-    told = AttitudeMeasurement(source, time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n))
-    return _read(_sharing(told, sharing, noise_told))
+    attitude = AttitudeMeasurement(source, time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n))
+    return _read(_sharing(attitude, sharing, has_noise_covariance))
 
 
-def _sharing(told: AttitudeMeasurement, sharing: str, noise_told: bool) -> AttitudeMeasurement:
+def _sharing(attitude: AttitudeMeasurement, sharing: str, has_noise_covariance: bool) -> AttitudeMeasurement:
     """Return an attitude with the configured shared error."""
     if sharing == SHARED_BY_SKY:
-        return SolvedAttitude(**vars(told) | {"noise_told": noise_told})
-    if sharing == SHARED_BY_MESSAGES and told.common_n.any():
+        return SolvedAttitude(**vars(attitude) | {"noise_told": has_noise_covariance})
+    if sharing == SHARED_BY_MESSAGES and attitude.common_n.any():
         # Maximum correlation of errors with different covariances: the same vector through each symmetric root.
-        values, vectors = np.linalg.eigh(told.common_n)
+        values, vectors = np.linalg.eigh(attitude.common_n)
         root_n = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        return replace(told, common_n=np.zeros((3, 3)), shared_n=root_n, shared_by=SHARED_BY_MESSAGES)
-    return told
+        return replace(attitude, common_n=np.zeros((3, 3)), shared_n=root_n, shared_by=SHARED_BY_MESSAGES)
+    return attitude
 
 
 def inertial_attitude(

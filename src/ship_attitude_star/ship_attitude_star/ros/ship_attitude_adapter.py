@@ -201,7 +201,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 ]
             except Exception as error:
                 # Real-time attitudes are published in any case; smoothing restarts.
-                self.core.forget_told()
+                self.core.restart_smoothing()
                 smoothed = [self.failed(SMOOTHED_TOPIC, now_ns, failure(error))]
             published += smoothed
         return published
@@ -325,10 +325,10 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         if self._observed is None or abs(state.time_ns - self._observed[0]) >= _OBSERVED_EACH_NS:
             # Without stars a turn has no effect.
             sees = latest.status is Status.VALID
-            told = self.core.learnt()
+            observability = self.core.learnt()
             turn = manoeuvre_text(self.core.worthwhile_turn(latest.rotation_nd)) if sees else ""
-            values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in told.left.items()}
-            values |= {"not told apart": "; ".join(told.open) or "nothing", "turn": turn or "none recommended"}
+            values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.left.items()}
+            values |= {"not told apart": "; ".join(observability.open) or "nothing", "turn": turn or "none recommended"}
             text = turn or "no turn of the ship would improve the attitude much"
             self._observed = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
         return [self._observed[1]]
@@ -347,11 +347,11 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return diagnostics of attitude, alignment, INS, integrity, conflicts, innovations and clocks."""
-        told = self.saved_remarks()
-        text = "; ".join(told) or "as configured or saved"
+        remarks = self.saved_remarks()
+        text = "; ".join(remarks) or "as configured or saved"
         return [
             attitude_status(self.latest, self.clock_jumps, self._lacking),
-            DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text, self.recovery_counts),
+            DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, self.recovery_counts),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
             self._noise_status(),
             self.recovery_status(waiting_ns),
@@ -395,7 +395,7 @@ def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -
     """Return a diagnostic of the vertical at the last attitude; none if the filter does not need the vertical."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
-    known, lacking = core.deflection(latest.time_ns), core.vertical.told(latest.time_ns)
+    known, lacking = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)
     if known is None:
         text = lacking or "the latitude for the error model of the INS is known"
         return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text)]

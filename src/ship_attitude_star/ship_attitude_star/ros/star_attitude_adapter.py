@@ -253,13 +253,13 @@ def solution_budget(factory: MessageFactory, solved: Solved, deck: str) -> Any:
 
 def rejected_star_message(factory: MessageFactory, star: RejectedStar) -> Any:
     """Return ship_msgs/Innovation of a rejected star, with its residual if it was compared."""
-    told = Rejection(star.rejection.reason, f"{star.name}: {star.rejection.text}")
+    rejection = Rejection(star.rejection.reason, f"{star.name}: {star.rejection.text}")
     if not star.residual:
-        return rejection_message(factory, star.source, star.time_ns, told)
+        return rejection_message(factory, star.source, star.time_ns, rejection)
     residual = np.array(star.residual)
     nis = float(residual @ residual / star.sigma**2)
     sigma = np.full(len(residual), star.sigma)
-    return rejection_message(factory, star.source, star.time_ns, told, ("up", "right"), residual, sigma, nis)
+    return rejection_message(factory, star.source, star.time_ns, rejection, ("up", "right"), residual, sigma, nis)
 
 
 def solution_statuses(

@@ -39,7 +39,7 @@ _ANGLE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
-class _Told:
+class _StarColumns:
     """Fields of k stars of a message.
 
     Attributes:
@@ -99,40 +99,40 @@ def star_exposure(
     check_device_id("sensor_id", message.sensor_id, sensor_id)
     check_frame(message.header.frame_id, frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
-    told = _told(message.stars[:MOST_STARS], camera_config.centroid_sigma_px)
+    columns = _star_columns(message.stars[:MOST_STARS], camera_config.centroid_sigma_px)
     # Squares of the largest doubles would overflow.
     directions_s, direction_sigma = camera.sighted(
-        np.where(np.abs(told.pixels) < _LARGEST_PIXEL, told.pixels, np.nan),
-        np.where(np.abs(told.sigma_px) <= _LARGEST_SIGMA_PX, told.sigma_px, np.nan),
+        np.where(np.abs(columns.pixels) < _LARGEST_PIXEL, columns.pixels, np.nan),
+        np.where(np.abs(columns.sigma_px) <= _LARGEST_SIGMA_PX, columns.sigma_px, np.nan),
     )
-    entries, given = catalogue.entries(told.hip, time_ns), fixed_stars(told.right_ascension, told.declination)
-    rejections = _rejections(told, directions_s, entries, catalogue)
+    entries, given = catalogue.entries(columns.hip, time_ns), fixed_stars(columns.right_ascension, columns.declination)
+    rejections = _rejections(columns, directions_s, entries, catalogue)
     kept = np.flatnonzero([refusal is None for refusal in rejections])
-    listed = told.hip != 0
+    listed = columns.hip != 0
     exposure = StarExposure(
         source=f"star.{sensor_id}",
         time_ns=time_ns,
-        hip=told.hip[kept],
+        hip=columns.hip[kept],
         directions_s=directions_s[kept],
         sigma=direction_sigma[kept],
         positions=_either(listed, entries.positions, given, kept),
         position_sigma=np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)[kept],
-        magnitude=told.magnitude[kept],
+        magnitude=columns.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
         masks=masks,
         optics=camera_config.optics_errors(camera),
         spatial=camera_config.spatial_errors(camera),
     )
     unused_stars = _unused_stars(message.stars, rejections, named_by_number)
-    return ReadMessage(exposure, told.sigma_known, unused_stars, empty=not message.stars)
+    return ReadMessage(exposure, columns.sigma_known, unused_stars, empty=not message.stars)
 
 
-def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
+def _star_columns(stars: Sequence[Any], centroid_sigma_px: float) -> _StarColumns:
     """Return the fields of the stars of a message; ``centroid_sigma_px`` is used for stars without sigma."""
     rows = [[star.u, star.v, star.sigma_px, star.right_ascension, star.declination, star.magnitude] for star in stars]
     u, v, sigma_px, right_ascension, declination, magnitude = np.array(rows, dtype=float).reshape(-1, 6).T
     not_given = ~(sigma_px > 0.0) & ~(sigma_px < 0.0)
-    return _Told(
+    return _StarColumns(
         pixels=np.stack([u, v], axis=-1),
         sigma_px=np.where(not_given, centroid_sigma_px, sigma_px),
         sigma_known=not not_given.any(),
@@ -144,12 +144,12 @@ def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
 
 
 def _rejections(
-    told: _Told, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
+    star_columns: _StarColumns, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
 ) -> list[Rejection | None]:
     """Return the rejection of each star, None for a usable one."""
     seen: dict[Hashable, list[float]] = {}
-    columns = told.pixels, directions_s[:, 0], told.sigma_px, told.hip, entries.rows, told.right_ascension
-    stars = zip(*(column.tolist() for column in (*columns, told.declination)), strict=True)
+    columns = star_columns.pixels, directions_s[:, 0], star_columns.sigma_px, star_columns.hip, entries.rows, star_columns.right_ascension
+    stars = zip(*(column.tolist() for column in (*columns, star_columns.declination)), strict=True)
     return [
         _pixel_rejection(pixel, forward)
         or _sigma_rejection(sigma_px)

@@ -190,12 +190,12 @@ def _baseline_compared(
 
     The residual is the direction of its end, up and right in its own frame, rad: two components, as for a single star.
     """
-    length_m, told_m, noise_n = device.length_m, measurement.length_m, measurement.noise_n
+    length_m, measured_m, noise_n = device.length_m, measurement.length_m, measurement.noise_n
     along = measurement.direction_n
     sigma_m = math.sqrt(float(along @ noise_n @ along) + device.length_sigma_m**2)
     # Written so that NaN is rejected.
-    if not abs(told_m - length_m) <= _LENGTH_SIGMAS * sigma_m:
-        text = f"baseline length {told_m:.3f} m, expected {length_m:.3f} m (sigma {sigma_m:.3f} m)"
+    if not abs(measured_m - length_m) <= _LENGTH_SIGMAS * sigma_m:
+        text = f"baseline length {measured_m:.3f} m, expected {length_m:.3f} m (sigma {sigma_m:.3f} m)"
         return Rejection(Reason.GATE, f"{text}: wrong RTK solution, or wrong parameters of ship_baseline")
     to_device = predicted.rotation_nv.T
     seen_v = to_device @ along

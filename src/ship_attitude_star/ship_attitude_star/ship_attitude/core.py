@@ -45,7 +45,7 @@ from ship_attitude_star.ship_attitude.memory import (
     propagate_memory,
     start_from_memory,
 )
-from ship_attitude_star.ship_attitude.observability import ToldStates, learnt
+from ship_attitude_star.ship_attitude.observability import Observability, learnt
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_compared, with_utc_step
@@ -353,7 +353,7 @@ class ShipAttitudeCore:
         outcome = AttitudeOutcome()
         self._estimator.tick(now_ns, outcome)
         self._carry(outcome, waiting_ns)
-        self._estimator.say_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
+        self._estimator.report_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
@@ -385,7 +385,7 @@ class ShipAttitudeCore:
         errors = self._corrected_by(self.state).errors([time_ns])
         return DeflectionReading(time_ns, errors.deflection[0], errors.deflection_covariance[0])
 
-    def learnt(self) -> ToldStates:
+    def learnt(self) -> Observability:
         """Return which states and combinations of states the data have determined."""
         return learnt(self.filter, self.config, self.state)
 
@@ -517,15 +517,15 @@ class ShipAttitudeCore:
 
     def _forget_before(self, time_ns: int) -> None:
         """Discard data that no measurement at or after a stamp needs."""
-        asked_since_ns = self._asked_since_ns(time_ns)
-        self._track.drop_before(asked_since_ns - self._stamp_reach_ns)
+        needed_since_ns = self._needed_since_ns(time_ns)
+        self._track.drop_before(needed_since_ns - self._stamp_reach_ns)
         if self._sky_model is not None:
             self._sky_model.surroundings.drop_before(time_ns)
         if self.vertical is not None:
             state_ns = self._estimator.oldest_state.time_ns
-            self.vertical.drop_before(time_ns, asked_since_ns if state_ns is None else min(asked_since_ns, state_ns))
+            self.vertical.drop_before(time_ns, needed_since_ns if state_ns is None else min(needed_since_ns, state_ns))
 
-    def _asked_since_ns(self, closed_ns: int) -> int:
+    def _needed_since_ns(self, closed_ns: int) -> int:
         """Return the earliest time that is still needed; measurements before ``closed_ns`` are final."""
         return closed_ns
 
@@ -582,8 +582,8 @@ class ShipAttitudeCore:
             return
 
         def by_star(_state: FilterState) -> AttitudeEstimate | None:
-            untold = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
-            attitude = attitude_alone(measurement, self._sky_model, float(untold))
+            unmeasured_acceleration = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
+            attitude = attitude_alone(measurement, self._sky_model, float(unmeasured_acceleration))
             return None if attitude is None else estimate_from_star(
                 self.filter, self.state, attitude, self.config.horizon
             )

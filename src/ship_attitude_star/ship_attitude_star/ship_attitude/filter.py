@@ -310,7 +310,7 @@ class ShipFilter:
             # No other data show whether the INS has jumped.
             after = changed(after, unconfirmed=_unconfirmed_ins_jump(measurement.time_ns))
         after, text = self.fault_detector.detect_faults(after, source, innovations, is_ins_confirmed, measurement.time_ns)
-        return after, self._told(decision, after, text)
+        return after, self._with_fault_text(decision, after, text)
 
     def _lacks_latitude(self, time_ns: int) -> bool:
         """True if the propagation of the INS error needs a latitude that is not known yet."""
@@ -323,7 +323,7 @@ class ShipFilter:
         """True if the rates of the INS exclude a step: they are available, and the INS reported no recent jump."""
         if found.ins.sample is None or found.ins.sample.rate_d is None:
             return False
-        return not self.fault_detector.ins.told(state, found.ins_time_ns)
+        return not self.fault_detector.ins.has_reported_jump(state, found.ins_time_ns)
 
     def _beside(
         self, predicted: FilterState, source: str, compared: Compared, gate: float
@@ -350,7 +350,7 @@ class ShipFilter:
         whitened[wrong], root[wrong] = innovations.whitened_innovation[wrong], innovations.whitening_root[wrong]
         return changed(predicted, stack=inflated), wider._replace(turn=whitened, turn_root=root)
 
-    def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
+    def _with_fault_text(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """Return the decision with the text of fault detection, rejected if the measurement excluded its source."""
         if not text:
             return decision

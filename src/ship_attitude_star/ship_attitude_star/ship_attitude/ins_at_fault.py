@@ -129,7 +129,7 @@ class InsAtFault:
 
     # -- exclusion by the stars -----------------------------------------------------------------------------
 
-    def told(self, state: FilterState, time_ns: int) -> bool:
+    def has_reported_jump(self, state: FilterState, time_ns: int) -> bool:
         """True if the INS reported a jump of its own and has not gone uncontradicted for ``return_after_s`` since."""
         since_ns = state.ins_fault_ns
         return since_ns is not None and time_ns - since_ns <= self._return_after_s * SECOND_NS

@@ -31,7 +31,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         estimate: the attitude, with its filter state.
     """
     state, suspects = estimate.state, filter_.fault_detector
-    asked = suspects.subfilters.asked(estimate.sources, state.excluded)
+    relevant = suspects.subfilters.relevant_hypotheses(estimate.sources, state.excluded)
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
     to_angles, parts = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
     means, stack = against_horizon(filter_, config, state, estimate.time_ns)
@@ -39,7 +39,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     # the INS noise, are the same in every filter.
     found = solution_separation(
         suspects.subfilters.k,
-        asked.hypotheses,
+        relevant.hypotheses,
         filter_.model.state_indices("ins.attitude"),
         (to_angles, to_angles, estimate.covariance_without_separation_n),
         means[0],
@@ -47,8 +47,8 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         stack[:parts],
         stack[parts:],
     )
-    names = asked.names
-    if INS not in state.excluded and asked.check_one_another:
+    names = relevant.names
+    if INS not in state.excluded and relevant.check_one_another:
         table, variance_n = suspects.subfilters, to_angles @ estimate.covariance_without_separation_n @ to_angles.T
         found = with_common_error(
             found, table.k, table.common_missed, table.common_threshold, state.absorbed, to_angles, variance_n
@@ -56,7 +56,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         names = *names, ALL_STARS
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
     has_unresolved_fault = state.doubt is not None or state.unconfirmed is not None or estimate.status is Status.INVALID
-    checked = asked.check_one_another and not has_unresolved_fault
+    checked = relevant.check_one_another and not has_unresolved_fault
     return integrity_report(estimate.time_ns, config.integrity, suspects.subfilters.k, names, found, excluded, checked)
 
 

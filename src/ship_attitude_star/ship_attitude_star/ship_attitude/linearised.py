@@ -166,7 +166,7 @@ class Linearisation:
             name: tuple(zip(chain.clocks.tolist(), chain.signs.tolist(), strict=True))
             for name, chain in model.chains.items()
         }
-        self._told_sigma_s = {name: _told_sigma_s(model, device) for name, device in devices.items()}
+        self._configured_sigma_s = {name: _configured_sigma_s(model, device) for name, device in devices.items()}
 
     @property
     def longest_shift_s(self) -> float:
@@ -179,7 +179,7 @@ class Linearisation:
         return self._longest_s(5.0 + _FAR)
 
     def _longest_s(self, sigmas: float) -> float:
-        shifts_s = (abs(one.ins_time_s) + sigmas * self._told_sigma_s[name] for name, one in self._devices.items())
+        shifts_s = (abs(one.ins_time_s) + sigmas * self._configured_sigma_s[name] for name, one in self._devices.items())
         return max(shifts_s, default=0.0)
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
@@ -218,7 +218,7 @@ class Linearisation:
         device, by_offset = self._devices[source], self._offsets[source]
         # An inflated covariance does not make a clock less known than configured.
         offset_variance = compiled_steps.variance_along(by_offset, covariance)
-        offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._told_sigma_s[source])
+        offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._configured_sigma_s[source])
         task = _Task(measurement, device, mean, covariance, used_ns, track, sky_model, may_wait, offset_sigma_s)
         paired = self._paired(task, mean)
         if not isinstance(paired, _Paired):
@@ -332,7 +332,7 @@ class Linearisation:
         return correction
 
 
-def _told_sigma_s(model: ShipStateModel, device: Device) -> float:
+def _configured_sigma_s(model: ShipStateModel, device: Device) -> float:
     """Return the configured standard deviation of the clock offset of a device, s."""
     return float(np.linalg.norm([model.blocks[name].sigma[0] for name, _ in device.ins_time_states]))
 

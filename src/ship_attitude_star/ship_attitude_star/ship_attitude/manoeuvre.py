@@ -191,9 +191,9 @@ class _Voyage:
         )
         transition, fresh = _step(self._filter, self._state, step_s)
         weighed = np.linalg.solve(jacobian @ fresh @ jacobian.T + np.eye(len(jacobian)), jacobian)
-        told = jacobian.T @ weighed
+        information = jacobian.T @ weighed
         stretch = _Stretch(
-            transition - fresh @ told @ transition, fresh - fresh @ told @ fresh, transition.T @ told @ transition
+            transition - fresh @ information @ transition, fresh - fresh @ information @ fresh, transition.T @ information @ transition
         )
         for _ in range(doublings):
             stretch = stretch.then(stretch)

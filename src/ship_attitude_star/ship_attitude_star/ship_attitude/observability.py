@@ -23,7 +23,7 @@ _AXES = {
 }
 
 
-class ToldStates(NamedTuple):
+class Observability(NamedTuple):
     """Observability of the states.
 
     Attributes:
@@ -36,7 +36,7 @@ class ToldStates(NamedTuple):
     open: tuple[str, ...]
 
 
-def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> ToldStates:
+def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Observability:
     """Return the observability of INS attitude, deflection, installations and clocks for a filter state.
 
     States with a prior standard deviation of 0 are omitted. Installations and clocks come first in the combinations.
@@ -52,7 +52,7 @@ def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) 
     before = np.array(sigmas)
     covariance = state.covariance[np.ix_(rows, rows)]
     left = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / before
-    return ToldStates(dict(zip(names, left.tolist(), strict=True)), open_combinations(covariance, before, names))
+    return Observability(dict(zip(names, left.tolist(), strict=True)), open_combinations(covariance, before, names))
 
 
 def _known_before(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, FloatArray]:

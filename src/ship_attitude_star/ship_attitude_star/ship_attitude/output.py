@@ -26,7 +26,7 @@ from ship_geometry.time_scales import SECOND_NS
 
 
 def attitude_alone(
-    measurement: Measurement, sky_model: SkyModel | None, untold_acceleration: float
+    measurement: Measurement, sky_model: SkyModel | None, unmeasured_acceleration: float
 ) -> AttitudeMeasurement | None:
     """Return the attitude of a star sensor from one measurement alone; None if it does not determine one.
 
@@ -46,10 +46,10 @@ def attitude_alone(
         return replace(attitude, common_n=attitude.correlated_n, shared_n=None)
     assert sky_model is not None
     assert isinstance(measurement, StarExposure)
-    return _by_stars(measurement, sky_model, untold_acceleration)
+    return _by_stars(measurement, sky_model, unmeasured_acceleration)
 
 
-def _by_stars(exposure: StarExposure, sky_model: SkyModel, untold_acceleration: float) -> AttitudeMeasurement | None:
+def _by_stars(exposure: StarExposure, sky_model: SkyModel, unmeasured_acceleration: float) -> AttitudeMeasurement | None:
     """Return the sensor attitude from one exposure; None if its stars do not determine a verified one."""
     visible = visible_stars(exposure, sky_model, None)
     if isinstance(visible, Rejection):
@@ -61,7 +61,7 @@ def _by_stars(exposure: StarExposure, sky_model: SkyModel, untold_acceleration: 
     rotation_ns = solution.rotation_nb
     noise_s = rotation_ns.T @ solution.noise_n @ rotation_ns
     if exposure.length is not None:
-        noise_s = noise_s + exposure.length.untold_turn_variance(untold_acceleration) * np.eye(3)
+        noise_s = noise_s + exposure.length.unmeasured_turn_variance(unmeasured_acceleration) * np.eye(3)
     return AttitudeMeasurement(
         exposure.source, exposure.time_ns, rotation_ns, noise_s, solution.covariance_n - solution.noise_n
     )

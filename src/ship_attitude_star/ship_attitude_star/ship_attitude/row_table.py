@@ -37,7 +37,7 @@ _LEAST_CHECKED = 2
 """Minimum number of sources besides the INS that check one another."""
 
 
-class Asked(NamedTuple):
+class RelevantHypotheses(NamedTuple):
     """Fault hypotheses of an attitude that is computed from some of the sources.
 
     Attributes:
@@ -108,7 +108,7 @@ class RowTable:
         self.common_missed = float(k.missed[-1])
         self.common_threshold = common_threshold(config.integrity)
         self.stars = frozenset(name for name, one in devices.items() if one.is_star)
-        self._asked: dict[tuple[tuple[str, ...], tuple[str, ...]], Asked] = {}
+        self._relevant: dict[tuple[tuple[str, ...], tuple[str, ...]], RelevantHypotheses] = {}
         self.limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
 
     def pairs_in_question(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
@@ -133,7 +133,7 @@ class RowTable:
         """
         return len(in_use) >= _LEAST_CHECKED and not self.stars.issuperset(in_use)
 
-    def asked(self, sources: tuple[str, ...], excluded: Collection[str]) -> Asked:
+    def relevant_hypotheses(self, sources: tuple[str, ...], excluded: Collection[str]) -> RelevantHypotheses:
         """Return the fault hypotheses of an attitude; results are cached.
 
         Args:
@@ -141,17 +141,17 @@ class RowTable:
             excluded: names of the excluded sources, the INS included.
         """
         key = sources, tuple(excluded)
-        if key not in self._asked:
-            self._asked[key] = self._find_relevant(sources, excluded)
-        return self._asked[key]
+        if key not in self._relevant:
+            self._relevant[key] = self._find_relevant(sources, excluded)
+        return self._relevant[key]
 
-    def _find_relevant(self, sources: Collection[str], excluded: Collection[str]) -> Asked:
+    def _find_relevant(self, sources: Collection[str], excluded: Collection[str]) -> RelevantHypotheses:
         others = [name for name in sources if name in self.sources and name not in excluded]
         hypotheses = [row - 1 for row in self.singles if self.names[row - 1] not in excluded]
         hypotheses += [row - 1 for row in self.pairs_in_question(others, excluded)]
         names = tuple(self.names[number] for number in hypotheses)
         check_one_another = len(others) >= _LEAST_CHECKED and not self.stars.isdisjoint(others)
-        return Asked(np.array(hypotheses, dtype=np.intp), names, check_one_another)
+        return RelevantHypotheses(np.array(hypotheses, dtype=np.intp), names, check_one_another)
 
     def _check_number(self, most: int) -> None:
         if self.count > most:

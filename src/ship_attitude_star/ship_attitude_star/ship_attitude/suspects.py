@@ -229,13 +229,13 @@ class Suspects:
         wrong = self._named(state, isolation)
         if state.absorbed.sigmas > COMMON_ERROR_START_SIGMAS and not table.stars.isdisjoint(wrong):
             wrong = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
-        if self.ins.told(state, time_ns):
+        if self.ins.has_reported_jump(state, time_ns):
             state = changed(state, ins_suspected_ns=time_ns)
             if INS not in wrong and not set(table.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
                 wrong = ()  # A jump of the INS explains it as well: the INS may have rotated in its own frame.
         contradicting = self._stars_contradicting(state, wrong, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
-        if against_ins and self.ins.told(state, time_ns) and self.ins.may_be_excluded(in_use):
+        if against_ins and self.ins.has_reported_jump(state, time_ns) and self.ins.may_be_excluded(in_use):
             state, text = self._without(state, (INS,), time_ns)
             return self.ins.contradicted_now(state, time_ns), text
         if INS in wrong and (stepped or not table.contradict_ins([name for name in in_use if name not in wrong])):
@@ -305,10 +305,10 @@ class Suspects:
         The subfilter without the INS is consistent with the stars all the time. Stars that contradicted the INS are
         reset.
         """
-        told = state if state.unresolved_fault is None else self.reset_for_ins_jump(state, time_ns)
-        if INS in state.excluded or not self.ins.may_be_excluded(told.in_use(self._sources, time_ns)):
+        after_reset = state if state.unresolved_fault is None else self.reset_for_ins_jump(state, time_ns)
+        if INS in state.excluded or not self.ins.may_be_excluded(after_reset.in_use(self._sources, time_ns)):
             return state
-        return self._without(told, (INS,), time_ns)[0]
+        return self._without(after_reset, (INS,), time_ns)[0]
 
     def restart_subfilters(self, state: FilterState) -> FilterState:
         """Return the state with all filters restarted from the main filter and faults reset."""

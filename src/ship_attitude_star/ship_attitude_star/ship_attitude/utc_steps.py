@@ -42,7 +42,7 @@ def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> Fi
     step_s = step_ns / SECOND_NS + (0.0 if state.utc is None else state.utc.step_s)
     # An unresolved fault from before belongs to the earlier UTC.
     unresolved_fault = None if state.utc is not None else state.unresolved_fault
-    return changed(state, utc=UtcStep(step_s) if _can_tell(state, model, step_s) else None, doubt=unresolved_fault)
+    return changed(state, utc=UtcStep(step_s) if _is_observable(state, model, step_s) else None, doubt=unresolved_fault)
 
 
 def with_utc_compared(
@@ -64,7 +64,7 @@ def with_utc_compared(
     """
     innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc
     assert utc is not None
-    if utc.log_ratio < _DECIDES and not _can_tell(predicted, model, utc.step_s):
+    if utc.log_ratio < _DECIDES and not _is_observable(predicted, model, utc.step_s):
         return changed(state, utc=None), decision
     if innovation is None or not len(decision.residual):
         return after, decision
@@ -86,7 +86,7 @@ def with_utc_compared(
     return state, replace(decision, accepted=False, reason=Reason.ATTITUDE_CONFLICT, text=text)
 
 
-def _can_tell(state: FilterState, model: ShipStateModel, step_s: float) -> bool:
+def _is_observable(state: FilterState, model: ShipStateModel, step_s: float) -> bool:
     """True if the attitude of a state is known well enough to detect the rotation of the sky by a step."""
     slow = model.slices["ins.attitude"]
     sigma = math.sqrt(float(np.linalg.eigvalsh(state.covariance[slow, slow])[-1]))

@@ -126,10 +126,10 @@ class PlaceByFixes:
         """Insert a fix; return the time (ns) after which results may have changed, None if none has."""
         changed_ns = self._fixes.insert(fix.time_ns, _earth_fixed(fix))
         conflict_ns = self._fixes.conflict_changed_ns
-        told_ns = [] if conflict_ns is None else [conflict_ns + self._delay_ns - 1]
+        unchanged_until_ns = [] if conflict_ns is None else [conflict_ns + self._delay_ns - 1]
         if changed_ns is not None:
-            told_ns.append(self._last_unchanged_ns(changed_ns))
-        return min(told_ns, default=None)
+            unchanged_until_ns.append(self._last_unchanged_ns(changed_ns))
+        return min(unchanged_until_ns, default=None)
 
     def _last_unchanged_ns(self, changed_ns: int) -> int:
         """Return the time after which results may differ if the accepted fixes differ from a stamp on."""

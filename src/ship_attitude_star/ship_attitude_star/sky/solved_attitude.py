@@ -45,11 +45,11 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     lift, sigma = _lift(rotation_ns, local_sky)
     if not solved.covariance_known:
         stated_n, lifted_n = np.zeros((3, 3)), (sigma if np.isfinite(sigma) else 0.0) * lift
-    elif solved.noise_told:
+    elif solved.has_noise_covariance:
         stated_n, lifted_n = _by_refraction(_left_over(solved.common_n, turns_n), lift, _LOW_STARS * sigma)
     else:
         stated_n, lifted_n = _by_refraction(_left_over(noise_n, turns_n), lift, sigma)
-    noise_is_left = solved.covariance_known and not solved.noise_told
+    noise_is_left = solved.covariance_known and not solved.has_noise_covariance
     return AttitudeMeasurement(
         solved.source,
         solved.time_ns,

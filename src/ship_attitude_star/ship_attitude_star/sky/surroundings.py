@@ -200,10 +200,10 @@ class Surroundings:
             return place
         pressure, temperature, humidity = [quantity.at(time_ns) for quantity in self._air.values()]
         weather = Weather(pressure.value, temperature.value, humidity.value)
-        told = self._answers[time_ns] = place, Air(weather, pressure.sigma, temperature.sigma)
+        result = self._answers[time_ns] = place, Air(weather, pressure.sigma, temperature.sigma)
         if len(self._answers) > _ANSWERS_KEPT:
             del self._answers[next(iter(self._answers))]
-        return told
+        return result
 
     def not_measured(self, time_ns: int) -> list[str]:
         """Return the names of the quantities of the air that are taken from parameters at a time."""

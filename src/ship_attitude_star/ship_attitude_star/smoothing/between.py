@@ -80,14 +80,14 @@ class Between:
             means = passage.means
             transition = passage.transition
             everywhere = transition @ covariance @ np.swapaxes(transition, -1, -2) + passage.noise
-        told = self._told(times_ns)
-        of_told = told @ everywhere
-        known = Known((told @ means[..., None])[..., 0], of_told @ np.swapaxes(told, -1, -2))
+        to_output = self._output_matrix(times_ns)
+        output_covariance = to_output @ everywhere
+        known = Known((to_output @ means[..., None])[..., 0], output_covariance @ np.swapaxes(to_output, -1, -2))
         if later is None:
             return known, None
         assert later.time_ns is not None
         onward = self._onward(anchor, times_ns, later.time_ns)
-        return known, of_told @ np.swapaxes(onward, -1, -2)
+        return known, output_covariance @ np.swapaxes(onward, -1, -2)
 
     def _passage(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> _Passage:
         """Return the propagation from an anchor to N times."""
@@ -133,15 +133,15 @@ class Between:
         assert self._vertical is not None
         return process.propagation(anchor.time_ns, anchor.given, times_ns, self._vertical)
 
-    def _told(self, times_ns: Sequence[int]) -> FloatArray:
+    def _output_matrix(self, times_ns: Sequence[int]) -> FloatArray:
         """Return the matrices from the states to the output quantities, shape (N, 4, n)."""
-        told = np.zeros((len(times_ns), _CLOCK + 1, self._model.size))
-        told[:, np.arange(_CLOCK + 1), self._rows[: _CLOCK + 1]] = 1.0
+        matrix = np.zeros((len(times_ns), _CLOCK + 1, self._model.size))
+        matrix[:, np.arange(_CLOCK + 1), self._rows[: _CLOCK + 1]] = 1.0
         if self._to_gravity:
             assert self._vertical is not None
             own = [own_from_whole(self._vertical.at(time_ns)) for time_ns in times_ns]
-            told[:, :_CLOCK, self._model.process_rows[:5]] = own
-        return told
+            matrix[:, :_CLOCK, self._model.process_rows[:5]] = own
+        return matrix
 
 
 def _diagonal(values: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ _AT_ONCE = 1000
 _NO_PARTS = np.empty((0, 3, 3))
 
 
-class _ToldAtOnce(NamedTuple):
+class _RealTimeEstimate(NamedTuple):
     """A real-time attitude.
 
     Attributes:
@@ -65,7 +65,7 @@ class SmoothingCore(ShipAttitudeCore):
         self._lag_ns = None if lag_s is None else round(lag_s * SECOND_NS)
         self._closed: list[FilterState] = []
         self._closed_ns = 0
-        self._told: deque[_ToldAtOnce] = deque()
+        self._pending: deque[_RealTimeEstimate] = deque()
         self._smooths = True
         super().__init__(config, sky_model, self._closed.extend)
 
@@ -79,17 +79,17 @@ class SmoothingCore(ShipAttitudeCore):
         """See :meth:`ShipAttitudeCore.take_over_outputs`; smoothing starts a new segment."""
         super().take_over_outputs(live)
         self._smooths = True
-        self.forget_told()
+        self.restart_smoothing()
 
     def _begin(self, state: FilterState) -> None:
         """See :meth:`ShipAttitudeCore._start_without_samples`; pending smoothed attitudes are discarded."""
         super()._begin(state)
-        self.forget_told()
+        self.restart_smoothing()
 
-    def forget_told(self) -> None:
+    def restart_smoothing(self) -> None:
         """Restart smoothing from now; pending smoothed attitudes are discarded."""
         self._closed.clear()
-        self._told.clear()
+        self._pending.clear()
         oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
         self._smoother: Chain[VerticalHere | None] = Chain(self._between(), oldest)
@@ -110,8 +110,8 @@ class SmoothingCore(ShipAttitudeCore):
             return outcome
         for one in outcome.estimates:
             has_fault = one.state.doubt is not None or INS in one.state.excluded
-            self._told.append(_ToldAtOnce(_alone(one), one.state.disputed_n, has_fault))
-            self._smoother.ask(one.time_ns)
+            self._pending.append(_RealTimeEstimate(_alone(one), one.state.disputed_n, has_fault))
+            self._smoother.request_time(one.time_ns)
         return outcome
 
     def smoothed(self) -> list[AttitudeEstimate]:
@@ -126,8 +126,8 @@ class SmoothingCore(ShipAttitudeCore):
         """Yield all remaining attitudes smoothed with all measurements; no input may follow."""
         self._take([*self._closed, *self._estimator.states_in_window()])
         self._closed.clear()
-        while self._told:
-            last = self._told[min(len(self._told), _AT_ONCE) - 1]
+        while self._pending:
+            last = self._pending[min(len(self._pending), _AT_ONCE) - 1]
             yield from self._smoothed_until(last.estimate.time_ns)
 
     # -- stored data ----------------------------------------------------------------------------------------
@@ -137,9 +137,9 @@ class SmoothingCore(ShipAttitudeCore):
         super()._forget_before(time_ns)
 
     def _asked_since_ns(self, closed_ns: int) -> int:
-        asked_ns = self._told[0].estimate.time_ns if self._told else closed_ns
+        oldest_pending_ns = self._pending[0].estimate.time_ns if self._pending else closed_ns
         link_ns = self._smoother.newest_ns
-        return min(closed_ns, asked_ns, closed_ns if link_ns is None else link_ns)
+        return min(closed_ns, oldest_pending_ns, closed_ns if link_ns is None else link_ns)
 
     def _between(self) -> Between:
         return Between(self.filter, self.config.horizon == GRAVITY)
@@ -160,10 +160,10 @@ class SmoothingCore(ShipAttitudeCore):
             for moment_ns, mean, covariance in zip(moments_ns, means, covariances, strict=True)
         }
         due = []
-        while self._told and self._told[0].estimate.time_ns <= time_ns:
-            due.append(self._told.popleft())
-        again: list[tuple[_ToldAtOnce, Known, InterpolatedAttitude]] = []
-        places, estimates = [], [self._as_it_was(told.estimate) for told in due]
+        while self._pending and self._pending[0].estimate.time_ns <= time_ns:
+            due.append(self._pending.popleft())
+        again: list[tuple[_RealTimeEstimate, Known, InterpolatedAttitude]] = []
+        places, estimates = [], [self._as_it_was(pending.estimate) for pending in due]
         for place, told in enumerate(due):
             corrects = known.get(told.estimate.time_ns)
             ins = None if corrects is None or told.is_doubtful else self._ins_at(told.estimate.time_ns, corrects)
@@ -186,7 +186,7 @@ class SmoothingCore(ShipAttitudeCore):
         return self._track.at(time_ns + round(moved_s * SECOND_NS))
 
     def _corrected_again(
-        self, again: Sequence[tuple[_ToldAtOnce, Known, InterpolatedAttitude]]
+        self, again: Sequence[tuple[_RealTimeEstimate, Known, InterpolatedAttitude]]
     ) -> list[AttitudeEstimate]:
         """Return INS attitudes corrected by the smoothed INS errors."""
         corrected, estimates = self._corrected, []
@@ -209,13 +209,13 @@ class SmoothingCore(ShipAttitudeCore):
             parts,
             *corrected.of_filter[3:],
         )
-        for (told, _, ins), rotation_nd, of_source in zip(again, rotations_nd, parts_n, strict=True):
+        for (real_time, _, ins), rotation_nd, of_source in zip(again, rotations_nd, parts_n, strict=True):
             covariance_without_separation_n = of_source.sum(axis=0)
-            if told.separation_covariance_n is not None:
-                of_source[corrected.drift_index] += told.separation_covariance_n
+            if real_time.separation_covariance_n is not None:
+                of_source[corrected.drift_index] += real_time.separation_covariance_n
             estimates.append(
                 replace(
-                    told.estimate,
+                    real_time.estimate,
                     rotation_nd=rotation_nd,
                     covariance_parts_n=of_source,
                     covariance_n=of_source.sum(axis=0),

@@ -322,7 +322,7 @@ class StarCore:
             if not self._window.add(placed, waiting.arrival_ns):
                 outcome.not_joined.append((placed.source, placed.time_ns))
         self._pending = still_waiting
-        for group in self._window.closed(self._ins.tells_turn, waiting_ns):
+        for group in self._window.closed(self._ins.is_turn_known, waiting_ns):
             try:
                 joint = self._joint(group)
             except Exception as error:

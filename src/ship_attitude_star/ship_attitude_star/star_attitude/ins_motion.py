@@ -192,12 +192,12 @@ class InsMotion:
             covariance_n += np.outer(jumped_n, jumped_n)
         return StarPrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
-    def tells_turn(self, to_ns: int, from_ns: int) -> bool:
+    def is_turn_known(self, to_ns: int, from_ns: int) -> bool:
         """True if the rotation of the deck between two times is known; always for equal times."""
         if to_ns == from_ns:
             return True
-        told = self._at(to_ns) is not None and self._at(from_ns) is not None
-        return told and bool(np.all(self._jumped_n(to_ns) == self._jumped_n(from_ns)))
+        is_known = self._at(to_ns) is not None and self._at(from_ns) is not None
+        return is_known and bool(np.all(self._jumped_n(to_ns) == self._jumped_n(from_ns)))
 
     def deck_turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
         """Return the rotations of the deck from the middles of exposures to one time.
@@ -209,7 +209,7 @@ class InsMotion:
         moved = [
             row
             for row, exposure in enumerate(exposures)
-            if exposure.time_ns != to_ns and self.tells_turn(to_ns, exposure.time_ns)
+            if exposure.time_ns != to_ns and self.is_turn_known(to_ns, exposure.time_ns)
         ]
         noise = self.track.noise_covariance_of_sums(
             [self._noise_of_turn(to_ns if row in moved else e.time_ns, e) for row, e in enumerate(exposures)]
@@ -219,8 +219,8 @@ class InsMotion:
         covariance_d = noise[:, None, :, None] * np.eye(3)[:, None, :]
         if moved:
             ends = [self._at(time_ns) for time_ns in (to_ns, *(exposures[row].time_ns for row in moved))]
-            told = [end for end in ends if end is not None]
-            rotations[moved], between = self._turns_between(told[0], told[1:])
+            known = [end for end in ends if end is not None]
+            rotations[moved], between = self._turns_between(known[0], known[1:])
             covariance_d[np.ix_(moved, range(3), moved, range(3))] += between
         return DeckTurns(rotations, covariance_d)
 
@@ -266,8 +266,8 @@ class InsMotion:
         stamp_ns = exposure.time_ns - self._offset_ns
         turning = None if self._contradicts_itself(stamp_ns) else turning_over(self.track, stamp_ns, length.nodes)
         if turning is None:
-            untold = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
-            return MiddleOfExposure(exposure, 0.0, length.untold_turn_variance(float(untold)))
+            unmeasured_acceleration = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
+            return MiddleOfExposure(exposure, 0.0, length.unmeasured_turn_variance(float(unmeasured_acceleration)))
         white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
         corrected = at_middle(exposure, turning.mounted(mounting.rotation_ds).turns)
         return MiddleOfExposure(corrected, white_variance, turning.correction_error)

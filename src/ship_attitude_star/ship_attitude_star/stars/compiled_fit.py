@@ -297,7 +297,7 @@ def covariances(
     parts: cython.double[:, :, ::1] = of_terms
     shares: cython.double[:, ::1] = of_shares
     turn = cython.declare(cython.double[3])
-    told = cython.declare(cython.double[9])
+    information_of_errors = cython.declare(cython.double[9])
     half = cython.declare(cython.double[9])
     k: cython.Py_ssize_t
     c: cython.Py_ssize_t
@@ -314,16 +314,16 @@ def covariances(
             for j in range(3):
                 parts[term_of[c], i, j] += turn[i] * turn[j]
     for i in range(9):
-        told[i] = half[i] = 0.0
+        information_of_errors[i] = half[i] = 0.0
     for k in range(share.shape[0]):
         for c in range(3):
             for i in range(3):
                 for j in range(3):
-                    told[3 * i + j] += share[k] * share[k] * jacobian[k, c, i] * jacobian[k, c, j]
+                    information_of_errors[3 * i + j] += share[k] * share[k] * jacobian[k, c, i] * jacobian[k, c, j]
     for i in range(3):
         for j in range(3):
             for c in range(3):
-                half[3 * i + j] += told[3 * i + c] * white_n[c, j]
+                half[3 * i + j] += information_of_errors[3 * i + c] * white_n[c, j]
     for i in range(3):
         for j in range(i + 1):
             shares[i, j] = 0.0

@@ -67,7 +67,7 @@ class ExposureLength:
         """Rejection of an exposure for which the INS has no samples over its full length."""
         return Rejection(Reason.GAP, f"no INS samples over its whole exposure of {self.exposure_s:g} s")
 
-    def untold_turn_variance(self, acceleration: float) -> float:
+    def unmeasured_turn_variance(self, acceleration: float) -> float:
         """Return the variance of the rotation from the exposure's mean to its middle without an INS, each axis, rad².
 
         Args:

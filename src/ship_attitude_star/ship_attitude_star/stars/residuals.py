@@ -21,7 +21,7 @@ from ship_attitude_star.stars.chance import ambiguous_identity_rejection
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.scale_check import contradicted_scale
-from ship_attitude_star.stars.selection import StarPrior, select
+from ship_attitude_star.stars.selection import StarPrior, select_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, PixelStay
 from ship_estimation.refusals import Reason, Rejection
@@ -155,7 +155,7 @@ def _select_consistent(
         True for each selected star, shape (k,), none if the stars contradict the prediction and one another; and the
         attitude of the sensor by these stars alone if they contradict the prediction, else None.
     """
-    choice = select(at_estimate, prior, near_ns)
+    choice = select_stars(at_estimate, prior, near_ns)
     if choice.by_chance is not None:
         return ambiguous_identity_rejection(choice.by_chance)
     if choice.members.any():

@@ -13,7 +13,7 @@ from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.field_scale import estimate_optics, field_information
 from ship_attitude_star.stars.optics_errors import OpticsErrors
-from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
+from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select_stars
 from ship_estimation.refusals import Reason, Rejection
 
 FREE_FOCAL_SIGMA = 0.01
@@ -46,7 +46,7 @@ def contradicted_scale(
     if isinstance(visible, Rejection):
         return None
     stars = visible[1]
-    members = select(stars, prior).members
+    members = select_stars(stars, prior).members
     count = int(np.count_nonzero(members))
     if count < FEWEST_VERIFIED or count <= used_count:
         return None
@@ -80,9 +80,9 @@ def focal_length_rejection(optics: OpticsErrors, scale: float, by_what: str) -> 
         scale: relative error of the focal length, fitted minus configured.
         evidence: data to which the focal length is fitted, for the text.
     """
-    told_mm = 1e3 * optics.camera.focal_length_m
+    configured_mm = 1e3 * optics.camera.focal_length_m
     text = (
-        f"focal length {told_mm * (1.0 + scale):.3f} mm fits {by_what}, configured {told_mm:.3f} mm, "
-        f"sigma {told_mm * optics.focal_sigma:.3f} mm: check camera.focal_length_m"
+        f"focal length {configured_mm * (1.0 + scale):.3f} mm fits {by_what}, configured {configured_mm:.3f} mm, "
+        f"sigma {configured_mm * optics.focal_sigma:.3f} mm: check camera.focal_length_m"
     )
     return Rejection(Reason.MISIDENTIFIED, text)

@@ -98,7 +98,7 @@ class Choice:
     by_chance: float | None = None
 
 
-def select(stars: MatchedStars, prior: StarPrior | None = None, near_nb: FloatArray | None = None) -> Choice:
+def select_stars(stars: MatchedStars, prior: StarPrior | None = None, near_nb: FloatArray | None = None) -> Choice:
     """Select the correctly identified stars.
 
     Args:

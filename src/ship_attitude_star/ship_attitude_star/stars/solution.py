@@ -23,7 +23,7 @@ from ship_attitude_star.stars.fit import (
     linearized,
 )
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
-from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
+from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select_stars
 from ship_attitude_star.stars.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
 from ship_estimation.compiled_integrity import square_root
 from ship_estimation.refusals import Reason, Rejection
@@ -132,7 +132,7 @@ def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolu
         prior: used to select the stars, and to verify them if there are only two. It does not enter the attitude.
     """
     near_nb = likely_attitude(stars, prior) if prior is not None and prior.is_wide and len(stars) else None
-    choice = select(stars, prior, near_nb)
+    choice = select_stars(stars, prior, near_nb)
     members = choice.members
     if choice.by_chance is not None:
         return no_attitude(members, ambiguous_identity_rejection(choice.by_chance))

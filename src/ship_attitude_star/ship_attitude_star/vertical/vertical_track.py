@@ -141,14 +141,14 @@ class VerticalTrack:
             return None
         return self._forget_knots_after(changed_after_ns)
 
-    def drop_before(self, time_ns: int, asked_since_ns: int) -> None:
+    def drop_before(self, time_ns: int, needed_since_ns: int) -> None:
         """Discard data that are no longer needed.
 
         Args:
             time_ns: inputs before this time are final.
             needed_since_ns: earliest time for which the vertical is still needed.
         """
-        settled, oldest = time_ns // STEP_NS, asked_since_ns // STEP_NS
+        settled, oldest = time_ns // STEP_NS, needed_since_ns // STEP_NS
         if self._newest_step is not None:
             # Later points are computed from this one.
             self._knot(max(settled, self._newest_step))
@@ -166,7 +166,7 @@ class VerticalTrack:
         """Return the vertical at a time; within an interval the same object, until an input changes it."""
         return self._knot(time_ns // STEP_NS).here
 
-    def told(self, time_ns: int) -> str:
+    def missing_data_text(self, time_ns: int) -> str:
         """Return a text about missing data at a time; empty if nothing is missing."""
         knot = self._knot(time_ns // STEP_NS)
         if self._config.deflection == NONE:

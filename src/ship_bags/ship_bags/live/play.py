@@ -94,7 +94,7 @@ class Player:
                     file=bag_path,
                 )
             for topic, why in bag.skipped_topics.items():
-                self._say(f"topic '{topic}' is not played: {why}")
+                self._warn(f"topic '{topic}' is not played: {why}")
             self._advertise(bag)
 
     def run(self) -> PlaySummary:
@@ -117,7 +117,7 @@ class Player:
             if not self._clock.stopped:
                 unacknowledged = self._acknowledge()
         for problem in problems:
-            self._say(problem)
+            self._warn(problem)
         return PlaySummary(message_count, latest_s, unacknowledged)
 
     def publish_clock(self) -> None:
@@ -189,11 +189,11 @@ class Player:
             try:
                 kind = installed_class(type_name)
             except BadInput as problem:
-                self._say(f"topic '{topic}' is not played: {problem}")
+                self._warn(f"topic '{topic}' is not played: {problem}")
                 continue
             if bag.differences.get(type_name):
                 # Subscribers would read the bytes by the installed definition.
-                self._say(f"topic '{topic}' is not played: {'; '.join(bag.differences[type_name])}")
+                self._warn(f"topic '{topic}' is not played: {'; '.join(bag.differences[type_name])}")
                 continue
             durability = (
                 DurabilityPolicy.TRANSIENT_LOCAL if topic in bag.latched_topics else DurabilityPolicy.VOLATILE
@@ -214,10 +214,10 @@ class Player:
             BadInput: subscribers requested by name did not appear.
         """
         by_name = {p.topic_name: p for p in (self._clock_publisher, *self._publishers.values())}
-        asked = {self._node.resolve_topic_name(name): count for name, count in self._options.wait_for.items()}
-        for name in asked.keys() - by_name.keys():
+        requested = {self._node.resolve_topic_name(name): count for name, count in self._options.wait_for.items()}
+        for name in requested.keys() - by_name.keys():
             raise BadInput(f"topic '{name}' is not played, so there are no subscribers to wait for")
-        wanted = asked or {name: 1 for name in by_name if name != "/clock" and "truth" not in name.split("/")}
+        wanted = requested or {name: 1 for name in by_name if name != "/clock" and "truth" not in name.split("/")}
         deadline_s = time.monotonic() + self._options.wait_timeout_s
         matches, settled_s = [0], deadline_s
         while missing := [
@@ -230,15 +230,15 @@ class Player:
                 matches, settled_s = counts, time.monotonic() + _SETTLED_S
             unwanted = [name for name in missing if not by_name[name].get_subscription_count()]
             taken = any(name in wanted for name in by_name.keys() - set(unwanted))
-            if not asked and taken and unwanted == missing and time.monotonic() >= settled_s:
-                self._say(f"no subscriber of {', '.join(sorted(unwanted))}; playing nevertheless")
+            if not requested and taken and unwanted == missing and time.monotonic() >= settled_s:
+                self._warn(f"no subscriber of {', '.join(sorted(unwanted))}; playing nevertheless")
                 return
             if time.monotonic() >= deadline_s:
                 names = ", ".join(sorted(missing))
                 text = f"no match after {self._options.wait_timeout_s} s with the subscribers of {names}"
-                if asked:
+                if requested:
                     raise BadInput(text)
-                self._say(f"{text}; playing nevertheless")
+                self._warn(f"{text}; playing nevertheless")
                 return
             time.sleep(_POLL_S)
 
@@ -246,7 +246,7 @@ class Player:
         matched: bool = publisher.get_subscription_count() >= max(wanted, self._node.count_subscribers(name))
         return matched
 
-    def _say(self, line: str) -> None:
+    def _warn(self, line: str) -> None:
         self._node.get_logger().warning(line)
 
 

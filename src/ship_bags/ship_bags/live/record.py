@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import installed_class
-from ship_bags.live.recorded_graph import DEPTH, REPORTS, ParameterCollector, adapted_qos, is_activity, offered_topics, qos_texts
+from ship_bags.live.recorded_graph import DEPTH, STATUS_TYPES, ParameterCollector, adapted_qos, is_activity, offered_topics, qos_texts
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.mcap.folder import FolderWriter
 from ship_bags.message_store import use_installed_definition
@@ -122,7 +122,7 @@ class Recorder:
         self._drain(executor)
         self._hear_out(executor)
         if self._before_clock:
-            self._say(f"no /clock received: {len(self._before_clock)} messages get their publishers' time")
+            self._warn(f"no /clock received: {len(self._before_clock)} messages get their publishers' time")
             for topic, type_name, data, sent_ns in self._before_clock:
                 self._bag.write_raw(topic, type_name, data, sent_ns, sent_ns)
 
@@ -168,10 +168,10 @@ class Recorder:
             kind = installed_class(type_name)
             use_installed_definition(type_name)
         except BadInput as problem:
-            self._say(f"topic '{topic}' is not recorded: {problem}")
+            self._warn(f"topic '{topic}' is not recorded: {problem}")
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
-        if self._only_reports and type_name not in REPORTS:
+        if self._only_reports and type_name not in STATUS_TYPES:
             # Reports are no activity from now on, nor were those received before.
             self._only_reports, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
@@ -209,7 +209,7 @@ class Recorder:
             self._before_clock.append((topic, type_name, data, info["source_timestamp"]))
             return
         if self._is_simulated_time and now_ns < self._last_log_ns:
-            self._say_step("/clock", now_ns - self._last_log_ns, now_ns)
+            self._record_step("/clock", now_ns - self._last_log_ns, now_ns)
         self._last_log_ns = now_ns
         self._write_pending(now_ns)
         self._bag.write_raw(topic, type_name, data, now_ns, info["source_timestamp"])
@@ -223,19 +223,19 @@ class Recorder:
         before_ns, clock_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
         step_ns = self._clock_watch.detect_step(before_ns, clock_ns, after_ns)
         if step_ns is not None:
-            self._say_step("the system clock", step_ns, clock_ns)
+            self._record_step("the system clock", step_ns, clock_ns)
 
-    def _say_step(self, clock: str, step_ns: int, now_ns: int) -> None:
+    def _record_step(self, clock: str, step_ns: int, now_ns: int) -> None:
         """Log a clock step and record it in the bag; later times are by the new clock."""
         self._step_count += 1
-        self._say(f"{clock} stepped by {step_ns / NS_PER_S:+.3f} s to {utc_text(now_ns)}; recording goes on")
+        self._warn(f"{clock} stepped by {step_ns / NS_PER_S:+.3f} s to {utc_text(now_ns)}; recording goes on")
         entries = {"clock": clock, "step_ns": str(step_ns), "to_ns": str(now_ns)}
         self._bag.add_metadata(f"clock_step_{self._step_count}", entries)
 
     def _note_loss(self, topic: str, count: int) -> None:
         self.lost[topic] += count
 
-    def _say(self, line: str) -> None:
+    def _warn(self, line: str) -> None:
         self._node.get_logger().warning(line)
 
 

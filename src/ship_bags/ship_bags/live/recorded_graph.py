@@ -28,7 +28,7 @@ DEPTH = 1000
 _EXCLUDED_TOPICS = ("/clock",)
 """Topics that are recorded only if named: /clock is the time of the log, which a player publishes."""
 
-REPORTS = frozenset(
+STATUS_TYPES = frozenset(
     {
         *("rosgraph_msgs/msg/Clock", "rcl_interfaces/msg/Log", "rcl_interfaces/msg/ParameterEvent"),
         *("diagnostic_msgs/msg/DiagnosticArray", "ship_msgs/msg/InputHealth", "ship_msgs/msg/AlignmentState"),
@@ -59,7 +59,7 @@ def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
         data: its CDR bytes.
     """
     if type_name not in _RESULTS:
-        return type_name not in REPORTS
+        return type_name not in STATUS_TYPES
     return bool(deserialize_message(data, kind).status != kind.INVALID)
 
 
@@ -110,7 +110,7 @@ def qos_texts(endpoints: Sequence[TopicEndpointInfo]) -> str:
 
 
 @dataclass
-class _Asked:
+class _ParameterRequest:
     """Query of one node: first for the names, then for the values."""
 
     deadline_s: float
@@ -134,14 +134,14 @@ class ParameterCollector:
         self.unanswered: list[str] = []
         self._node, self._attach = node, attach
         self._seen = {full_name(node.get_name(), node.get_namespace())}
-        self._asked: dict[str, _Asked] = {}
+        self._requests: dict[str, _ParameterRequest] = {}
         self._found: dict[str, dict[str, Any]] = {}
         self._attached = 0
 
     @property
     def pending(self) -> bool:
         """True if a query is pending."""
-        return bool(self._asked)
+        return bool(self._requests)
 
     def update(self) -> None:
         """Query new nodes, process answers, give up nodes after the timeout."""
@@ -149,58 +149,58 @@ class ParameterCollector:
             full = full_name(name, namespace)
             if full not in self._seen and not name.startswith("_") and len(self._seen) <= MOST_NODES:
                 self._seen.add(full)
-                self._asked[full] = self._ask(full)
-        for full, asked in list(self._asked.items()):
-            if self._step(full, asked):
+                self._requests[full] = self._ask(full)
+        for full, request in list(self._requests.items()):
+            if self._step(full, request):
                 self._leave(full)
-            elif time.monotonic() > asked.deadline_s:
+            elif time.monotonic() > request.deadline_s:
                 self.unanswered.append(full)
                 self._leave(full)
-        if not self._asked and len(self._found) > self._attached:
+        if not self._requests and len(self._found) > self._attached:
             self._attached = len(self._found)
             self._attach(sections_text(self._found))
 
     def close(self) -> None:
         """End the queries: pending nodes count as unanswered."""
-        for full in list(self._asked):
+        for full in list(self._requests):
             self.unanswered.append(full)
             self._leave(full)
         if len(self._found) > self._attached:
             self._attach(sections_text(self._found))
 
-    def _ask(self, full: str) -> _Asked:
+    def _ask(self, full: str) -> _ParameterRequest:
         kinds = ((ListParameters, "list_parameters"), (GetParameters, "get_parameters"))
         clients = [self._node.create_client(kind, f"{full}/{service}") for kind, service in kinds]
-        return _Asked(time.monotonic() + ANSWER_S, clients)
+        return _ParameterRequest(time.monotonic() + ANSWER_S, clients)
 
-    def _step(self, full: str, asked: _Asked) -> bool:
+    def _step(self, full: str, request: _ParameterRequest) -> bool:
         """Send a node the next request after its answer; return True after the last one."""
-        by_name, by_value = asked.clients
-        if asked.answer is None:
+        by_name, by_value = request.clients
+        if request.answer is None:
             if by_name.service_is_ready() and by_value.service_is_ready():
-                asked.answer = by_name.call_async(ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE))
+                request.answer = by_name.call_async(ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE))
             return False
-        if not asked.answer.done():
+        if not request.answer.done():
             return False
-        answer = asked.answer.result()
-        if not asked.names:
+        answer = request.answer.result()
+        if not request.names:
             # Parameters of the node runtime (clock, black box) do not change the results and are left out.
             names = answer.result.names[:MOST_PARAMETERS]
-            asked.names = [name for name in names if is_topic_parameter(name) or not is_runtime_parameter(name)]
-            if not asked.names:
+            request.names = [name for name in names if is_topic_parameter(name) or not is_runtime_parameter(name)]
+            if not request.names:
                 return True
-            asked.answer = by_value.call_async(GetParameters.Request(names=asked.names))
+            request.answer = by_value.call_async(GetParameters.Request(names=request.names))
             return False
         values = map(parameter_value_to_python, answer.values)
         self._found[full] = {
             name: list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
-            for name, value in zip(asked.names, values, strict=False)
+            for name, value in zip(request.names, values, strict=False)
             if value is not None and not _has_bytes(value)
         }
         return True
 
     def _leave(self, full: str) -> None:
-        for client in self._asked.pop(full).clients:
+        for client in self._requests.pop(full).clients:
             self._node.destroy_client(client)
 
 

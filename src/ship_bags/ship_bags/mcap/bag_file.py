@@ -173,12 +173,12 @@ class _Summary:
     @property
     def is_complete(self) -> bool:
         """True if it lists all channels, their schemas and all places of messages."""
-        told = self.statistics
-        if told is None or told.channel_count != len(self.channels):
+        statistics = self.statistics
+        if statistics is None or statistics.channel_count != len(self.channels):
             return False
         if any(channel.schema_id and channel.schema_id not in self.schemas for channel in self.channels.values()):
             return False
-        return told.chunk_count == len(self.places) and (told.message_count == 0 or told.chunk_count > 0)
+        return statistics.chunk_count == len(self.places) and (statistics.message_count == 0 or statistics.chunk_count > 0)
 
 
 def _summary(file: McapFile) -> _Summary | None:

@@ -75,7 +75,7 @@ _TRANSDUCED = {
 """Type and unit of an XDR transducer → field of a reading, and factor: °C, per cent, bar, pascal. H is hectopascal of
 Vaisala; the others are of the standard."""
 
-_MOST_TRANSDUCERS, _MOST_TOLD = 100, 5
+_MOST_TRANSDUCERS, _MAX_NAMED = 100, 5
 
 
 @dataclass(frozen=True)
@@ -178,10 +178,10 @@ class Instrument:
             return
         gga, stamp_ns = line.content, line.receive_ns
         if self._role.by_instrument:
-            told_ns = instrument_ns(time_of_day_ns(gga.timestamp, line.receive_ns), line, self._report)
-            if told_ns is None:
+            instrument_time_ns = instrument_ns(time_of_day_ns(gga.timestamp, line.receive_ns), line, self._report)
+            if instrument_time_ns is None:
                 return
-            stamp_ns = told_ns
+            stamp_ns = instrument_time_ns
         status = _FIX_STATUS.get(gga.gps_qual, _NO_FIX)
         if gga.gps_qual == _MAKERS_SBAS_QUALITY and self._role.quality_9_is_fix:
             status = _AUGMENTED
@@ -224,23 +224,23 @@ class Instrument:
 
     def _transduced(self, line: InstrumentLine) -> MetReading:
         """Return the air data of an XDR: of the named transducers, or of the only one of each kind."""
-        told: dict[str, list[float]] = {}
+        readings: dict[str, list[float]] = {}
         for index in range(line.content.num_transducers):
             transducer = line.content.get_transducer(index)
             value = number(transducer.value)
             field, factor = _TRANSDUCED.get((transducer.type, transducer.units), ("", 0.0))
             if not field or value is None or (self._role.transducers and transducer.id not in self._role.transducers):
                 continue
-            told.setdefault(field, []).append(value * factor)
+            readings.setdefault(field, []).append(value * factor)
             names = self._transducers.setdefault(field, set())
             if len(names) < _MOST_TRANSDUCERS:
                 names.add(transducer.id)
-        for field in [field for field, values in told.items() if len(values) + len(self._transducers[field]) > 2]:
-            several = ", ".join(sorted(self._transducers[field])[:_MOST_TOLD])
+        for field in [field for field, values in readings.items() if len(values) + len(self._transducers[field]) > 2]:
+            several = ", ".join(sorted(self._transducers[field])[:_MAX_NAMED])
             text = f"{field.partition('_')[0]} of {several}: list the one of the air in transducers"
             self._report.reject("several transducers", line.number, text)
-            del told[field]
-        return MetReading(**{field: values[0] for field, values in told.items()})
+            del readings[field]
+        return MetReading(**{field: values[0] for field, values in readings.items()})
 
 
 def imu_topic(becomes: str, name: str) -> str:

@@ -96,10 +96,10 @@ def instrument_ns(stamp_ns: int, line: InstrumentLine, report: LineReport) -> in
     result_ns = corrected_ns(stamp_ns, line.receive_ns)
     if result_ns is None:
         late_ns = line.receive_ns - stamp_ns
-        told = datetime.fromtimestamp(stamp_ns // NS_PER_S, tz=timezone.utc)
+        stated = datetime.fromtimestamp(stamp_ns // NS_PER_S, tz=timezone.utc)
         days = abs(late_ns) / _DAY_NS
         difference = f"{days:.1f} days" if days >= 1.0 else f"{abs(late_ns) / NS_PER_S:.0f} s"
-        text = f"{told:%Y-%m-%dT%H:%M:%SZ} is {difference} {'before' if late_ns > 0 else 'after'} the receive time"
+        text = f"{stated:%Y-%m-%dT%H:%M:%SZ} is {difference} {'before' if late_ns > 0 else 'after'} the receive time"
         report.reject(WRONG_TIME, line.number, text)
     elif result_ns != stamp_ns:
         weeks = (result_ns - stamp_ns) // _ROLLOVER_NS * 1024

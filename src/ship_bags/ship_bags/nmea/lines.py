@@ -32,12 +32,12 @@ class ParsedText:
     """Text with its parsing result."""
 
     text: str
-    says: Sentence | NotOfInterest | Unusable
+    result: Sentence | NotOfInterest | Unusable
 
     @property
     def talker(self) -> str:
         """Two letters of the talker; empty for a proprietary or broken sentence."""
-        if self.says == NotOfInterest(BINARY) or (isinstance(self.says, Unusable) and not self.says.detail):
+        if self.result == NotOfInterest(BINARY) or (isinstance(self.result, Unusable) and not self.result.detail):
             return ""
         return self.text[1:3] if self.text.startswith("$") and not self.text.startswith("$P") else ""
 
@@ -73,8 +73,8 @@ def _read(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | Unusabl
         return read_sentence(text)
     if needs_checksum or "*" in text:
         return Unusable(HALF)
-    says = read_sentence(text)
-    return Unusable(HALF) if isinstance(says, Sentence) and not is_whole(says.kind, text) else says
+    result = read_sentence(text)
+    return Unusable(HALF) if isinstance(result, Sentence) and not is_whole(result.kind, text) else result
 
 
 def is_talker(text: str) -> bool:

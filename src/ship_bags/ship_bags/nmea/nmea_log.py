@@ -98,15 +98,15 @@ def _parsed(number: int, content: bytes, rules: LogRules, report: LogReport) -> 
 
 
 def _line(number: int, receive_ns: int, parsed: ParsedText, rules: LogRules, report: LogReport) -> InstrumentLine | None:
-    says = parsed.says
+    result = parsed.result
     if rules.talkers and parsed.talker and parsed.talker not in rules.talkers:
         report.unused[f"talker {parsed.talker}"] += 1
-    elif isinstance(says, NotOfInterest):
-        report.unused[says.name] += 1
-    elif isinstance(says, Unusable):
-        report.reject(says.detail or says.reason, number, parsed.text)
+    elif isinstance(result, NotOfInterest):
+        report.unused[result.name] += 1
+    elif isinstance(result, Unusable):
+        report.reject(result.detail or result.reason, number, parsed.text)
     else:
-        return InstrumentLine(number, receive_ns, says.kind, says.content, parsed.talker)
+        return InstrumentLine(number, receive_ns, result.kind, result.content, parsed.talker)
     return None
 
 

@@ -47,23 +47,23 @@ class ClockState:
 
 def look_at_clock() -> ClockState:
     """Read the state from chrony, otherwise from PTP."""
-    told, is_dead = [], False
+    details, is_dead = [], False
     for command, read in ((_CHRONY, chrony_state), (_PTP, ptp_state)):
         if shutil.which(command[0]) is None:
-            told.append(f"no {command[0]}")
+            details.append(f"no {command[0]}")
             continue
         is_dead = True
         try:
             run = subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER_S, check=False)
         except subprocess.TimeoutExpired:
-            told.append(f"{command[0]} gave no answer within {_ANSWER_S:g} s")
+            details.append(f"{command[0]} gave no answer within {_ANSWER_S:g} s")
             continue
         state = read(run.stdout)
         if state is not None:
             return state
-        said = (run.stderr or run.stdout).strip().splitlines()
-        told.append(f"{command[0]} reports: {said[-1] if said else 'nothing'}")
-    return ClockState("", detail=", ".join(told), is_dead=is_dead)
+        output_lines = (run.stderr or run.stdout).strip().splitlines()
+        details.append(f"{command[0]} reports: {output_lines[-1] if output_lines else 'nothing'}")
+    return ClockState("", detail=", ".join(details), is_dead=is_dead)
 
 
 def chrony_state(text: str) -> ClockState | None:

@@ -64,7 +64,7 @@ class DiskState:
     folder: Path
     device: int | None
     free_bytes: int | None
-    asked: Path | None = None
+    measured_folder: Path | None = None
 
 
 def estimate_write_rates(adapters: Sequence[Adapter], observed: Sequence[ObservedTopic]) -> WriteRates:
@@ -114,13 +114,13 @@ def check_disk(
         return
     free_gb = state.free_bytes / _GB
     found = f"{state.folder}: {free_gb:.1f} GB free, {needs}"
-    if state.asked is not None and state.asked != state.folder.absolute():
+    if state.measured_folder is not None and state.measured_folder != state.folder.absolute():
         if must_be_there:
             # If it is not mounted, the parent folder is on another disk.
             found = f"{state.folder}, named by {must_be_there}, is not there; {needs}"
             yield CheckLine(_CHECK, Result.FAIL, found, f"mount the disk, or correct {must_be_there}")
             return
-        found = f"{state.folder} is not there yet: {free_gb:.1f} GB free in {state.asked}, {needs}"
+        found = f"{state.folder} is not there yet: {free_gb:.1f} GB free in {state.measured_folder}, {needs}"
     if not free_gb >= need_gb:
         yield CheckLine(_CHECK, Result.FAIL, found, advice)
     elif not free_gb - need_gb >= limits.machine.disk_free_gb:

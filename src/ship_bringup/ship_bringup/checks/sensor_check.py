@@ -21,7 +21,7 @@ _UNITS = ("years", 365.25 * 86400.0), ("days", 86400.0), ("hours", 3600.0), ("mi
 _OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
 
 
-def asked_qualities(
+def find_requested_qos(
     path: Path, topics: Iterable[str], namespace: str, reliable_inputs: bool = False
 ) -> dict[str, dict[str, str]]:
     """Return relative topic → quality of service that a node requires beyond its default → the setting for it.
@@ -53,7 +53,7 @@ def check_sensors(
     state: NetworkState,
     limits: Limits,
     lags_s: Mapping[str, float],
-    asked: Mapping[str, Mapping[str, str]],
+    requested_qos: Mapping[str, Mapping[str, str]],
     own: Collection[str] = (),
     own_command: str = "",
 ) -> Iterator[CheckLine]:
@@ -80,18 +80,18 @@ def check_sensors(
             advice = f"start {own_command}, then preflight again, and end it before the suite"
             yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
-        result, found, advice = _evaluate_input(observed, limits, lags_s, asked.get(observed.input.topic, {}))
+        result, found, advice = _evaluate_input(observed, limits, lags_s, requested_qos.get(observed.input.topic, {}))
         if result is Result.FAIL and state.has_clock and found.endswith(_OLD):
             advice = "a bag is being played, as /clock shows: end its player"
         yield CheckLine(_CHECK, result, f"{observed.input.topic}: {found}", advice)
 
 
 def _evaluate_input(
-    observed: ObservedTopic, limits: Limits, lags_s: Mapping[str, float], asked: Mapping[str, str]
+    observed: ObservedTopic, limits: Limits, lags_s: Mapping[str, float], requested_qos: Mapping[str, str]
 ) -> tuple[Result, str, str]:
     topic = observed.input.topic
-    asked_for = Result.FAIL if observed.input.required or observed.input.named else Result.WARN
-    needed = Result.NOT_CHECKED if observed.input.at_times else asked_for
+    severity = Result.FAIL if observed.input.required or observed.input.named else Result.WARN
+    needed = Result.NOT_CHECKED if observed.input.is_occasional else severity
     if not observed.publishers:
         return needed, "no publisher", "start its driver, or name its topic in the suite file (topics)"
     of_type = [each for each in observed.publishers if each.type_name == observed.input.type_name]
@@ -100,8 +100,8 @@ def _evaluate_input(
         other = observed.publishers[0].type_name
         found = f"{who} publishes {other}, expected {observed.input.type_name}"
         return Result.FAIL, found, "change the driver, or name another topic in the suite file (topics)"
-    if lacking := [quality for quality in sorted(asked) if any(quality not in each.offers for each in of_type)]:
-        settings = " and ".join(dict.fromkeys(asked[quality] for quality in lacking))
+    if lacking := [quality for quality in sorted(requested_qos) if any(quality not in each.offers for each in of_type)]:
+        settings = " and ".join(dict.fromkeys(requested_qos[quality] for quality in lacking))
         found = f"{who} does not offer {' and '.join(lacking)}, required by {settings}: no message will arrive"
         return Result.FAIL, found, f"let the driver offer it, or leave out {settings}"
     if not observed.count:

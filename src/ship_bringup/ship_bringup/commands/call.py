@@ -8,7 +8,7 @@ from std_srvs.srv import Trigger
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bringup.asked_node import asked_node, asking_parser, unknown
+from ship_bringup.asked_node import connect_node, node_command_parser, unknown
 from ship_msgs.srv import AcknowledgeAlert
 
 _DESCRIPTION = """\
@@ -22,7 +22,7 @@ _KINDS: dict[str, Any] = {"std_srvs/srv/Trigger": Trigger, "ship_msgs/srv/Acknow
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``call``; return the exit code."""
-    parser = asking_parser("call", "/ship_attitude save_alignment", _DESCRIPTION, _EPILOG)
+    parser = node_command_parser("call", "/ship_attitude save_alignment", _DESCRIPTION, _EPILOG)
     parser.add_argument("service", metavar="SERVICE", nargs="?", help="name of the service, without that of the node")
     parser.add_argument(
         "fields", metavar="FIELD=VALUE", nargs="*", default=[], help="fields of the request: id=ins.out instance=1"
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _call(parsed: argparse.Namespace) -> int:
-    with asked_node("call", parsed.node, parsed.timeout) as node:
+    with connect_node("call", parsed.node, parsed.timeout) as node:
         services = {name: kind for name, kind in node.services().items() if kind in _KINDS}
         if parsed.service is None:
             for name, kind in sorted(services.items()):

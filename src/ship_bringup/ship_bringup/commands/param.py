@@ -8,7 +8,7 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bringup.asked_node import asked_node, asking_parser, text_of, unknown, value_from_text
+from ship_bringup.asked_node import connect_node, node_command_parser, text_of, unknown, value_from_text
 from ship_estimation.parameter_rows import in_columns
 
 _DESCRIPTION = """\
@@ -20,14 +20,14 @@ _EPILOG = "exit code: 0 done; 1 the node refuses the value; 2 bad input or usage
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``param``; return the exit code."""
-    parser = asking_parser("param", "/ship_attitude gate.probability 0.999", _DESCRIPTION, _EPILOG)
+    parser = node_command_parser("param", "/ship_attitude gate.probability 0.999", _DESCRIPTION, _EPILOG)
     parser.add_argument("name", metavar="NAME", nargs="?", help="dotted name of a parameter")
     parser.add_argument("value", metavar="VALUE", nargs="?", help="its new value; a list has commas in it")
     return run_command(parser, _param, arguments)
 
 
 def _param(parsed: argparse.Namespace) -> int:
-    with asked_node("param", parsed.node, parsed.timeout) as node:
+    with connect_node("param", parsed.node, parsed.timeout) as node:
         names = node.parameter_names()
         if parsed.name is not None and parsed.name not in names:
             raise BadInput(f"node {node.name}: {unknown('parameter', parsed.name, names)}")

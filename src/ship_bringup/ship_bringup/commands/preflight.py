@@ -24,7 +24,7 @@ from ship_bringup.checks.file_check import check_files, look_at_files
 from ship_bringup.checks.network_look import NetworkState, look_at_network
 from ship_bringup.checks.port_check import check_places, look_at_places
 from ship_bringup.checks.security_check import check_keystore, check_security
-from ship_bringup.checks.sensor_check import asked_qualities, check_sensors
+from ship_bringup.checks.sensor_check import find_requested_qos, check_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
 from ship_bringup.security.rights import companions_of, nmea_in_topics, suite_rights
@@ -208,8 +208,8 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
         for topic in node.adapter.inputs:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
-    asked = asked_qualities(options.file, lags_s, options.namespace, options.reliable_inputs)
-    yield from check_sensors(network, suite.limits, lags_s, asked, nmea_in_topics(suite.companions), _nmea_in(suite))
+    requested_qos = find_requested_qos(options.file, lags_s, options.namespace, options.reliable_inputs)
+    yield from check_sensors(network, suite.limits, lags_s, requested_qos, nmea_in_topics(suite.companions), _nmea_in(suite))
 
 
 def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:

@@ -145,10 +145,10 @@ def _date_faults(
         yield KeystoreFault(text, "create it again before the voyage", is_error=False)
 
 
-def _foreign_authority_faults(folders: Sequence[Path], told: str) -> Iterator[KeystoreFault]:
+def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) -> Iterator[KeystoreFault]:
     """Yield identities of another ship: all folders must hold the configured authority, else that of the first."""
     paths = [path for folder in folders if (path := folder / _IDENTITY_CA).is_file()]
-    expected, by = told.replace(":", "").lower(), "machine.authority_sha256"
+    expected, by = authority_sha256.replace(":", "").lower(), "machine.authority_sha256"
     for path in paths:
         try:
             digest = read_certificate(path).fingerprint(SHA256()).hex()

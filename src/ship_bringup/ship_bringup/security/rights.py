@@ -170,12 +170,12 @@ class _SuiteRights:
         yield self._tool("monitor", everything | self._clock, acknowledge, answers=("monitor", "acknowledge"))
         yield self._tool("monitor_terminal", watched, acknowledge, answers=("monitor_terminal", "acknowledge"))
         # The recorder reads the parameters of all nodes, and sets none.
-        asked = {"/*/list_parameters", "/*/get_parameters"}
-        yield self._tool("record", everything | self._clock | _OF_EVERY_NODE, asked)
+        parameter_reads = {"/*/list_parameters", "/*/get_parameters"}
+        yield self._tool("record", everything | self._clock | _OF_EVERY_NODE, parameter_reads)
         yield self._tool("preflight", self._inputs(self._from_outside))
         yield self._tool("call", (), self._called(), answers=("/call_*",))
         settable = () if self._locked else ("set_parameters_atomically",)
-        yield self._tool("param", (), self._asked(*_GET, *settable), answers=("/param_*",))
+        yield self._tool("param", (), self._parameter_services(*_GET, *settable), answers=("/param_*",))
         yield from self._of_sensors()
         if self._played:
             services = {self._full(f"play/{name}") for name in ("pause", "resume", "toggle_paused", "play_next")}
@@ -251,7 +251,7 @@ class _SuiteRights:
         own = [self._full(f"{adapter.node_name}/{name}") for adapter in self._adapters for name in adapter.services]
         return frozenset([*own, f"{self._alerts}/acknowledge", f"{self._alerts}/silence"])
 
-    def _asked(self, *names: str) -> frozenset[str]:
+    def _parameter_services(self, *names: str) -> frozenset[str]:
         nodes = [*self._nodes, self._alerts]
         return frozenset[str]().union(*(parameter_services(node, names) for node in nodes))
 

@@ -136,8 +136,8 @@ def signature_fault(path: Path, authority: Path) -> str | None:
     run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_S, check=False)
     if run.returncode == 0:
         return None
-    said = run.stderr.decode("utf-8", errors="replace")
-    detail = re.search(r"Verify error: ?(.*)", said) or re.search(r":((?:digest|signature) failure)", said)
+    error_text = run.stderr.decode("utf-8", errors="replace")
+    detail = re.search(r"Verify error: ?(.*)", error_text) or re.search(r":((?:digest|signature) failure)", error_text)
     return f"its signature is not that of {authority}" + (f" ({detail[1].strip()})" if detail else "")
 
 

@@ -34,8 +34,8 @@ class FrozenCheck:
         say: logs a line.
     """
 
-    def __init__(self, report_s: float, restart_s: float, say: Callable[[str], None]) -> None:
-        self._report_s, self._restart_s, self._say = report_s, restart_s, say
+    def __init__(self, report_s: float, restart_s: float, log: Callable[[str], None]) -> None:
+        self._report_s, self._restart_s, self._log = report_s, restart_s, log
         self.heartbeats = HeartbeatSocket()
         self._looked_s = time.monotonic()
 
@@ -54,7 +54,7 @@ class FrozenCheck:
                 heartbeat_age = process.heartbeat_age
                 if heartbeat_age.is_reported and not heartbeat_age.is_ended:
                     name = _name(kept, process)
-                    self._say(f"{name} works again after {heartbeat_age.time_s:.0f} s without a heartbeat")
+                    self._log(f"{name} works again after {heartbeat_age.time_s:.0f} s without a heartbeat")
                 heartbeat_age.restart(has_beaten=True)
                 if process is kept.process:
                     kept.has_run = True
@@ -75,7 +75,7 @@ class FrozenCheck:
         limit_s = self._restart_s if heartbeat_age.has_beaten else max(_LONGEST_START_S, self._restart_s)
         if heartbeat_age.time_s >= limit_s and not heartbeat_age.is_ended:
             heartbeat_age.is_ended = True
-            self._say(f"{name} sent no heartbeat for {heartbeat_age.time_s:.0f} s: killed")
+            self._log(f"{name} sent no heartbeat for {heartbeat_age.time_s:.0f} s: killed")
             process.kill()
             if process is kept.reserve:
                 kept.reserve, kept.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
@@ -83,7 +83,7 @@ class FrozenCheck:
             heartbeat_age.is_reported = True
             how = f"no heartbeat for {heartbeat_age.time_s:.0f} s, stopped or in a callback that does not return"
             left_s = max(0.0, self._restart_s - heartbeat_age.time_s)
-            self._say(f"{name} is frozen: {how}; it is killed and started again in {left_s:.0f} s")
+            self._log(f"{name} is frozen: {how}; it is killed and started again in {left_s:.0f} s")
 
 
 def _name(kept: KeptProgram, process: Process) -> str:

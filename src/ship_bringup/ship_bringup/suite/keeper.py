@@ -58,7 +58,7 @@ class Keeper:
         self._kill_due_s: float | None = None
         self._failure = EXIT_DONE
         self._reserved_ports = ReservedPorts()
-        self._frozen_check = FrozenCheck(frozen_report_s, frozen_restart_s, partial(self._say, _SUITE))
+        self._frozen_check = FrozenCheck(frozen_report_s, frozen_restart_s, partial(self._log, _SUITE))
 
     def run(self) -> int:
         """Run the programs; return the exit code of the player or of the first program that was down at the end, or 0.
@@ -84,7 +84,7 @@ class Keeper:
         try:
             self._work()
         except Exception as error:
-            self._say(_SUITE, f"exception in the supervisor of the suite, which continues: {failure(error).text}")
+            self._log(_SUITE, f"exception in the supervisor of the suite, which continues: {failure(error).text}")
             time.sleep(1.0)
 
     def _work(self) -> None:
@@ -114,7 +114,7 @@ class Keeper:
                 delay_s = max(1.0, kept.restarts.delay_s(ran_s=0.0))
                 kept.due_s = time.monotonic() + delay_s
                 text = f"{kept.program.name} cannot be started: {_reason(problem)}"
-                self._say(_SUITE, f"{text}; tried again in {delay_s:.0f} s")
+                self._log(_SUITE, f"{text}; tried again in {delay_s:.0f} s")
                 return
         if kept.program.has_reserve:
             kept.reserve_due_s = kept.process.began_s + _RESERVE_AFTER_S
@@ -151,23 +151,23 @@ class Keeper:
         """Show the complete lines that a program has written; return True if there may be more to read."""
         lines, may_be_more = process.lines()
         for line in lines:
-            self._say(kept.program.name, line)
+            self._log(kept.program.name, line)
         if lines and not kept.ports and process is kept.process:
             # A program that prints has created its node, which keeps these ports until it ends.
             kept.ports = ports_of(process.pid)
-        if process.has_said_all:
+        if process.is_output_complete:
             self._selector.unregister(process.output)
         return may_be_more
 
     def _ended(self, kept: KeptProgram, process: Process) -> None:
         """Handle the end of a process: its program is started again unless the suite ends."""
-        while not process.has_said_all and self._read(kept, process):
+        while not process.is_output_complete and self._read(kept, process):
             pass
         self._forget(process)
         code, ran_s = process.close(), time.monotonic() - process.began_s
         if process is kept.reserve:
             kept.reserve, kept.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
-            self._say(_SUITE, f"{kept.program.name} in reserve ended: {end_words(code)}")
+            self._log(_SUITE, f"{kept.program.name} in reserve ended: {end_words(code)}")
         elif process is kept.process:
             kept.process = None
             if self._ending:
@@ -181,18 +181,18 @@ class Keeper:
         if kept.program.role is Role.PLAYER:
             self._failure = failure_of(code)
             how += "; not started again" if self._failure else ""
-            self._say(_SUITE, f"{how}; the suite ends with it")
+            self._log(_SUITE, f"{how}; the suite ends with it")
             self._end()
             return
         kept.failure = failure_of(code)
         nodes = [each for each in self._kept if each.program.role is Role.NODE]
         if nodes and all(node.failure == EXIT_BAD_INPUT and not node.has_run for node in nodes):
-            self._say(_SUITE, f"{how}; bad input at the start: the suite ends")
+            self._log(_SUITE, f"{how}; bad input at the start: the suite ends")
             self._end()
             return
         delay_s = kept.restarts.delay_s(ran_s)
         when = "at once" if delay_s == 0.0 else f"in {delay_s:.0f} s"
-        self._say(_SUITE, f"{how}; started again {when} (restart {kept.restarts.in_a_row} in a row)")
+        self._log(_SUITE, f"{how}; started again {when} (restart {kept.restarts.in_a_row} in a row)")
         kept.due_s = time.monotonic() + delay_s
         self._reserved_ports.hold(kept.ports)
 
@@ -207,7 +207,7 @@ class Keeper:
                     kept.reserve = self._started(kept, waits=True)
                 except Exception as problem:
                     kept.reserve_due_s = now_s + LONGEST_DELAY_S
-                    self._say(_SUITE, f"{kept.program.name} in reserve cannot be started: {_reason(problem)}")
+                    self._log(_SUITE, f"{kept.program.name} in reserve cannot be started: {_reason(problem)}")
 
     def _forget(self, process: Process) -> None:
         """Stop waiting for a process; a program that it started may keep its output open."""
@@ -243,9 +243,9 @@ class Keeper:
         assert process is not None
         if self._kill_due_s is None:
             self._kill_due_s = time.monotonic() + _END_S
-            process.ask_to_end()
+            process.request_end()
         elif time.monotonic() >= self._kill_due_s:
-            self._say(_SUITE, f"{ending.program.name} does not end: killed")
+            self._log(_SUITE, f"{ending.program.name} does not end: killed")
             self._kill_due_s = time.monotonic() + _END_S
             process.kill()
 
@@ -254,7 +254,7 @@ class Keeper:
             process.kill()
             process.close()
 
-    def _say(self, name: str, line: str) -> None:
+    def _log(self, name: str, line: str) -> None:
         self._write(f"[{name}] {line}")
 
     @contextlib.contextmanager
@@ -264,12 +264,12 @@ class Keeper:
         for end in (waker, woken):
             end.setblocking(False)
 
-        def asked(_number: int, _frame: FrameType | None) -> None:
+        def request_end(_number: int, _frame: FrameType | None) -> None:
             if self._end_requested:
                 self._kill_all_now()
             self._end_requested = True
 
-        before = {number: signal.signal(number, asked) for number in _END_SIGNALS}
+        before = {number: signal.signal(number, request_end) for number in _END_SIGNALS}
         former = signal.set_wakeup_fd(waker.fileno(), warn_on_full_buffer=False)
         self._selector.register(woken, selectors.EVENT_READ, lambda: woken.recv(64))
         try:

@@ -112,8 +112,8 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         beside = companions_of(path, options.namespace)
         is_played, names = options.bag is not None, ship_names(path)
         rights = suite_rights(chain.adapters, options.namespace, played=is_played, companions=beside, ship_names=names)
-        programs, told = in_enclaves(programs, rights, options.namespace, limits)
-        warnings += told
+        programs, enclave_warnings = in_enclaves(programs, rights, options.namespace, limits)
+        warnings += enclave_warnings
     return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes), *_played_out(companions, options)))
 
 

@@ -72,7 +72,7 @@ class Process:
             self._close_pipes()
             raise
         self.began_s = time.monotonic()
-        self.has_said_all = False
+        self.is_output_complete = False
         self.heartbeat_age = HeartbeatAge(self.pid)
         self._rest = b""
         os.set_blocking(self.output.fileno(), False)
@@ -107,13 +107,13 @@ class Process:
             data = os.read(self.output.fileno(), _LONGEST_LINE)
         except BlockingIOError:
             return [], False
-        self.has_said_all = not data
+        self.is_output_complete = not data
         *whole, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > _LONGEST_LINE or (self._rest and not data):
             whole, self._rest = [*whole, self._rest], b""
         return [line.decode("utf-8", errors="replace").rstrip("\r") for line in whole], bool(data)
 
-    def ask_to_end(self) -> None:
+    def request_end(self) -> None:
         """Request it to end in order (SIGINT)."""
         self._process.send_signal(signal.SIGINT)
 

@@ -64,7 +64,7 @@ class BagPlayback:
         self._time_ns = suite.end_ns
         self._last_update_s = time.monotonic()
         self._controls = TimeControls((suite.end_ns - suite.start_ns) / NS_PER_S, " · ".join(suite.notes), self._move)
-        self._tell_moved: Callable[[], None] = lambda: None
+        self._notify_moved: Callable[[], None] = lambda: None
         self._shown: _Replay | None = None
         self._whole: _Replay | None = None
 
@@ -121,13 +121,13 @@ class BagPlayback:
 
     def controls(self, moved: Callable[[], None]) -> UIElement:
         """Return slider and buttons for the time; ``on_move`` is called after a change by the user."""
-        self._tell_moved = moved
+        self._notify_moved = moved
         return self._controls.layout
 
     def _move(self, since_start_s: float) -> None:
         """Set a time chosen by the user, and update the page at once."""
         self.go_to(since_start_s)
-        self._tell_moved()
+        self._notify_moved()
 
     def _current_replay(self) -> _Replay:
         """Return the replay for the displayed time, a new one after a change of the time."""

@@ -62,7 +62,7 @@ class RecordedSuite:
         has_truth = any(relative.startswith(TRUTH_PREFIX) for relative in names)
         self.is_simulated = has_truth or SCENARIO_ATTACHMENT in self._bag.attachments
         self.notes = self._missing(set(usable), has_truth)
-        self._told: set[str] = set()
+        self._reported_topics: set[str] = set()
         self._standing = {name: usable[name] for name in STANDING if name in usable}
         self._first_states = [next(self._bag.records({usable[name]}), None) for name in _STATES if name in usable]
 
@@ -82,7 +82,7 @@ class RecordedSuite:
         taken_ns: dict[str, int] = {}
         for record in self._bag.records(self._topics, since_ns):
             row = self._topics[record.topic][1]
-            if row is not None and not row.every:
+            if row is not None and not row.keeps_every_message:
                 step = record.log_time_ns // THINNED_NS
                 if taken_ns.get(record.topic) == step:
                     continue
@@ -97,9 +97,9 @@ class RecordedSuite:
         try:
             yield Recorded(self._topics[record.topic][0], record.decode(), log_time_ns)
         except BadInput as problem:
-            if record.topic not in self._told:
+            if record.topic not in self._reported_topics:
                 print(f"monitor: message skipped: {problem}", file=sys.stderr, flush=True)
-            self._told.add(record.topic)
+            self._reported_topics.add(record.topic)
 
     def _only_namespace(self) -> str:
         """Return the namespace of the monitored topics; empty if there is none."""

@@ -30,7 +30,7 @@ class TimeControls:
 
     def __init__(self, length_s: float, note: str, go_to: Callable[[float], None]) -> None:
         self._length_s, self._go_to = length_s, go_to
-        self._told_s = length_s
+        self._set_s = length_s
         style = InlineStyleSheet(css=_CSS)
         self._play = Toggle(label=_PLAY, name="play", width=110, margin=0, stylesheets=[style])
         self._speed = Button(label=f"× {SPEEDS[0]}", width=64, margin=0, stylesheets=[style])
@@ -75,7 +75,7 @@ class TimeControls:
 
     def show(self, at_s: float) -> None:
         """Move the slider to a time, s, without pausing."""
-        self._told_s = at_s
+        self._set_s = at_s
         self._slider.value = at_s
 
     def stop(self) -> None:
@@ -94,11 +94,11 @@ class TimeControls:
 
     def _dragged(self, _name: str, _old: Any, at_s: float) -> None:
         """Pause while the user drags the slider."""
-        if at_s != self._told_s:
+        if at_s != self._set_s:
             self.stop()
 
     def _moved(self, _name: str, _old: Any, at_s: float) -> None:
-        self._told_s = at_s
+        self._set_s = at_s
         self._go_to(at_s)
 
 

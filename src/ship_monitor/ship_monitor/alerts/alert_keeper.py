@@ -46,9 +46,9 @@ class AlertKeeper:
     """
 
     def __init__(
-        self, limits: Limits, state_file: Path | None, now_ns: int, say: Callable[[str], None], files: Files = DISK
+        self, limits: Limits, state_file: Path | None, now_ns: int, log_problem: Callable[[str], None], files: Files = DISK
     ) -> None:
-        self._limits, self._state_file, self._say, self._files = limits, state_file, say, files
+        self._limits, self._state_file, self._log_problem, self._files = limits, state_file, log_problem, files
         self._watch = SuiteMonitor(limits)
         self._statuses: dict[tuple[str, str], tuple[NodeStatus, int]] = {}
         self._disk_free_gb, self._disk_checked_ns = math.nan, now_ns - _DISK_PERIOD_NS
@@ -119,7 +119,7 @@ class AlertKeeper:
             except OSError as problem:
                 # A missing disk has no free space.
                 self._disk_free_gb = 0.0
-                self._say(f"disk {self._limits.machine.disk_path}: {problem.strerror}")
+                self._log_problem(f"disk {self._limits.machine.disk_path}: {problem.strerror}")
         self._statuses = {
             key: (status, told_ns)
             for key, (status, told_ns) in self._statuses.items()
@@ -139,7 +139,7 @@ class AlertKeeper:
         except FileNotFoundError:
             return AlertBook(self._limits.alerts, (), now_ns)
         except (OSError, ValueError, TypeError, KeyError) as problem:
-            self._say(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file)))
+            self._log_problem(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file)))
             return AlertBook(self._limits.alerts, (), now_ns)
 
     def _kept(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
@@ -151,6 +151,6 @@ class AlertKeeper:
                 self._is_unsaved = False
             except OSError as problem:
                 if not self._is_unsaved:
-                    self._say(f"{self._state_file}: alerts cannot be saved: {problem.strerror}; retried at each update")
+                    self._log_problem(f"{self._state_file}: alerts cannot be saved: {problem.strerror}; retried at each update")
                 self._is_unsaved = True
         return changes

@@ -35,7 +35,7 @@ from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alerts import AlertChange
 from ship_watch.limits import Limits, read_limits
 from ship_watch.picture import AlertShown, Priority
-from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_of_state, state_fields
+from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_of_state, suite_state_fields
 from ship_watch.topics import monitored_topic
 
 UPDATE_PERIOD_NS = NS_PER_S // 5
@@ -152,7 +152,7 @@ class AlertNode:
                     self._guard.call("the suite", self._update)
                 if now_ns >= next_report_ns:
                     next_report_ns = now_ns + _REPORT_NS
-                    self._guard.call("diagnostics", self._report)
+                    self._guard.call("diagnostics", self._publish_diagnostics)
                 executor.spin_once(timeout_sec=max(0, next_look_ns - steady_ns()) / NS_PER_S)
         finally:
             executor.shutdown()
@@ -167,7 +167,7 @@ class AlertNode:
                 self._guard.call(arrived.topic, self._take_statuses, arrived.message, arrived.arrival_ns)
             else:
                 self._guard.call(arrived.topic, self._keeper.take, arrived.topic, arrived.message, arrived.arrival_ns)
-        self._tell(self._keeper.update(steady_ns(), time.time_ns()))
+        self._report_changes(self._keeper.update(steady_ns(), time.time_ns()))
         self._publish_state(steady_ns())
 
     def _take_statuses(self, message: Any, arrival_ns: int) -> None:
@@ -182,8 +182,8 @@ class AlertNode:
             # Statuses of other software do not contain the namespace: two nodes of one name are not distinguishable.
             other = "" if len(where) == 1 else f" (a node of one of {', '.join(sorted(where))})"
             values = {pair.key: pair.value for pair in status.values}
-            told = NodeStatus(node, name, status.level[0], status.message + other, values)
-            self._keeper.take_status(told, arrival_ns)
+            node_status = NodeStatus(node, name, status.level[0], status.message + other, values)
+            self._keeper.take_status(node_status, arrival_ns)
 
     def _namespaces(self) -> dict[str, set[str]]:
         """Return the namespaces of the nodes that publish diagnostics, by node name: suites share the topic."""
@@ -198,16 +198,16 @@ class AlertNode:
         if change is None:
             self._node.get_logger().info(f"not acknowledged: {response.message}")
         else:
-            self._tell((change,))
+            self._report_changes((change,))
         return response
 
     def _silence(self, _request: Any, response: Any) -> Any:
         changes = self._keeper.silence(steady_ns(), time.time_ns())
-        self._tell(changes)
+        self._report_changes(changes)
         response.success, response.message = True, f"{len(changes)} silenced"
         return response
 
-    def _tell(self, changes: Sequence[AlertChange]) -> None:
+    def _report_changes(self, changes: Sequence[AlertChange]) -> None:
         for change in changes:
             alert = change.alert
             line = f"{alert.priority.name} {alert.id} {alert.instance}: {alert.text}: {change.what}"
@@ -220,11 +220,11 @@ class AlertNode:
                 self._node.get_logger().error(line)
         if changes:
             self._publish()
-            self._report()
+            self._publish_diagnostics()
 
     def _publish(self) -> None:
         header = {"stamp": self._utc_ns(), "frame_id": ""}
-        alerts = [_fields(alert) for alert in self._keeper.alerts]
+        alerts = [_alert_fields(alert) for alert in self._keeper.alerts]
         self._alerts.publish(self._factory.make("ship_msgs/msg/AlertArray", header=header, alerts=alerts))
 
     def _publish_state(self, now_ns: int) -> None:
@@ -233,9 +233,9 @@ class AlertNode:
         change = change_of_state(suite_state)
         if change != self._published_change or now_ns - self._published_ns >= PERIOD_NS:
             self._published_ns, self._published_change = now_ns, change
-            self._states.publish(self._factory.make(STATE_TYPE, **state_fields(suite_state)))
+            self._states.publish(self._factory.make(STATE_TYPE, **suite_state_fields(suite_state)))
 
-    def _report(self) -> None:
+    def _publish_diagnostics(self) -> None:
         alerts = self._keeper.alerts
         waiting = sum(not alert.is_acknowledged for alert in alerts)
         text = f"{len(alerts)} alerts, {waiting} unacknowledged" + (f": {alerts[0].text}" if alerts else "")
@@ -258,10 +258,10 @@ def _wanted(topic: str, type_name: str) -> int:
     if topic == DIAGNOSTICS_TOPIC:
         return KEPT if type_name == DIAGNOSTICS_TYPE else 0
     row = monitored_topic(topic, type_name) if topic != ALERTS_TOPIC else None
-    return 0 if row is None else KEPT if row.every else 1
+    return 0 if row is None else KEPT if row.keeps_every_message else 1
 
 
-def _fields(alert: AlertShown) -> dict[str, Any]:
+def _alert_fields(alert: AlertShown) -> dict[str, Any]:
     """Return the fields of a ship_msgs/Alert."""
     return {
         "id": alert.id,

@@ -56,7 +56,7 @@ def _run(parsed: argparse.Namespace) -> int:
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise BadInput("stdin or stderr is not a terminal; over ssh use ssh -t")
     is_ascii = parsed.characters == "ascii" or (parsed.characters == "auto" and not shows_utf8(os.environ))
-    with _terminal_alone():
+    with _stderr_deferred_to_exit():
         suite = LiveWatch("monitor_terminal", parsed.namespace, limits)
         try:
             exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii, zone=parsed.time_zone).run()
@@ -67,7 +67,7 @@ def _run(parsed: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def _terminal_alone() -> Iterator[None]:
+def _stderr_deferred_to_exit() -> Iterator[None]:
     """Defer the stderr of libraries to the end: ROS and DDS would write across the display."""
     terminal_fd, drawn_on = os.dup(2), sys.__stderr__
     with tempfile.TemporaryFile() as kept, os.fdopen(terminal_fd, "w", encoding="utf-8", closefd=False) as terminal:

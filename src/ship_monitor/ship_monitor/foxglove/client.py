@@ -167,7 +167,7 @@ class Client(WebSocketHandler):
             for channel, subscription in self.subscriptions.items()
             if subscription not in given_up
         }
-        self._viewers.update_wanted()
+        self._viewers.update_receivers()
         return ""
 
     async def _write(self) -> None:

@@ -68,7 +68,7 @@ class Viewers:
     def remove(self, client: Client) -> None:
         """Remove a viewer."""
         self.clients.discard(client)
-        self.update_wanted()
+        self.update_receivers()
 
     def offer(self, channel: Channel) -> None:
         """Offer a channel to all viewers, and end the former channel of its topic."""
@@ -78,18 +78,18 @@ class Viewers:
             for client in self.clients:
                 client.subscriptions.pop(former, None)
                 client.notify({"op": "unadvertise", "channelIds": [former]})
-            self.update_wanted()
+            self.update_receivers()
         self.channels[channel.id], self._numbers[channel.topic] = channel, channel.id
         for client in self.clients:
             client.notify({"op": "advertise", "channels": [channel.advertised()]})
 
     def note_subscriptions(self, numbers: Sequence[int]) -> None:
         """Add a viewer's subscriptions to some channels."""
-        self.update_wanted()
+        self.update_receivers()
         for number in numbers:
             self.newcomers.put(self.channels[number].topic)
 
-    def update_wanted(self) -> None:
+    def update_receivers(self) -> None:
         """Update the receivers of all channels."""
         receivers: dict[int, tuple[Client, ...]] = {}
         for client in self.clients:

@@ -155,4 +155,4 @@ def messages_wanted(topic: str, type_name: str) -> int:
     if topic == STATE_TOPIC:
         return int(type_name == STATE_TYPE)
     row = monitored_topic(topic, type_name)
-    return 0 if row is None else KEPT if row.every else 1
+    return 0 if row is None else KEPT if row.keeps_every_message else 1

@@ -52,7 +52,7 @@ class AlignmentPanel:
         count = len(states)
         if not count:
             self._source.data = {name: [] for name in self._source.data}
-            self.box.say("no alignment or calibration data")
+            self.box.set_subtitle("no alignment or calibration data")
             return
         self.figure.height = _ROW_PX * count + 60
         self._rows.update(start=count - 0.5, end=-0.5)
@@ -80,7 +80,7 @@ class AlignmentPanel:
             }
         )
         hidden = [state.name for state in states if not state.is_observable]
-        self.box.say(f"not observable: {', '.join(hidden)}" if hidden else "all observable")
+        self.box.set_subtitle(f"not observable: {', '.join(hidden)}" if hidden else "all observable")
 
 
 _UNITS = {

@@ -72,7 +72,7 @@ class Page:
         document.js_on_event(
             "document_ready", CustomJS(args={"chosen": self._chosen}, code="monitor.connected(chosen)")
         )
-        controls = source.controls(self._say)
+        controls = source.controls(self._update_texts)
         if controls is not None:
             controls.name = "controls"
             document.add_root(controls)
@@ -89,12 +89,12 @@ class Page:
 
     def _update(self) -> None:
         """Update texts and plots. After an error the page gets no updates and reports this itself."""
-        self._say()
+        self._update_texts()
         self._count += 1
         if self._count % PLOTS_EVERY == 0:
             self._draw()
 
-    def _say(self) -> None:
+    def _update_texts(self) -> None:
         self._texts.data = {"text": [self._text()]}
 
     def _draw(self) -> None:
@@ -104,7 +104,7 @@ class Page:
 
     def _make_panels(self) -> None:
         """Make the panels, and show their frames; each panel follows when it becomes visible in the browser."""
-        self._say()
+        self._update_texts()
         self._panels = build_panels(self._theme, is_stepwise=True, is_bag="BAG" in self._source.label.upper())
         self._drawn = self._suite_state
         self._panels.update(self._source.history, self._drawn)
@@ -115,7 +115,7 @@ class Page:
         if self._panels is None:
             return
         self._is_placing = False  # also if one of the next lines fails
-        self._say()
+        self._update_texts()
         self._is_placing = self._panels.place_next(self._source.history, self._drawn)
         if self._is_placing:
             self._document.add_timeout_callback(self._place_panels, PLACE_PERIOD_MS)
@@ -124,9 +124,9 @@ class Page:
         source = self._source
         self._suite_state = source.current_state()
         local = local_clock(self._suite_state.utc_ns, self._zone)
-        told = shown(self._suite_state, source.history, source.label, source.place, local)
-        told["is_paused"] = self._is_paused or (self._panels is not None and self._panels.times.is_paused)
-        return json.dumps(told, allow_nan=False)
+        content = shown(self._suite_state, source.history, source.label, source.place, local)
+        content["is_paused"] = self._is_paused or (self._panels is not None and self._panels.times.is_paused)
+        return json.dumps(content, allow_nan=False)
 
     def _choose(self, _name: str, _old: Any, chosen: dict[str, list[Any]]) -> None:
         """Apply the choices of the user, sent by the page's script."""

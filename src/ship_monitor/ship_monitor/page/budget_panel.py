@@ -84,7 +84,7 @@ class BudgetPanel:
         self._names = [angle for angle in ANGLES if angle in topics]
         self._choice.labels = self._names
         if not self._names:
-            self.box.say("no error budget data")
+            self.box.set_subtitle("no error budget data")
             return
         if self.angle not in self._names:
             self._show(self._names[0])
@@ -129,7 +129,7 @@ class BudgetPanel:
         columns = self._trail.source.data
         totals = np.asarray(columns["total"], float)
         if not np.isfinite(totals).any():
-            self.box.say(f"{self.angle}: currently unknown")
+            self.box.set_subtitle(f"{self.angle}: currently unknown")
             return
         known = np.isfinite(totals)
         means = {source: float(np.mean(np.asarray(columns[_column(source)])[known])) for source in self._sources}
@@ -146,19 +146,19 @@ class BudgetPanel:
         times = np.asarray(columns["t"], float)
         found = peaks(times, totals, top)
         is_late = [at > self._times.range.end - 0.3e3 * KEPT_S for at, _ in found]  # no room for text to the right
-        told = {
+        peak_labels = {
             "x": [at for at, _ in found],
             "y": [top**2] * len(found),
             "text": [f"to {math.sqrt(height):.1f}″ ↑" for _, height in found],
             "align": ["right" if late else "left" for late in is_late],
             "ahead": [-4 if late else 4 for late in is_late],
         }
-        if told != self._peaks.data:
-            self._peaks.data = told
+        if peak_labels != self._peaks.data:
+            self._peaks.data = peak_labels
         last = {source: variances_arcsec2([points[-1]], self.angle, (source,))[0, 0] for source in self._sources}
         self._labels.write(band_labels(last, self._bands, top**2, self._marked))
         sigma = math.sqrt(total) if (total := sum(last.values())) >= 0.0 else math.nan
-        self.box.say(f"{self.angle}, σ {sigma:.2f}″ · stacked variances, axis labelled in σ")
+        self.box.set_subtitle(f"{self.angle}, σ {sigma:.2f}″ · stacked variances, axis labelled in σ")
 
     def _stack(self) -> None:
         """Draw new bands: the five largest sources, and the sum of the others."""

@@ -66,7 +66,7 @@ class ErrorPanel:
         self.plots.show()
         steps.discard(15.0)
         wider = " · wider where stated" if steps else ""
-        self.box.say(f"against the truth of the simulation · axis ±15″{wider}")
+        self.box.set_subtitle(f"against the truth of the simulation · axis ±15″{wider}")
 
 
 class _ErrorRow:

@@ -269,9 +269,9 @@ class PanelBox:
             sizing_mode="stretch_width",
             stylesheets=[InlineStyleSheet(css=_panel_css(theme))],
         )
-        self.say("")
+        self.set_subtitle("")
 
-    def say(self, text: str) -> None:
+    def set_subtitle(self, text: str) -> None:
         """Set the subtitle, in small letters after the title."""
         self._head.text = f"<b>{escape(self.title)}</b><span>{escape(text)}</span>"
 

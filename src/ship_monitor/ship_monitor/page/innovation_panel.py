@@ -69,7 +69,7 @@ class InnovationPanel:
         self.plots.show()
         nothing = "" if rows else "no innovations yet. "
         markers = "means, ″ · ● up, z · ■ right, x · ✕ rejected"
-        self.box.say(nothing + (markers if has_truth else f"no truth data, errors unknown · {markers}"))
+        self.box.set_subtitle(nothing + (markers if has_truth else f"no truth data, errors unknown · {markers}"))
 
 
 class _SourceRow:
@@ -164,8 +164,8 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
     """Return the columns of one axis, arcsec; NaN for measurements without it."""
     # Hundreds of points for each browser once a second, nearly all with the same axes: looked up once per axes.
     places = {
-        told: next((place for place, axis in enumerate(told) if axis in axes), None)
-        for told in {p.axes for p in points}
+        point_axes: next((place for place, axis in enumerate(point_axes) if axis in axes), None)
+        for point_axes in {p.axes for p in points}
     }
     rows = [
         (math.nan, math.nan) if (place := places[point.axes]) is None else (point.mean[place], point.sigma[place])

@@ -67,7 +67,7 @@ class LightsPanel:
             for source in (self._past, self._now, self._bar):
                 source.data = {name: [] for name in source.data}
             self._bars.draw(*(np.empty(0),) * 4, self._theme.text)
-            self.box.say("no lights in the last 60 s")
+            self.box.set_subtitle("no lights in the last 60 s")
             return
         places = [1e3 * abs(place) for points in shown.values() for point in points for place in (point.x, point.z)]
         half = fixed_step(1.05 * max(places), STEPS_MM)
@@ -75,7 +75,7 @@ class LightsPanel:
             side.update(start=-half, end=half)
         self._draw_past(shown, suite_state.utc_ns)
         self._draw_last(shown, half)
-        self.box.say("last 60 s · bar at a light: its residual")
+        self.box.set_subtitle("last 60 s · bar at a light: its residual")
 
     def _draw_past(self, shown: dict[str, list[BeaconPoint]], utc_ns: int) -> None:
         columns: dict[str, list[object]] = {name: [] for name in self._past.data}

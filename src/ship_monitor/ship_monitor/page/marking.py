@@ -12,7 +12,7 @@ from ship_watch.topics import source_of_name
 MARK = "▶ "
 """Prefix of names that belong to the marked source."""
 
-_CAUSES = {
+_BUDGET_PREFIXES = {
     "ins": ("ins_", "interpolation"),
     "star": ("star_", "installation"),
     "reference": ("reference_",),
@@ -41,7 +41,7 @@ def is_about(event: Event, source: str) -> bool:
 
 def is_budget_part_of(part: str, source: str) -> bool:
     """True if a source of error in a budget belongs to a source."""
-    return part.startswith(_CAUSES.get(source.partition(".")[0], ())) if source else False
+    return part.startswith(_BUDGET_PREFIXES.get(source.partition(".")[0], ())) if source else False
 
 
 def with_mark(name: str, is_marked: bool) -> str:

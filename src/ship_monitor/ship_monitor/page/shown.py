@@ -198,7 +198,7 @@ def _ribbons(history: History, suite_state: SuiteState) -> dict[str, Any]:
     start_s = end_s - RIBBON_S
     points = [point for point in history.ribbons if point.utc_ns // _NS_PER_S >= start_s]
     ticks = range(-(-start_s // _TICK_S) * _TICK_S, end_s + 1, _TICK_S) if end_s else ()
-    told = {angle.name for angle in suite_state.angles}
+    angle_names = {angle.name for angle in suite_state.angles}
     return {
         "ticks": [[(at_s - start_s) / RIBBON_S, words.utc_clock(at_s * _NS_PER_S)[:5]] for at_s in ticks],
         "rows": [
@@ -207,7 +207,7 @@ def _ribbons(history: History, suite_state: SuiteState) -> dict[str, Any]:
                 for first_s, last_s, word in _stretches(points, name)
             ]
             for name in ANGLES
-            if name in told
+            if name in angle_names
         ],
         "marks": [
             (source.out_since_ns / _NS_PER_S - start_s) / RIBBON_S

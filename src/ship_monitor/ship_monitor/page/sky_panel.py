@@ -62,8 +62,8 @@ class SkyPanel:
             self._columns.css = _columns_css(has_fields=bool(shown))
         for name, field in self._fields.items():
             field.update(_short(name), history.stars[name], sources.get(name), len(shown), is_marked=name == marked)
-        told = self._map.update(history, suite_state, sources, marked)
-        self.box.say(f"fields of view not to scale · bars: residuals{told}")
+        note = self._map.update(history, suite_state, sources, marked)
+        self.box.set_subtitle(f"fields of view not to scale · bars: residuals{note}")
 
 
 def _columns_css(*, has_fields: bool) -> str:
@@ -150,9 +150,9 @@ class _SkyMap:
         self._bow.data = {"x": [x for x, _ in bow], "y": [y for _, y in bow]}
         if bow:
             _append(names, 1.04 * bow[1][0], 1.06 * bow[1][1], "bow", theme.second_text)
-        told = self._draw_moon(history, suite_state, names)
+        note = self._draw_moon(history, suite_state, names)
         self._squares.data, self._stars.data, self._names.data = squares, stars, names
-        return told
+        return note
 
     def _draw_moon(self, history: History, suite_state: SuiteState, names: dict[str, list[object]]) -> str:
         if history.position is None or not suite_state.utc_ns:
@@ -201,8 +201,8 @@ class _Field:
         used = used_star_mask(seen)
         self._used.data = {"u": seen.u[used], "v": seen.v[used]}
         self._excluded_stars.data = {"u": seen.u[~used], "v": seen.v[~used]}
-        told = len(seen.residual_right) == len(seen.u)
-        right, up = (seen.residual_right, seen.residual_up) if told else (np.full(len(seen.u), np.nan),) * 2
+        has_residuals = len(seen.residual_right) == len(seen.u)
+        right, up = (seen.residual_right, seen.residual_up) if has_residuals else (np.full(len(seen.u), np.nan),) * 2
         step = self._bars.draw(seen.u, seen.v, right, up, theme.caution_border if is_bad else theme.series[1])
         self._scale.data = {"x": [0.03 * width], "y": [0.93 * height]}
         self._word.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}
@@ -224,8 +224,8 @@ def residual_star_mask(seen: StarsSeen) -> np.ndarray:
 
 def used_star_mask(seen: StarsSeen) -> np.ndarray:
     """Return a mask of the stars drawn as used, shape (n,): those with a residual; all if no star has one."""
-    told = residual_star_mask(seen)
-    return told if told.any() else np.ones(len(seen.u), bool)
+    mask = residual_star_mask(seen)
+    return mask if mask.any() else np.ones(len(seen.u), bool)
 
 
 def places_in_field(seen: StarsSeen) -> tuple[np.ndarray, np.ndarray]:

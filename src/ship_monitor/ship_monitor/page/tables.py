@@ -32,7 +32,7 @@ class EventsPanel:
         shown = suite_state.events[:EVENTS_SHOWN]
         self._table.text = f"<table>{''.join(event_row(event, marked) for event in shown)}</table>"
         more = len(suite_state.events) - len(shown)
-        self.box.say(f"{more} more" if more else "" if shown else "no events yet")
+        self.box.set_subtitle(f"{more} more" if more else "" if shown else "no events yet")
 
 
 class InputsPanel:
@@ -54,7 +54,7 @@ class InputsPanel:
         framed = {topic for source in suite_state.sources if source.name == marked for topic in source.topics}
         rows = "".join(input_row(shown, faulty_sources, is_marked=shown.topic in framed) for shown in suite_state.inputs)
         self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
-        self.box.say("" if suite_state.inputs else "no input health data")
+        self.box.set_subtitle("" if suite_state.inputs else "no input health data")
 
 
 _HEADINGS = (

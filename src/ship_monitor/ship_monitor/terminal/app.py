@@ -117,7 +117,7 @@ class TerminalApp(App[int]):
         try:
             self._suite.tick()
         except Exception as problem:
-            self._say(f"message skipped: {type(problem).__name__}: {problem}")
+            self._show_note(f"message skipped: {type(problem).__name__}: {problem}")
 
     def draw(self) -> None:
         """Draw the current state; while paused, the held state with the current alerts."""
@@ -182,15 +182,15 @@ class TerminalApp(App[int]):
         """Acknowledge the displayed instance of the alert in the alert line."""
         alert = shown_alert(self._suite.current_state().alerts)
         if alert is None or alert.is_acknowledged:
-            self._say("no alert to acknowledge")
+            self._show_note("no alert to acknowledge")
             return
-        self._say(f"acknowledging {alert.id} ...")
+        self._show_note(f"acknowledging {alert.id} ...")
         self.run_worker(self._ask(lambda: self._suite.acknowledge(alert.id, alert.instance)))
 
     async def _ask(self, question: Callable[[], str]) -> None:
-        self._say(await asyncio.to_thread(question))
+        self._show_note(await asyncio.to_thread(question))
 
-    def _say(self, note: str) -> None:
+    def _show_note(self, note: str) -> None:
         self._note, self._note_until_s = note, _now_s() + NOTE_S
         self.draw()
 

@@ -76,7 +76,7 @@ class Pen:
         padding = " " * (width - cell_len(text))
         return padding + text if to_right else text + padding
 
-    def length(self, text: str) -> int:
+    def cell_count(self, text: str) -> int:
         """Return the number of cells of a text."""
         return cell_len(self.clean(text))
 
@@ -95,7 +95,7 @@ class Pen:
     def rule(self, *titles: str) -> Line:
         """Return a horizontal line with titles: ── sources ── 7 of 8 in ─────."""
         text = "".join(f"── {title} " for title in titles)
-        return self.styled_line(Ink(text + "─" * max(self.width - self.length(text), 0), Look.SECOND))
+        return self.styled_line(Ink(text + "─" * max(self.width - self.cell_count(text), 0), Look.SECOND))
 
 
 def plain_text(line: Line) -> str:

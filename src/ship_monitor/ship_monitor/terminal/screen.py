@@ -74,7 +74,7 @@ def screen(suite_state: SuiteState, alerts: tuple[AlertShown, ...] | None, view:
     """
     pen = view.pen
     if view.width < LEAST_WIDTH or view.height < LEAST_HEIGHT:
-        return _filled([_one_line(suite_state, view)], view)
+        return _filled([_small_screen_line(suite_state, view)], view)
     top = [top_bar(suite_state, view), _alert_line(alerts, pen), *_waiting(suite_state, view), pen.rule()]
     middle = [*_angles(suite_state, view), pen.rule(), _ages(suite_state, pen)]
     room = view.height - len(top) - len(middle) - 3
@@ -113,7 +113,7 @@ def top_bar(suite_state: SuiteState, view: View) -> Line:
     local = words.local_clock(suite_state.utc_ns, view.zone)
     right = f" {local}  " if local else " "
     right += f"{words.utc_clock(suite_state.utc_ns)} UTC "
-    room = max(view.width - pen.length(right), 0)
+    room = max(view.width - pen.cell_count(right), 0)
     return pen.styled_line(*Pen(room, view.is_ascii).styled_line(*left), Ink(right, Look.STRONG))
 
 
@@ -200,23 +200,23 @@ def _filled(lines: list[Line], view: View) -> tuple[Line, ...]:
     return (*lines, *[empty] * (view.height - len(lines)))[: view.height]
 
 
-def _one_line(suite_state: SuiteState, view: View) -> Line:
+def _small_screen_line(suite_state: SuiteState, view: View) -> Line:
     """Return the line of a too small terminal: the worst state."""
     worst = max(suite_state.angles, key=lambda angle: angle.safety, default=None)
-    told = f"waiting for {suite_state.waiting_for}" if suite_state.waiting_for else ""
-    if worst is not None and not told:
+    text = f"waiting for {suite_state.waiting_for}" if suite_state.waiting_for else ""
+    if worst is not None and not text:
         names = [angle.name for angle in suite_state.angles if angle.safety is worst.safety]
-        told = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(names)}"
+        text = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(names)}"
     look = Look.TEXT if worst is None else _LOOKS[worst.safety]
     small = f"  {words.utc_clock(suite_state.utc_ns)}  too small: {LEAST_WIDTH} by {LEAST_HEIGHT} needed"
-    return view.pen.styled_line(Ink(told, look), Ink(small, Look.SECOND))
+    return view.pen.styled_line(Ink(text, look), Ink(small, Look.SECOND))
 
 
 def _waiting(suite_state: SuiteState, view: View) -> list[Line]:
     if not suite_state.waiting_for:
         return []
-    told = f" waiting for {suite_state.waiting_for}: {view.location}"
-    return [view.pen.styled_line(Ink(told, Look.MARKED))]
+    text = f" waiting for {suite_state.waiting_for}: {view.location}"
+    return [view.pen.styled_line(Ink(text, Look.MARKED))]
 
 
 def _alert_line(alerts: tuple[AlertShown, ...] | None, pen: Pen) -> Line:
@@ -283,12 +283,12 @@ def _sources(suite_state: SuiteState, view: View, room: int) -> list[Line]:
     counts = {
         each: sum(source.presence is each for source in hidden) for each in (Presence.OUT, Presence.IN, Presence.OFF)
     }
-    told = [
+    parts = [
         f"{count} more {each.value if each is Presence.OUT else each.value.lower()}"
         for each, count in counts.items()
         if count
     ]
-    if told:
+    if parts:
         look = Look.OUT if counts[Presence.OUT] else Look.SECOND
-        made.append(view.pen.styled_line(Ink(f"   {', '.join(told)}", look)))
+        made.append(view.pen.styled_line(Ink(f"   {', '.join(parts)}", look)))
     return made

@@ -30,7 +30,7 @@ _PUT_RIGHT_NS = 3 * NS_PER_S
 """Time without a later stamp, after a last stamp still in the future, after which the instrument is reset, ns."""
 
 _SHOWN_CHARACTERS = 60
-_MOST_NAMES, _MOST_TOLD, _LONGEST_NAME, _OTHERS = 50, 10, 12, "others"
+_MOST_NAMES, _MAX_LISTED, _LONGEST_NAME, _OTHERS = 50, 10, 12, "others"
 
 
 @dataclass
@@ -93,7 +93,7 @@ class Source:
         self._sender = SenderRule(config.from_)
         self._lock = threading.Lock()
         self._arrival_ns = self._stamp_ns = 0
-        self._received_ns = self._given_ns = self._told_ns = now_ns
+        self._received_ns = self._given_ns = self._reported_ns = now_ns
         self._given: Counter[str] = Counter()
         self._heave_m: float | None = None
         self._given_before = 0
@@ -146,20 +146,20 @@ class Source:
         return messages
 
     def _line(self, received: ParsedText, arrival_ns: int) -> InstrumentLine | None:
-        says, report = received.says, self._report
+        parsed, report = received.result, self._report
         if self.config.talkers and received.talker and received.talker not in self.config.talkers:
             report.set_aside_talker(received.talker)
-        elif isinstance(says, NotOfInterest):
-            report.set_aside(says.name)
-        elif isinstance(says, Unusable):
-            report.reject(says.detail or says.reason, report.lines, received.text)
+        elif isinstance(parsed, NotOfInterest):
+            report.set_aside(parsed.name)
+        elif isinstance(parsed, Unusable):
+            report.reject(parsed.detail or parsed.reason, report.lines, received.text)
         elif arrival_ns == 0:
             report.reject(NO_TIME, report.lines, received.text)
         else:
-            report.used[says.kind] += 1
-            heave_m = number(getattr(says.content, "heave", None))
+            report.used[parsed.kind] += 1
+            heave_m = number(getattr(parsed.content, "heave", None))
             self._heave_m = self._heave_m if heave_m is None else heave_m
-            line = InstrumentLine(report.lines, arrival_ns, says.kind, says.content, received.talker)
+            line = InstrumentLine(report.lines, arrival_ns, parsed.kind, parsed.content, received.talker)
             self._talkers.add(line)
             return line
         return None
@@ -180,7 +180,7 @@ class Source:
             self._dropped, self._dropped_ns = dropped, now_ns
         level, text = self._evaluate(problem, now_ns)
         given = sum(self._given[topic] for topic in self._wanted)
-        span_s = max(now_ns - self._told_ns, 1) / NS_PER_S
+        span_s = max(now_ns - self._reported_ns, 1) / NS_PER_S
         values = {
             "place": self.config.place,
             "sender": self._sender.held,
@@ -197,7 +197,7 @@ class Source:
             **_figures("other sender", self._report.senders),
             "dropped": str(dropped),
         }
-        self._given_before, self._told_ns = given, now_ns
+        self._given_before, self._reported_ns = given, now_ns
         return DiagnosticStatus(f"source {self.id}", level, text, values)
 
     def _evaluate(self, problem: str, now_ns: int) -> tuple[Level, str]:
@@ -242,4 +242,4 @@ def _figures(what: str, counts: Counter[str]) -> dict[str, str]:
 
 
 def _names(*counts: Iterable[str]) -> str:
-    return ", ".join(sorted({name for names in counts for name in names})[:_MOST_TOLD])
+    return ", ".join(sorted({name for names in counts for name in names})[:_MAX_LISTED])

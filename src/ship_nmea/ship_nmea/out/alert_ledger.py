@@ -14,7 +14,7 @@ from ship_nmea.sentences.alerts import (
     LAST_IDENTIFIER,
     MOST_ALERTS,
     AlertCommand,
-    AlertToTell,
+    SentenceAlert,
 )
 
 NORMAL = "N"
@@ -34,7 +34,7 @@ class _Entry:
     key: tuple[Any, ...]
     id: str
     instance: int
-    told: AlertToTell
+    sent: SentenceAlert
 
 
 class AlertLedger:
@@ -52,11 +52,11 @@ class AlertLedger:
         self.left_out = 0
 
     @property
-    def told(self) -> list[AlertToTell]:
+    def all(self) -> list[SentenceAlert]:
         """Return all alerts, the most urgent first."""
-        return [entry.told for entry in self._entries.values()]
+        return [entry.sent for entry in self._entries.values()]
 
-    def take(self, alerts: Sequence[Any], now_ns: int) -> list[AlertToTell]:
+    def take(self, alerts: Sequence[Any], now_ns: int) -> list[SentenceAlert]:
         """Return the changes: new and changed alerts, and alerts that no longer exist as normal.
 
         An instance that is replaced by another one is first returned as normal: the bridge identifies an alert by its
@@ -73,13 +73,13 @@ class AlertLedger:
             number = _number(alert.id, now)
             former = before.get(number)
             entry = now[number] = _entry(number, alert, former)
-            if former is not None and former.told.instance != entry.told.instance:
-                changed.append(_normal(former.told, now_ns))
+            if former is not None and former.sent.instance != entry.sent.instance:
+                changed.append(_normal(former.sent, now_ns))
             if former is None or entry.key != former.key:
-                changed.append(entry.told)
+                changed.append(entry.sent)
         # At the end, so that a list that cannot be read changes nothing.
         self._entries = now
-        return changed + [_normal(entry.told, now_ns) for number, entry in before.items() if number not in now]
+        return changed + [_normal(entry.sent, now_ns) for number, entry in before.items() if number not in now]
 
     def meant(self, command: AlertCommand) -> tuple[str, int] | None:
         """Return id and instance of the alert of a command; None if there is no such alert.
@@ -91,10 +91,10 @@ class AlertLedger:
             return None
         return entry.id, entry.instance if command.instance is None else command.instance
 
-    def told_of(self, command: AlertCommand) -> AlertToTell | None:
+    def alert_of(self, command: AlertCommand) -> SentenceAlert | None:
         """Return the alert of a command as it was sent."""
         entry = self._entries.get(command.identifier)
-        return None if entry is None else entry.told
+        return None if entry is None else entry.sent
 
 
 def _number(id_: str, taken: Container[int]) -> int:
@@ -106,8 +106,8 @@ def _number(id_: str, taken: Container[int]) -> int:
     return FIRST_IDENTIFIER + number
 
 
-def _normal(told: AlertToTell, now_ns: int) -> AlertToTell:
-    return dataclasses.replace(told, state=NORMAL, changed_ns=now_ns, revision=told.revision % _LAST_REVISION + 1)
+def _normal(alert: SentenceAlert, now_ns: int) -> SentenceAlert:
+    return dataclasses.replace(alert, state=NORMAL, changed_ns=now_ns, revision=alert.revision % _LAST_REVISION + 1)
 
 
 def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
@@ -118,17 +118,17 @@ def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     priority = _PRIORITIES[alert.priority]
     revision, escalation = 1, 0
     if before is not None:
-        revision = before.told.revision % _LAST_REVISION + 1
-        rose = _PRIORITIES.index(priority) > _PRIORITIES.index(before.told.priority)
+        revision = before.sent.revision % _LAST_REVISION + 1
+        rose = _PRIORITIES.index(priority) > _PRIORITIES.index(before.sent.priority)
         # A more urgent alert is another instance (docs/explanation/alerts.md); one that only recurs starts at 0.
         if rose or before.instance == alert.instance:
-            escalation = min(before.told.escalation + rose, _LAST_ESCALATION)
+            escalation = min(before.sent.escalation + rose, _LAST_ESCALATION)
     instance = (alert.instance - 1) % GREATEST_INSTANCE + 1
-    told = AlertToTell(
+    sent = SentenceAlert(
         number, instance, revision, escalation, priority, _STATES[alert.state], changed_ns, _title(alert.id),
         alert.text,
     )  # fmt: skip
-    return _Entry(key, alert.id, alert.instance, told)
+    return _Entry(key, alert.id, alert.instance, sent)
 
 
 def _title(id_: str) -> str:

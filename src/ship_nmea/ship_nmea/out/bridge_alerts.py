@@ -18,7 +18,7 @@ from ship_nmea.out.alert_ledger import AlertLedger
 from ship_nmea.out.config import ALC, ALERT_SENTENCES, ALF, HBT, NmeaOutConfig
 from ship_nmea.out.played import PLAYED, is_played, utc_ns
 from ship_nmea.out.sink import Sink
-from ship_nmea.sentences.alerts import ACKNOWLEDGE, REPEAT, AlertCommand, AlertToTell, alc, alert_command, alf, arc, hbt
+from ship_nmea.sentences.alerts import ACKNOWLEDGE, REPEAT, AlertCommand, SentenceAlert, alc, alert_command, alf, arc, hbt
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 
@@ -27,12 +27,12 @@ ACKNOWLEDGE_SERVICE = "alerts/acknowledge"
 
 _COMMANDS_PERIOD_S = 0.05
 _MAX_RECEIVED = 100
-_MOST_ASKED = 50
+_MAX_PENDING = 50
 _ANSWERED_WITHIN_NS = 3 * NS_PER_S
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _PendingAcknowledgement:
     """A command that was passed on: its pending response, the deadline, and the sink that it came from."""
 
     answer: Future
@@ -53,7 +53,7 @@ class BridgeAlerts:
         self._config: NmeaOutConfig = runtime.config
         self._sinks: Mapping[str, Sink] = {}
         self._received: deque[tuple[str, str, str]] = deque(maxlen=_MAX_RECEIVED)
-        self._asked: deque[_Asked] = deque()
+        self._pending: deque[_PendingAcknowledgement] = deque()
         self._counts: Counter[str] = Counter()
         self._ledger = AlertLedger()
         self._sequences: Counter[str] = Counter()
@@ -61,14 +61,14 @@ class BridgeAlerts:
     def begin(self, sinks: Mapping[str, Sink]) -> None:
         """Start sending to the ``sinks`` of the node, by name."""
         self._sinks = sinks
-        if self.are_told:
+        if self.are_sent:
             self._acknowledger = self._runtime.node.create_client(AcknowledgeAlert, ACKNOWLEDGE_SERVICE)
             self._runtime.subscribe(ALERTS, self._take, latched=True)
-            self._runtime.every(self._config.alerts_period_s, "alert list", self._tell_list)
+            self._runtime.every(self._config.alerts_period_s, "alert list", self._send_list)
             self._runtime.every(_COMMANDS_PERIOD_S, "commands", self._answer_commands)
 
     @property
-    def are_told(self) -> bool:
+    def are_sent(self) -> bool:
         """True if alerts are sent to any sink."""
         return any(self._with(name) for name in ALERT_SENTENCES)
 
@@ -86,7 +86,7 @@ class BridgeAlerts:
         if not self._is_kept():
             text = f"no publisher of {ALERTS.topic}: no list is sent, heartbeat status V"
             return DiagnosticStatus("alerts", Level.WARN, text, values)
-        text = f"{len(self._ledger.told)} alerts"
+        text = f"{len(self._ledger.all)} alerts"
         if self._ledger.left_out:
             text = f"{text} sent, {self._ledger.left_out} more omitted"
             return DiagnosticStatus("alerts", Level.WARN, text, values)
@@ -96,17 +96,17 @@ class BridgeAlerts:
         if is_played(self._runtime):
             return
         for alert in self._ledger.take(message.alerts, utc_ns(self._runtime)):
-            self._tell_alert(alert, self._with(ALF))
+            self._send_alert(alert, self._with(ALF))
 
-    def _tell_alert(self, alert: AlertToTell, sinks: Iterable[Sink]) -> None:
+    def _send_alert(self, alert: SentenceAlert, sinks: Iterable[Sink]) -> None:
         for sentence in alf(alert, self._config.talker, self._config.manufacturer, self._next(ALF)):
             _put(sentence, sinks)
         self._counts["told"] += 1
 
-    def _tell_list(self) -> None:
+    def _send_list(self) -> None:
         """Send the list if live alerts are published; an empty list would report that there is no alert."""
         is_kept = self._is_kept() and not is_played(self._runtime)
-        sentences = alc(self._ledger.told, self._config.talker, self._config.manufacturer, self._next(ALC))
+        sentences = alc(self._ledger.all, self._config.talker, self._config.manufacturer, self._next(ALC))
         for sentence in sentences if is_kept else ():
             _put(sentence, self._with(ALC))
         beat = hbt(is_kept, self._config.talker, self._config.alerts_period_s, self._next(HBT))
@@ -117,15 +117,15 @@ class BridgeAlerts:
             name, text, address = self._received.popleft()
             self._take_line(self._sinks[name], text, address)
         now_ns = time.monotonic_ns()
-        for _ in range(len(self._asked)):
-            asked = self._asked.popleft()
-            if asked.answer.done():
-                self._take_answer(asked)
-            elif now_ns > asked.until_ns:
-                self._acknowledger.remove_pending_request(asked.answer)
-                self._refuse(asked.sink, asked.command, f"{ACKNOWLEDGE_SERVICE} did not respond")
+        for _ in range(len(self._pending)):
+            pending = self._pending.popleft()
+            if pending.answer.done():
+                self._take_answer(pending)
+            elif now_ns > pending.until_ns:
+                self._acknowledger.remove_pending_request(pending.answer)
+                self._refuse(pending.sink, pending.command, f"{ACKNOWLEDGE_SERVICE} did not respond")
             else:
-                self._asked.append(asked)
+                self._pending.append(pending)
 
     def _take_line(self, sink: Sink, text: str, address: str) -> None:
         try:
@@ -150,29 +150,29 @@ class BridgeAlerts:
             self._do(sink, command)
 
     def _do(self, sink: Sink, command: AlertCommand) -> None:
-        meant, alert = self._ledger.meant(command), self._ledger.told_of(command)
+        meant, alert = self._ledger.meant(command), self._ledger.alert_of(command)
         if not {ALF, ALC} & set(sink.config.sentences):
             self._refuse(sink, command, "this sink sends no alerts")
         elif meant is None or alert is None:
             self._refuse(sink, command, "no such alert")
         elif command.command == REPEAT:
-            self._tell_alert(alert, [sink])
+            self._send_alert(alert, [sink])
         elif command.command != ACKNOWLEDGE:
             self._refuse(sink, command, "unknown command")
-        elif len(self._asked) >= _MOST_ASKED or not self._acknowledger.service_is_ready():
+        elif len(self._pending) >= _MAX_PENDING or not self._acknowledger.service_is_ready():
             self._refuse(sink, command, f"{ACKNOWLEDGE_SERVICE} is not available, or overloaded")
         else:
             answer = self._acknowledger.call_async(AcknowledgeAlert.Request(id=meant[0], instance=meant[1]))
-            self._asked.append(_Asked(answer, time.monotonic_ns() + _ANSWERED_WITHIN_NS, command, sink))
+            self._pending.append(_PendingAcknowledgement(answer, time.monotonic_ns() + _ANSWERED_WITHIN_NS, command, sink))
 
-    def _take_answer(self, asked: _Asked) -> None:
-        response = asked.answer.result()
+    def _take_answer(self, pending: _PendingAcknowledgement) -> None:
+        response = pending.answer.result()
         if response is None or not response.success:
             why = "failed" if response is None else response.message
-            self._refuse(asked.sink, asked.command, why)
+            self._refuse(pending.sink, pending.command, why)
             return
         self._counts["acknowledged"] += 1
-        self._runtime.node.get_logger().info(f"{asked.sink.name}: acknowledged: {response.message}")
+        self._runtime.node.get_logger().info(f"{pending.sink.name}: acknowledged: {response.message}")
 
     def _refuse(self, sink: Sink, command: AlertCommand, why: str) -> None:
         self._counts["refused"] += 1

@@ -19,8 +19,8 @@ from ship_nmea.out.played import PLAYED, is_played, utc_ns
 from ship_nmea.out.sink import Sink
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
-    SAY_SIMULATED,
-    AttitudeToTell,
+    SIMULATION_SENTENCES,
+    SentenceAttitude,
     Worth,
     as_played,
     heading_rate,
@@ -85,12 +85,12 @@ class NmeaOut:
             raise
         self._paces = [(sink, Pace(sink.config.rate_hz)) for sink in self._sinks]
         runtime.subscribe(ATTITUDE, self._take_attitude)
-        runtime.every(_VOID_PERIOD_S, "void sentences", self._tell_void)
+        runtime.every(_VOID_PERIOD_S, "void sentences", self._send_void)
         self._alerts.begin({sink.name: sink for sink in self._sinks})
         for sink in self._sinks:
             sink.start()
-        told = [f"{sink.name}: {', '.join(sink.config.sentences)} to {sink.place}" for sink in self._sinks]
-        runtime.node.get_logger().info("; ".join(told))
+        descriptions = [f"{sink.name}: {', '.join(sink.config.sentences)} to {sink.place}" for sink in self._sinks]
+        runtime.node.get_logger().info("; ".join(descriptions))
 
     def statuses(self) -> Iterable[DiagnosticStatus]:
         """See :class:`ship_nmea.nmea_node.Work`."""
@@ -98,9 +98,9 @@ class NmeaOut:
         reason = self._why_void(*self._runtime.clock.times())
         text = f"void: {reason}" if reason else ""
         if not text and is_played(self._runtime):
-            text = f"void except {', '.join(SAY_SIMULATED)}: {PLAYED}"
+            text = f"void except {', '.join(SIMULATION_SENTENCES)}: {PLAYED}"
         yield DiagnosticStatus("attitude", Level.WARN if text else Level.OK, text or "sent")
-        if self._alerts.are_told:
+        if self._alerts.are_sent:
             yield self._alerts.status()
 
     def close(self) -> None:
@@ -111,24 +111,24 @@ class NmeaOut:
     def _take_attitude(self, message: Any) -> None:
         now_ns, waiting_ns = self._runtime.clock.times()
         self._attitude, self._came_ns = message, waiting_ns
-        self._tell_attitude(self._why_void(now_ns, waiting_ns))
+        self._send_attitude(self._why_void(now_ns, waiting_ns))
 
-    def _tell_void(self) -> None:
+    def _send_void(self) -> None:
         if reason := self._why_void(*self._runtime.clock.times()):
-            self._tell_attitude(reason)
+            self._send_attitude(reason)
 
-    def _tell_attitude(self, why_void: str) -> None:
+    def _send_attitude(self, why_void: str) -> None:
         steady_ns = time.monotonic_ns()
         due = [sink for sink, pace in self._paces if pace.is_due(steady_ns)]
         if not due:
             return
-        attitude = AttitudeToTell(utc_ns(self._runtime)) if why_void else self._told(self._attitude)
+        attitude = SentenceAttitude(utc_ns(self._runtime)) if why_void else self._sentence_attitude(self._attitude)
         as_if_live = not is_played(self._runtime)
         for sink in due:
             for name in sink.config.sentences:
                 if make := ATTITUDE_SENTENCES.get(name):
-                    told = attitude if as_if_live else as_played(name, attitude)
-                    sentence = make(told, self._config.talker, sink.config.decimals)
+                    output = attitude if as_if_live else as_played(name, attitude)
+                    sentence = make(output, self._config.talker, sink.config.decimals)
                     sink.put(sentence.render(), self._longest_ns)
 
     def _why_void(self, now_ns: int, waiting_ns: int) -> str:
@@ -148,12 +148,12 @@ class NmeaOut:
             return f"the stamp of {ATTITUDE.topic} is {duration_text(age_ns)} {side} this node's clock"
         return ""
 
-    def _told(self, message: Any) -> AttitudeToTell:
+    def _sentence_attitude(self, message: Any) -> SentenceAttitude:
         worth = Worth.SIMULATED if self._runtime.clock.is_simulated() else _WORTHS[message.status]
         variances = [float(message.covariance[index]) for index in (0, 4, 8)]
         sigma_heading, sigma_pitch, sigma_roll = (math.sqrt(v) if v >= 0.0 else math.nan for v in variances)
         rate = message.angular_velocity
-        return AttitudeToTell(
+        return SentenceAttitude(
             ns_from_stamp(message.header.stamp),
             worth,
             (message.heading, message.pitch, message.roll),

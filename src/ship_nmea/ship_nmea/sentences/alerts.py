@@ -29,7 +29,7 @@ _AROUND = len("$*hh\r\n")
 
 
 @dataclass(frozen=True)
-class AlertToTell:
+class SentenceAlert:
     """An alert with the values of its sentences.
 
     Attributes:
@@ -70,7 +70,7 @@ class AlertCommand:
     command: str
 
 
-def alf(alert: AlertToTell, talker: str, manufacturer: str, sequence: int) -> list[pynmea2.NMEASentence]:
+def alf(alert: SentenceAlert, talker: str, manufacturer: str, sequence: int) -> list[pynmea2.NMEASentence]:
     """Return an alert in one sentence, or in two if it has a description; the second repeats only its identity.
 
     Args:
@@ -93,7 +93,7 @@ def alf(alert: AlertToTell, talker: str, manufacturer: str, sequence: int) -> li
 
 
 def alc(
-    alerts: Sequence[AlertToTell], talker: str, manufacturer: str, sequence: int
+    alerts: Sequence[SentenceAlert], talker: str, manufacturer: str, sequence: int
 ) -> list[pynmea2.NMEASentence]:
     """Return the list of all alerts, in as many sentences as needed; no alert is split. Arguments as for `alf`."""
     room = LONGEST_BYTES - _AROUND - len(f"{talker}ALC,01,01,00,99")

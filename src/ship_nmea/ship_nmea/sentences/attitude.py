@@ -48,7 +48,7 @@ class Worth(Enum):
 
 
 @dataclass(frozen=True)
-class AttitudeToTell:
+class SentenceAttitude:
     """An attitude with the values of its sentences.
 
     Attributes:
@@ -84,61 +84,61 @@ def heading_rate(pitch: float, roll: float, rate_flu: tuple[float, float, float]
     return -(left * math.sin(roll) + up * math.cos(roll)) / math.cos(pitch)
 
 
-def hdt(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASentence:
+def hdt(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return the true heading. It has no status: without a heading the field is void."""
     return pynmea2.HDT(talker, "HDT", (_heading(attitude.angles[0], decimals), "T"))
 
 
-def ths(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASentence:
+def ths(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return true heading and status."""
     return THS(talker, "THS", (_heading(attitude.angles[0], decimals), attitude.worth.mode))
 
 
-def rot(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASentence:
+def rot(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return the rate of turn, °/min; V if it is unknown."""
     rate = _signed(attitude.heading_rate * _S_PER_MIN, decimals)
     return pynmea2.ROT(talker, "ROT", (rate, "A" if rate else "V"))
 
 
-def pashr(attitude: AttitudeToTell, _talker: str, decimals: int) -> pynmea2.NMEASentence:
+def pashr(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return time, heading, roll, pitch and their standard deviations, with one decimal more and never rounded to zero.
 
     The last two fields are 1 if there is an attitude, otherwise 0: "position" and "after alignment" at NovAtel.
     """
     heading, pitch, roll = attitude.angles
-    is_told = str(int(attitude.worth is not Worth.VOID))
+    is_valid = str(int(attitude.worth is not Worth.VOID))
     sigma_heading, sigma_pitch, sigma_roll = (_accuracy(sigma, decimals + 1) for sigma in attitude.sigmas)
     heading_text = _heading(heading, decimals)
     angles = _signed(roll, decimals, "+"), _signed(pitch, decimals, "+")
     data = (time_field(attitude.time_ns, _TIME_DECIMALS), heading_text, "T" if heading_text else "", *angles, "")
-    return pynmea2.ash.ASHRATT("ASH", ("R", *data, sigma_roll, sigma_pitch, sigma_heading, is_told, is_told))
+    return pynmea2.ash.ASHRATT("ASH", ("R", *data, sigma_roll, sigma_pitch, sigma_heading, is_valid, is_valid))
 
 
-def psxn20(attitude: AttitudeToTell, _talker: str, _decimals: int) -> pynmea2.NMEASentence:
+def psxn20(attitude: SentenceAttitude, _talker: str, _decimals: int) -> pynmea2.NMEASentence:
     """Return the quality of position, height, heading, roll and pitch; position and height, not sent, are invalid."""
     quality = str(attitude.worth.quality)
     invalid = str(Worth.VOID.quality)
     return pynmea2.sxn.SXN20("SXN", ("", "20", invalid, invalid, quality, quality))
 
 
-def psxn23(attitude: AttitudeToTell, _talker: str, decimals: int) -> pynmea2.NMEASentence:
+def psxn23(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return roll, pitch, heading."""
     heading, pitch, roll = attitude.angles
     angles = _signed(roll, decimals), _signed(pitch, decimals), _heading(heading, decimals)
     return pynmea2.sxn.SXN23("SXN", ("", "23", *angles, ""))
 
 
-ATTITUDE_SENTENCES: dict[str, Callable[[AttitudeToTell, str, int], Any]] = {
+ATTITUDE_SENTENCES: dict[str, Callable[[SentenceAttitude, str, int], Any]] = {
     "HDT": hdt, "THS": ths, "ROT": rot, "PASHR": pashr, "PSXN20": psxn20, "PSXN23": psxn23,
 }  # fmt: skip
 """Name → function of an attitude, the talker's two letters, and the number of decimals of its angles."""
-SAY_SIMULATED = ("THS",)
+SIMULATION_SENTENCES = ("THS",)
 """Sentences with a mode for simulated data."""
 
 
-def as_played(name: str, attitude: AttitudeToTell) -> AttitudeToTell:
+def as_played(name: str, attitude: SentenceAttitude) -> SentenceAttitude:
     """Return a played attitude for a sentence: void, unless the sentence has a mode for simulated data."""
-    return attitude if name in SAY_SIMULATED else AttitudeToTell(attitude.time_ns)
+    return attitude if name in SIMULATION_SENTENCES else SentenceAttitude(attitude.time_ns)
 
 
 def _heading(angle: float, decimals: int) -> str:

@@ -207,8 +207,8 @@ class SavedStart(Generic[Prior]):
         self.messages = self._start_from(content, now_ns)
         # Remarks mean that only a part of it was used, or with a wider covariance.
         self._origin, self._saved_ns = None if self.messages else self._read, content.time_ns
-        told = f"{self._kind.what} {self._path}, {age_words(content.time_ns, now_ns)}"
-        self.notices.append("; ".join([told, *self.messages]))
+        remark = f"{self._kind.what} {self._path}, {age_words(content.time_ns, now_ns)}"
+        self.notices.append("; ".join([remark, *self.messages]))
 
     def _file(self) -> Path:
         if not self._path:

@@ -76,7 +76,7 @@ class Adapter(Protocol):
         """Call one of ``services``."""
         ...
 
-    def contest(self, topic: str, text: str) -> None:
+    def set_duplicate_publishers(self, topic: str, text: str) -> None:
         """Set that two publishers send on an input topic; an empty text ends this state.
 
         It is unknown which publisher is right: outputs that depend on the topic are not VALID meanwhile.

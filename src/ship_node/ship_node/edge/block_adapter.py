@@ -47,7 +47,7 @@ class BatchAdapter(ReportingAdapter):
             self.health.turned_away(topic, receive_ns, receive_ns, reading.value.time_ns, rejection)
             return [self.rejection_message(feed.source, reading.value.time_ns, rejection)]
         self.see(feed, reading)
-        return self.told(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
+        return self.report_input(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
 
     @property
     def quiet_until_ns(self) -> int:
@@ -86,9 +86,9 @@ class BatchAdapter(ReportingAdapter):
         feed = self.feeds[pending.topic].batch
         assert feed is not None
         feed.core.commit_batch(pending.evaluated, min(stop, pending.evaluated.checked.usual))
-        told, pending.evaluated.pending_outcomes[:] = list(pending.evaluated.pending_outcomes), []
+        outcomes, pending.evaluated.pending_outcomes[:] = list(pending.evaluated.pending_outcomes), []
         parts = []
-        for place, outcome in told:
+        for place, outcome in outcomes:
             now_ns = int(pending.receive_ns[place])
             parts.append(BatchOutput(place, self.report_outcome(outcome, now_ns, now_ns)))
         return parts
@@ -108,7 +108,7 @@ class BatchAdapter(ReportingAdapter):
         last = feed.batch.core.finish_batch(pending.evaluated)
         if last is not None:
             reading, now_ns = ReadMessage(pending.reading.samples.one(usual), known), int(pending.receive_ns[usual])
-            parts.append(BatchOutput(usual, self.told(feed, reading, last, now_ns, now_ns)))
+            parts.append(BatchOutput(usual, self.report_input(feed, reading, last, now_ns, now_ns)))
         return parts
 
     def batch_outputs(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BatchOutput]:

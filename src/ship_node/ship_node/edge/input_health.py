@@ -117,7 +117,7 @@ class InputHealthBook(InputRecords):
         """Return one ship_msgs/InputHealth per topic; ``waiting_ns`` defaults to the node's time."""
         return [_message(factory, state, now_ns) for state in self._states(now_ns, waiting_ns)]
 
-    def told(
+    def messages_and_statuses(
         self, factory: MessageFactory, now_ns: int, waiting_ns: int
     ) -> tuple[list[Any], list[DiagnosticStatus]]:
         """Return the messages and the diagnostic statuses for one time."""
@@ -188,7 +188,7 @@ class InputHealthBook(InputRecords):
                 hint += ": no publisher" if publishers == 0 else ""
             if record.input.required:
                 issues.append((Level.ERROR, f"required: {hint}"))
-            elif (publishers and not record.input.at_times) or record.input.named:
+            elif (publishers and not record.input.is_occasional) or record.input.named:
                 issues.append((Level.WARN, hint))
         return issues
 
@@ -236,7 +236,7 @@ def _latency_text(latency_s: float) -> str:
 
 def _timeout_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:
     """Return the issue of a timeout."""
-    if record.last_arrival_ns is None or record.input.at_times:
+    if record.last_arrival_ns is None or record.input.is_occasional:
         return []
     elapsed_ns = waiting_ns - record.last_arrival_ns
     expected_ns = max(MIN_TIMEOUT_NS, TIMEOUT_PERIODS * record.mean_period_ns)

@@ -58,7 +58,7 @@ class DiagnosticStatus:
     values: Mapping[str, str] = field(default_factory=dict)
 
 
-class _ToldStatus(NamedTuple):
+class _ReportedStatus(NamedTuple):
     """Status with the fields of an entry of diagnostic_msgs/DiagnosticArray."""
 
     status: DiagnosticStatus
@@ -93,10 +93,10 @@ def diagnostic_array(
         full_name: the node's name with its namespace, used as hardware_id; empty if it has no namespace.
     """
     stamp, hardware_id = divmod(now_ns, _SECOND_NS), full_name or node
-    told = [_ToldStatus(status, f"{node}: {status.name}", hardware_id) for status in statuses]
-    data = bytearray(b"".join([HEADER, struct.pack("<iI", *stamp), cdr_text(""), _count(len(told))]))
+    reported = [_ReportedStatus(status, f"{node}: {status.name}", hardware_id) for status in statuses]
+    data = bytearray(b"".join([HEADER, struct.pack("<iI", *stamp), cdr_text(""), _count(len(reported))]))
     end = len(data)
-    for status, name, _ in told:
+    for status, name, _ in reported:
         # The level, one byte, follows the last text directly, without padding.
         data[end:] = bytes([status.level])
         data += bytes(-len(data) % 4)
@@ -107,7 +107,7 @@ def diagnostic_array(
         end = len(data) - (3 - len(value.encode()) % 4 if status.values else 0)
     del data[end:]
     header = SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]), frame_id="")
-    return CdrMessage(DIAGNOSTICS_TYPE, bytes(data), {"header": lambda _: header, "status": lambda _: told})
+    return CdrMessage(DIAGNOSTICS_TYPE, bytes(data), {"header": lambda _: header, "status": lambda _: reported})
 
 
 def decision_message(factory: MessageFactory, source: str, decision: MeasurementDecision[Any]) -> Any:

@@ -111,7 +111,7 @@ class RecoveringAdapter(BatchAdapter):
         rejection = None if outcome is None else outcome.refusal
         if outcome is not None and (rejection is None or rejection.reason in SHOWS_SOURCE):
             self._last_usable_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
-        return super().told(feed, reading, outcome, receive_ns, waiting_ns)
+        return super().report_input(feed, reading, outcome, receive_ns, waiting_ns)
 
     def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:
         """See :class:`BatchAdapter`."""

@@ -234,9 +234,9 @@ class ReportingAdapter(ABC):
             # The message has arrived nevertheless; the node runtime reports the exception.
             self.health.arrived(topic, waiting_ns)
             raise
-        return self.told(feed, reading, outcome, receive_ns, waiting_ns)
+        return self.report_input(feed, reading, outcome, receive_ns, waiting_ns)
 
-    def told(
+    def report_input(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
     ) -> list[Published]:
         """Record a message that was read and return the messages about it.
@@ -361,13 +361,13 @@ class ReportingAdapter(ABC):
                 return ServiceResult(True, self.saved.save())
             if self.saved is None or name != "load_alignment":
                 return ServiceResult(False, f"{self.node_name} has no service '{name}'")
-            told = self.saved.load(now_ns)
+            done = self.saved.load(now_ns)
         except BadInput as error:
             return ServiceResult(False, str(error))
         self.health.restart()
         self.conflicts.clear()
         self.innovation_report.clear()
-        return ServiceResult(True, told)
+        return ServiceResult(True, done)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
         """Apply live parameters, dotted name → value.
@@ -499,7 +499,7 @@ class ReportingAdapter(ABC):
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         published = self.own_slow_topics(now_ns)
         self.pending_budget = None  # each budget is published once
-        messages, statuses = self.health.told(self.factory, now_ns, waiting_ns)
+        messages, statuses = self.health.messages_and_statuses(self.factory, now_ns, waiting_ns)
         published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
         statuses += [*self.own_statuses(waiting_ns), *self._off_statuses()]
         statuses += [*self._time_base_statuses(waiting_ns), self._overload_status()]
@@ -508,15 +508,15 @@ class ReportingAdapter(ABC):
 
     def protection_level_messages(self, estimate: Any) -> list[Published]:
         """Return the protection levels of an output if the published ones do not cover it."""
-        told, redundancy_key, directions = self.published_levels, self.redundancy_key(estimate), self.directions(estimate)
+        published, redundancy_key, directions = self.published_levels, self.redundancy_key(estimate), self.directions(estimate)
         # Runs for every output: the fast check comes first.
-        if told.state is estimate.state and told.redundancy_key == redundancy_key:
+        if published.state is estimate.state and published.redundancy_key == redundancy_key:
             one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
-            if told.covered(*one):
+            if published.covered(*one):
                 return []
         report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * _SECOND_NS)
-        told.state, told.redundancy_key, told.directions = estimate.state, redundancy_key, directions
-        if not told.must_tell(estimate, report, period_ns):
+        published.state, published.redundancy_key, published.directions = estimate.state, redundancy_key, directions
+        if not published.must_tell(estimate, report, period_ns):
             return []
         config = self.config.integrity
         message = messages_out.integrity_message(self.factory, report, self.quantities, self.integrity_frame, config)

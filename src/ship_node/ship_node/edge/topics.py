@@ -27,7 +27,7 @@ class InputTopic:
     required: bool
     depth: int
     named: bool = False
-    at_times: bool = False
+    is_occasional: bool = False
     lasting: bool = False
 
 

@@ -55,8 +55,8 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
         mean: its state.
         groups: see :func:`ship_estimation.verdicts.clock_diagnoses`.
     """
-    told = clock_diagnoses(model, mean, groups)
-    return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within configured limits")
+    issues = clock_diagnoses(model, mean, groups)
+    return DiagnosticStatus("clocks", Level.WARN if issues else Level.OK, "; ".join(issues) or "within configured limits")
 
 
 def _status(source: str, diagnosis: InnovationDiagnosis) -> DiagnosticStatus:

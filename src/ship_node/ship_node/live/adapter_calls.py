@@ -79,7 +79,7 @@ class AdapterCalls:
         if self._status_log is not None:
             for topic, message in published:
                 if topic == DIAGNOSTICS_TOPIC:
-                    self._status_log.see(_told_in_the_log(message))
+                    self._status_log.see(_logged_statuses(message))
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> None:
         """Report to the adapter that the node is behind, or keeps up again."""
@@ -93,7 +93,7 @@ class AdapterCalls:
     def set_duplicate_publishers(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
         """Report to the adapter that two publishers send on a topic; an empty text: no longer."""
         try:
-            self._adapter.contest(topic, text)
+            self._adapter.set_duplicate_publishers(topic, text)
         finally:
             self._note(Contested(topic, text), now_ns, waiting_ns)
 
@@ -167,7 +167,7 @@ def message_bytes(message: Any) -> bytes:
     return message.__cdr__ if isinstance(message, CdrMessage) else serialize_message(message)
 
 
-def _told_in_the_log(message: Any) -> Iterator[DiagnosticStatus]:
+def _logged_statuses(message: Any) -> Iterator[DiagnosticStatus]:
     """Yield the statuses of a DiagnosticArray to be logged: all but those of inputs, which change often."""
     for status in message.status:
         name = status.name.partition(": ")[2]

@@ -125,7 +125,7 @@ class LiveNode:
                 self._queue_empty_ns = self._clock.running_ns()
             self._guard.call("backlog", self._check_backlog)
             self._guard.call("work", self._work)
-            if self._clock.is_dead() and not self._status_log.tells_of("clock"):
+            if self._clock.is_dead() and not self._status_log.has_open_error("clock"):
                 self._guard.call("watch", self._watch)
 
     def close(self) -> None:
@@ -254,7 +254,7 @@ class LiveNode:
             self._see_clock_step(arrival.stepped_ns, now_ns, waiting_ns)
             self._advance(now_ns, waiting_ns)
             self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns, waiting_ns)
-        self._tell_notices()
+        self._log_notices()
 
     def _see_clock_step(self, stepped_ns: int, now_ns: int, waiting_ns: int) -> None:
         """Report a step of the system's clock to the adapter, in order with the messages."""
@@ -262,7 +262,7 @@ class LiveNode:
         if step_ns:
             self._guard.call("clock step", self._calls.clock_stepped, step_ns, now_ns, waiting_ns)
 
-    def _tell_notices(self) -> None:
+    def _log_notices(self) -> None:
         for notice in self.adapter.notices:
             self._log.info(notice)
         self.adapter.notices.clear()

@@ -123,7 +123,7 @@ class ExceptionGuard:
 
 
 @dataclasses.dataclass
-class _Told:
+class _LoggedStatus:
     """Logged state of a status: its level, and the texts logged at that level without figures and examples."""
 
     level: Level
@@ -141,32 +141,32 @@ class StatusLog:
 
     def __init__(self, logger: Logger) -> None:
         self._logger = logger
-        self._told: dict[str, _Told] | None = None
+        self._logged: dict[str, _LoggedStatus] | None = None
 
-    def tells_of(self, name: str) -> bool:
+    def has_open_error(self, name: str) -> bool:
         """Return True if an error of that status was logged and still persists."""
-        return name in (told := self._told or {}) and told[name].level is Level.ERROR
+        return name in (logged := self._logged or {}) and logged[name].level is Level.ERROR
 
     def see(self, statuses: Iterable[DiagnosticStatus]) -> None:
         """Process all statuses of a report."""
-        before, now = self._told, {}
+        before, now = self._logged, {}
         for status in statuses:
             reason = _FIGURES.sub("", status.message)
             # A new status, as of a conflict, counts as OK before.
-            was = (before or {}).get(status.name, _Told(Level.OK, set()))
+            was = (before or {}).get(status.name, _LoggedStatus(Level.OK, set()))
             is_change = status.level is not was.level
-            now[status.name] = told = _Told(status.level, set()) if is_change else was
-            is_new = reason not in told.reasons and len(told.reasons) < _MOST_REASONS and status.level is not Level.OK
+            now[status.name] = logged = _LoggedStatus(status.level, set()) if is_change else was
+            is_new = reason not in logged.reasons and len(logged.reasons) < _MOST_REASONS and status.level is not Level.OK
             if (is_change or is_new) and (before is not None or status.level is Level.ERROR):
-                self._say(status.level, f"{status.name}: {status.message}")
+                self._log(status.level, f"{status.name}: {status.message}")
             if is_new:
-                told.reasons.add(reason)
+                logged.reasons.add(reason)
         for name, was in (before or {}).items():
             if name not in now and was.level is not Level.OK:
-                self._say(Level.OK, f"{name}: over")
-        self._told = now
+                self._log(Level.OK, f"{name}: over")
+        self._logged = now
 
-    def _say(self, level: Level, text: str) -> None:
+    def _log(self, level: Level, text: str) -> None:
         # Three calls, because a logger of rclpy ties each line of code to the severity of its first use.
         if level is Level.OK:
             self._logger.info(text)

@@ -130,17 +130,17 @@ class NodeParameters:
         """Apply a request, or refuse it with a reason for log, diagnostics and black box."""
         self._before_change()
         parameters = [self._retyped(parameter) for parameter in parameters]
-        asked = {p.name: _plain(p.value) for p in parameters}
-        self._adapter_was_asked = False
+        requested = {p.name: _plain(p.value) for p in parameters}
+        self._was_adapter_called = False
         try:
-            if isinstance(asked.get(USE_SIM_TIME), bool):
+            if isinstance(requested.get(USE_SIM_TIME), bool):
                 # Earlier and later times would be years apart.
                 raise ParameterError(
                     f"parameter '{USE_SIM_TIME}' cannot be changed while the node runs: set it at the start",
                     USE_SIM_TIME,
                 )
             # The suite's own check comes first: its text contains the unit.
-            changed(self.config, {name: value for name, value in asked.items() if not self._is_runtime_parameter(name)})
+            changed(self.config, {name: value for name, value in requested.items() if not self._is_runtime_parameter(name)})
             result = take(parameters)
         except (ParameterError, ParameterNotDeclaredException) as error:
             result = SetParametersResult(successful=False, reason=str(error))
@@ -148,8 +148,8 @@ class NodeParameters:
         if not result.successful:
             self._last_refusal = f"; last refusal: {result.reason}"
             self._log.warning(f"refused: {result.reason}")
-            if not self._adapter_was_asked:
-                self._calls.note_refusal(asked, result.reason, self._now_ns())
+            if not self._was_adapter_called:
+                self._calls.note_refusal(requested, result.reason, self._now_ns())
         return result
 
     def _retyped(self, parameter: Parameter) -> Parameter:
@@ -169,7 +169,7 @@ class NodeParameters:
             return SetParametersResult(successful=True)
         before = flatten(self.config)
         config: Any = changed(self.config, changes)
-        self._adapter_was_asked = True
+        self._was_adapter_called = True
         try:
             self._calls.set_parameters({name: flatten(config)[name] for name in changes}, self._now_ns())
         except ParameterError as error:

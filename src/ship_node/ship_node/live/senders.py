@@ -100,5 +100,5 @@ def publisher_names(publishers: Sequence[Any]) -> list[str]:
 
 def contested_text(topic: str, names: Sequence[str]) -> str:
     """Return the text for the user about two publishers of a topic, with the names of their nodes."""
-    told = " and ".join(names) if len(names) > 1 else "the middleware does not name both"
-    return f"two publishers send on {topic}: {told}; stop all but one"
+    publishers = " and ".join(names) if len(names) > 1 else "the middleware does not name both"
+    return f"two publishers send on {topic}: {publishers}; stop all but one"

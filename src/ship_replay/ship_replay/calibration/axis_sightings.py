@@ -26,7 +26,7 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from theodolite_calib.axis_fit.exposure_errors import correlated_effects
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, correlated_column
 from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS
-from theodolite_calib.lights.telescope_attitude import solve
+from theodolite_calib.lights.telescope_attitude import solve_attitude
 from theodolite_calib.measured.samples import Exposure, ExposureDecision, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
@@ -168,7 +168,7 @@ def _row(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) 
     # Camera and lines of sight as configured: estimates of the filter must not enter a sighting.
     filter_, telescope = core.filter, core.config.telescope
     prediction = filter_.sightings.predict(np.zeros(filter_.model.size), sighting)
-    attitude = solve(sighting.image, prediction.camera, prediction.lines)
+    attitude = solve_attitude(sighting.image, prediction.camera, prediction.lines)
     if not attitude.solved:
         return None
     rotation_tm = rotation_from_angles(*telescope.parallelism)

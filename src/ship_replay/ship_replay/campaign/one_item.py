@@ -69,10 +69,10 @@ def _made(item: Item, folder: Path) -> Result:
     config = None if item.parameters is None else item.parameters.path
     with topic_names(TopicNames(item.remaps, item.namespace, is_by_suite=True, suite_file=config)):
         summary = replay(bag, out, ADAPTERS, config, item.namespace)
-        return _told(evaluate(out, bag, item.skip_s, item.namespace), summary)
+        return _as_result(evaluate(out, bag, item.skip_s, item.namespace), summary)
 
 
-def _told(evaluation: Evaluation, summary: ReplaySummary) -> Result:
+def _as_result(evaluation: Evaluation, summary: ReplaySummary) -> Result:
     return {
         "error": None,
         "errors": {errors.label: _statistics(errors) for errors in evaluation.errors},
@@ -84,9 +84,9 @@ def _told(evaluation: Evaluation, summary: ReplaySummary) -> Result:
 
 def _statistics(errors: AttitudeErrors) -> dict[str, Any]:
     nees = errors.nees[np.isfinite(errors.nees)]
-    told = errors.statistics() | {"nees_mean": float(np.mean(nees)) if len(nees) else math.nan}
+    values = errors.statistics() | {"nees_mean": float(np.mean(nees)) if len(nees) else math.nan}
     counts = {"nees_count": float(len(nees)), "nees_independent": errors.independent_count()}
-    return {"channels": list(errors.channels), **_plain(told | counts)}
+    return {"channels": list(errors.channels), **_plain(values | counts)}
 
 
 def _plain(values: Mapping[str, float]) -> dict[str, float | None]:

@@ -88,12 +88,12 @@ class _Worker:
     def result(self) -> Result | None:
         """Return the result; None if the process died before sending it."""
         try:
-            told: Result | None = json.loads(self.connection.recv_bytes())
+            result_or_none: Result | None = json.loads(self.connection.recv_bytes())
         except EOFError:
-            told = None
+            result_or_none = None
         self._process.join()
         self._leave()
-        return told
+        return result_or_none
 
     @property
     def exit_text(self) -> str:

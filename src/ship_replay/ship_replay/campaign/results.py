@@ -52,8 +52,8 @@ class ResultFolder:
             raise BadInput("is no result of a campaign: remove it", file=path) from problem
         if ingredients != item.ingredients:
             raise BadInput("is the result of another item: remove it", file=path)
-        told: Result = result
-        return told
+        item_result: Result = result
+        return item_result
 
     def keep(self, item: Item, result: Result) -> None:
         """Write a result; it is completely on the disk on return.
@@ -65,7 +65,7 @@ class ResultFolder:
             write_whole(self.path(item), text + "\n")
 
 
-def table(made: Sequence[Made]) -> str:
+def csv_table(made: Sequence[Made]) -> str:
     """Return all results as CSV, one line each in the order of the items.
 
     The columns are those of ``evaluate --json``, then ``status.<topic>.<status>``, outputs, and

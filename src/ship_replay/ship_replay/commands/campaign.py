@@ -15,10 +15,10 @@ from ship_replay.campaign.cluster import in_cluster
 from ship_replay.campaign.items import Item, campaign_items, seeds_of
 from ship_replay.campaign.one_item import Result, make
 from ship_replay.campaign.processes import in_processes
-from ship_replay.campaign.results import PAGE, TABLE, Made, ResultFolder, table
+from ship_replay.campaign.results import PAGE, TABLE, Made, ResultFolder, csv_table
 from ship_replay.evaluation.tables import table_console
 
-_MOST_FAILURES_TOLD = 10
+_MAX_FAILURES_PRINTED = 10
 
 Maker = Callable[[list[Item]], Iterator[tuple[Item, Result]]]
 """Runs items and yields their results, in any order."""
@@ -86,9 +86,9 @@ def _run(options: argparse.Namespace) -> int:
     # Importing the page libraries is slow: check the arguments first.
     from ship_replay.campaign.page import page
 
-    for name, text in ((TABLE, table(made)), (PAGE, page(made))):
+    for name, text in ((TABLE, csv_table(made)), (PAGE, page(made))):
         write_whole(folder.folder / name, text)
-    return _told(made, folder.folder)
+    return _print_summary(made, folder.folder)
 
 
 def _maker(options: argparse.Namespace) -> Maker:
@@ -110,7 +110,7 @@ def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Mad
     return [(item, found[item.key]) for item in items]
 
 
-def _told(made: Sequence[Made], folder: Path) -> int:
+def _print_summary(made: Sequence[Made], folder: Path) -> int:
     """Print the summary of the campaign; return the exit code."""
     from ship_replay.campaign.page import pools_by_parameters, pooled_table
 
@@ -118,9 +118,9 @@ def _told(made: Sequence[Made], folder: Path) -> int:
     if any(pool.errors for pool in pooled):
         table_console().print(pooled_table(pooled))
     failures = [(item, result["error"]) for item, result in made if result["error"] is not None]
-    for item, error in failures[:_MOST_FAILURES_TOLD]:
+    for item, error in failures[:_MAX_FAILURES_PRINTED]:
         print(f"failed: {item.name}: {error}")
-    if len(failures) > _MOST_FAILURES_TOLD:
-        print(f"failed: {len(failures) - _MOST_FAILURES_TOLD} more")
+    if len(failures) > _MAX_FAILURES_PRINTED:
+        print(f"failed: {len(failures) - _MAX_FAILURES_PRINTED} more")
     print(f"campaign: {folder / TABLE}, {folder / PAGE}")
     return EXIT_BOUND_NOT_MET if failures else EXIT_DONE

@@ -39,8 +39,8 @@ def _run(options: argparse.Namespace) -> int:
 
     pair = read_pair(options.a, options.b, options.truth, limits, options.namespace)
     write_whole(path, pair_page(pair))
-    for letter, told in zip("AB", (pair.a, pair.b), strict=True):
-        for problem in told.recording.problems:
+    for letter, report_data in zip("AB", (pair.a, pair.b), strict=True):
+        for problem in report_data.recording.problems:
             print(f"warning: {letter}: {problem}")
     print(f"compare: {path}")
     return EXIT_DONE

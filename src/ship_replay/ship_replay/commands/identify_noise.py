@@ -12,7 +12,7 @@ from ship_bags.output_files import add_force, check_file, write_whole
 from ship_bags.renamed_topics import add_bag_names
 from ship_replay.ins_noise.identification import identify
 from ship_replay.ins_noise.session import run_session
-from ship_replay.ins_noise.written import parameter_file_text, said
+from ship_replay.ins_noise.written import parameter_file_text, result_lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,7 +49,7 @@ def _run(options: argparse.Namespace) -> int:
             raise BadInput("the output would overwrite the input", file=options.out)
         check_file(options.out, options.force)
     found = identify(run_session(options.bag, options.config, options.namespace, watch=watched))
-    sys.stdout.writelines(f"{line}\n" for line in said(found))
+    sys.stdout.writelines(f"{line}\n" for line in result_lines(found))
     sys.stdout.writelines(f"warning: {line}\n" for line in found.warnings)
     if options.out is not None:
         write_whole(options.out, parameter_file_text(found))

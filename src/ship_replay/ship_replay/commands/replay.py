@@ -107,15 +107,15 @@ def _report_names(options: argparse.Namespace) -> tuple[str, str]:
 def _report(options: argparse.Namespace) -> None:
     # Importing the figure libraries is slow.
     from ship_replay.report.page import page
-    from ship_replay.report.told import has_truth, read_told
+    from ship_replay.report.told import has_truth, read_report_data
 
     # Sensor data are only in the replayed bag; with truth they are evaluated too.
     truth = options.bag if has_truth(options.bag, options.namespace) else None
-    told = read_told(options.out, truth, namespace=options.namespace)
+    report_data = read_report_data(options.out, truth, namespace=options.namespace)
     options.report.mkdir(parents=True, exist_ok=True)
     page_path, values_path = (options.report / name for name in _report_names(options))
-    write_whole(page_path, page(told))
-    write_whole(values_path, told.evaluation.json_text())
+    write_whole(page_path, page(report_data))
+    write_whole(values_path, report_data.evaluation.json_text())
     print(f"report: {page_path}, {values_path}")
 
 

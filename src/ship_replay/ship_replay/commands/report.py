@@ -66,11 +66,11 @@ def _run(options: argparse.Namespace) -> int:
     if bags := bags_in(options.bag):
         return _report_folder(options, bags, path, limits)
     from ship_replay.report.page import page
-    from ship_replay.report.told import read_told
+    from ship_replay.report.told import read_report_data
 
-    told = read_told(options.bag, options.truth, limits, options.namespace)
-    write_whole(path, page(told))
-    for problem in told.recording.problems:
+    report_data = read_report_data(options.bag, options.truth, limits, options.namespace)
+    write_whole(path, page(report_data))
+    for problem in report_data.recording.problems:
         print(f"warning: {problem}")
     print(f"report: {path}")
     return EXIT_DONE
@@ -79,7 +79,7 @@ def _run(options: argparse.Namespace) -> int:
 def _report_folder(options: argparse.Namespace, bags: Sequence[Path], path: Path, limits: Limits) -> int:
     """Write the report of each bag of a folder, and the page with a row for each."""
     from ship_replay.report.folder import SessionRow, index_page, session_reports
-    from ship_replay.report.told import read_told
+    from ship_replay.report.told import read_report_data
 
     if options.truth is not None:
         raise BadInput("--truth is for one bag: the bags of a folder have their own truth or none", file=options.bag)
@@ -88,7 +88,7 @@ def _report_folder(options: argparse.Namespace, bags: Sequence[Path], path: Path
     folder.mkdir(exist_ok=True)
     rows = []
     reports = session_reports(
-        bags, lambda bag: read_told(bag, None, limits, options.namespace),
+        bags, lambda bag: read_report_data(bag, None, limits, options.namespace),
         lambda name, text: write_whole(folder / name, text),
     )
     for number, row in enumerate(reports, 1):

@@ -226,7 +226,7 @@ class PublishedPointing(PublishedAttitude):
         for errors in every[:1]:
             modes = np.array([self._modes[stamp_ns] for stamp_ns in errors.time_ns.tolist()])
             every += [
-                errors.where(modes == mode, f"{self.label}.{name}")
+                errors.select(modes == mode, f"{self.label}.{name}")
                 for mode, name in enumerate(self.MODES)
                 if np.any(modes == mode)
             ]

@@ -180,7 +180,7 @@ class _PublishedLevels:
 
     def __init__(self, channels: tuple[str, str, str]) -> None:
         self._channels = channels
-        self._told: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._by_time: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._times_ns: list[int] = []
 
     def add(self, message: Any) -> None:
@@ -191,14 +191,14 @@ class _PublishedLevels:
         levels = np.array([level.get(channel, math.nan) for channel in self._channels]) / ARCSEC
         limits = np.array([limit.get(channel, math.nan) for channel in self._channels]) / ARCSEC
         time_ns = ns_from_stamp(message.header.stamp)
-        self._told[time_ns] = levels, np.where(np.isnan(limits), math.inf, limits)
+        self._by_time[time_ns] = levels, np.where(np.isnan(limits), math.inf, limits)
 
     def at(self, time_ns: int) -> tuple[FloatArray, FloatArray]:
         """Return levels and limits at a stamp, arcsec, shapes (3,), (3,); NaN and infinity before the first."""
-        if len(self._times_ns) != len(self._told):
-            self._times_ns = sorted(self._told)
+        if len(self._times_ns) != len(self._by_time):
+            self._times_ns = sorted(self._by_time)
         index = bisect.bisect_right(self._times_ns, time_ns) - 1
-        return self._told[self._times_ns[index]] if index >= 0 else (np.full(3, math.nan), np.full(3, math.inf))
+        return self._by_time[self._times_ns[index]] if index >= 0 else (np.full(3, math.nan), np.full(3, math.inf))
 
 
 def _joined(parts: Sequence[Epochs]) -> Epochs:

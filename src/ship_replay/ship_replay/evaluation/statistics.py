@@ -51,9 +51,9 @@ class AttitudeErrors:
 
     def since(self, start_ns: int) -> "AttitudeErrors":
         """Return the errors stamped at or after a time."""
-        return self.where(self.time_ns >= start_ns, self.label)
+        return self.select(self.time_ns >= start_ns, self.label)
 
-    def where(self, kept: np.ndarray, label: str) -> "AttitudeErrors":
+    def select(self, kept: np.ndarray, label: str) -> "AttitudeErrors":
         """Return the errors selected by a mask of shape (n,), under a new label."""
         return replace(
             self,

@@ -59,13 +59,13 @@ class TargetErrors:
             "direction.sigma_arcsec": _rms(self.sigma_arcsec),
             "direction.nees_mean": float(np.mean(self.nees)),
         }
-        told = np.isfinite(self.off_m)
-        if np.any(told):
+        has_position = np.isfinite(self.off_m)
+        if np.any(has_position):
             values |= {
-                "position.samples": float(np.sum(told)),
-                "position.rms_m": _rms(np.array(self.off_m)[told]),
-                "position.sigma_m": _rms(np.array(self.off_sigma_m)[told]),
-                "position.nees_mean": float(np.mean(np.array(self.place_nees)[told])),
+                "position.samples": float(np.sum(has_position)),
+                "position.rms_m": _rms(np.array(self.off_m)[has_position]),
+                "position.sigma_m": _rms(np.array(self.off_sigma_m)[has_position]),
+                "position.nees_mean": float(np.mean(np.array(self.place_nees)[has_position])),
             }
         return values
 

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from ship_geometry.rotations import FloatArray
 from ship_replay.ins_noise.correlation_time import mean_log_time
 from ship_replay.ins_noise.likelihood import log_likelihoods
-from ship_replay.ins_noise.processes import InsErrorModel, ToldParameter
+from ship_replay.ins_noise.processes import InsErrorModel, SuiteParameter
 from ship_replay.ins_noise.star_record import StarRecord
 
 _FIRST_EPOCHS = 300
@@ -68,7 +68,7 @@ class FittedModel:
         sigmas: FloatArray = np.sqrt(np.diagonal(self.covariance))
         return sigmas
 
-    def told(self, what: ToldParameter) -> tuple[float, float]:
+    def suite_value(self, what: SuiteParameter) -> tuple[float, float]:
         """Return the value of a suite parameter, and the sigma of its logarithm."""
         value = float(np.exp(what.constant + what.weights @ np.log(self.values)))
         return value, float(np.sqrt(what.weights @ self.covariance @ what.weights))

@@ -92,10 +92,10 @@ class Identification:
     def _too_short(self) -> list[str]:
         """Return warnings for a record too short to separate sigma and time of a Gauss-Markov process."""
         fitted = next(found for found in self.fitted if found.model.name == GAUSS_MARKOV)
-        told = {what.name: fitted.told(what) for what in fitted.model.told}
+        suite_values = {what.name: fitted.suite_value(what) for what in fitted.model.suite_parameters}
         lines = []
         for axis in ("tilt", "heading"):
-            (_, log_sigma), (time_s, log_time) = told[f"{axis}_sigma_arcsec"], told[f"{axis}_time_s"]
+            (_, log_sigma), (time_s, log_time) = suite_values[f"{axis}_sigma_arcsec"], suite_values[f"{axis}_time_s"]
             times = self.record.duration_s / time_s
             if times < TIMES_NEEDED:
                 lines.append(
@@ -109,7 +109,7 @@ class Identification:
         session, record, lines = self.session, self.record, []
         if len(self.fitted) == 1:
             lines.append("schuler was not tried: the latitude is unknown without position fixes")
-        white, log_sigma = self.best.told(self.best.model.told[0])
+        white, log_sigma = self.best.suite_value(self.best.model.suite_parameters[0])
         if not log_sigma <= _VAGUE:
             lines.append(
                 f"the record does not determine white_sigma_arcsec ({white:.2g}″, {uncertainty_text(log_sigma)}): the star "

@@ -60,12 +60,12 @@ class EpochFilter:
     """
 
     def __init__(self, record: StarRecord, steps: ProcessSteps) -> None:
-        said = [white_taken_out(record, white) for white in steps.white]
+        marginalised = [white_taken_out(record, white) for white in steps.white]
         self._record, self._sets = record, len(steps.start)
         self.times_s = record.times_s
         self._seen = 3 + record.moving.count
-        self._information = np.array([matrix for matrix, _ in said])
-        self._log_factors = np.array([log_factor for _, log_factor in said])
+        self._information = np.array([matrix for matrix, _ in marginalised])
+        self._log_factors = np.array([log_factor for _, log_factor in marginalised])
         self._start, self._transition, self._noise = _with_time_varying(record, steps)
         self._run()
 

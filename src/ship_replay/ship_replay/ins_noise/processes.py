@@ -43,7 +43,7 @@ class Parameter(NamedTuple):
     most: float
 
 
-class ToldParameter(NamedTuple):
+class SuiteParameter(NamedTuple):
     """A parameter of ``ship_attitude`` from those of the fit: log value = constant + weights · log parameters.
 
     Attributes:
@@ -69,7 +69,7 @@ class InsErrorModel(Protocol):
     """
 
     parameters: tuple[Parameter, ...]
-    told: tuple[ToldParameter, ...]
+    suite_parameters: tuple[SuiteParameter, ...]
     fixed: dict[str, float]
 
     @property
@@ -101,12 +101,12 @@ class GaussMarkovModel:
             _white(ins),
         )
         half = 0.5 * math.log(0.5)
-        self.told: tuple[ToldParameter, ...] = (
-            ToldParameter("white_sigma_arcsec", "arcsec", 0.0, np.eye(5)[4]),
-            ToldParameter("tilt_sigma_arcsec", "arcsec", half, np.array([0.5, 0.5, 0.0, 0.0, 0.0])),
-            ToldParameter("tilt_time_s", "s", 0.0, np.eye(5)[1]),
-            ToldParameter("heading_sigma_arcsec", "arcsec", half, np.array([0.0, 0.0, 0.5, 0.5, 0.0])),
-            ToldParameter("heading_time_s", "s", 0.0, np.eye(5)[3]),
+        self.suite_parameters: tuple[SuiteParameter, ...] = (
+            SuiteParameter("white_sigma_arcsec", "arcsec", 0.0, np.eye(5)[4]),
+            SuiteParameter("tilt_sigma_arcsec", "arcsec", half, np.array([0.5, 0.5, 0.0, 0.0, 0.0])),
+            SuiteParameter("tilt_time_s", "s", 0.0, np.eye(5)[1]),
+            SuiteParameter("heading_sigma_arcsec", "arcsec", half, np.array([0.0, 0.0, 0.5, 0.5, 0.0])),
+            SuiteParameter("heading_time_s", "s", 0.0, np.eye(5)[3]),
         )
         self.fixed: dict[str, float] = {}
 
@@ -153,9 +153,9 @@ class SchulerModel:
         )
         unit = np.eye(len(self.parameters))
         names = [name for name, _, _ in found]
-        self.told: tuple[ToldParameter, ...] = (
-            ToldParameter("white_sigma_arcsec", "arcsec", 0.0, unit[-1]),
-            *(ToldParameter(name, _unit(name), 0.0, unit[row]) for row, name in enumerate(names)),
+        self.suite_parameters: tuple[SuiteParameter, ...] = (
+            SuiteParameter("white_sigma_arcsec", "arcsec", 0.0, unit[-1]),
+            *(SuiteParameter(name, _unit(name), 0.0, unit[row]) for row, name in enumerate(names)),
         )
         self.fixed = {
             "schuler.position_sigma_m": schuler.position_sigma_m,

@@ -17,8 +17,8 @@ def parameter_file_text(identification: Identification) -> str:
     """Return the best model as a ROS 2 parameter file, with the sigma of each value as comment."""
     best, session = identification.best, identification.session
     values: dict[str, tuple[str, str]] = {"model": (f'"{best.model.name}"', "")}
-    for what in best.model.told:
-        value, log_sigma = best.told(what)
+    for what in best.model.suite_parameters:
+        value, log_sigma = best.suite_value(what)
         values[what.name] = _number(value), f"{_known(value, log_sigma)} [{what.unit}]"
     for name, value in best.model.fixed.items():
         values[name] = _number(value), "as configured"
@@ -29,7 +29,7 @@ def parameter_file_text(identification: Identification) -> str:
 
 def _nested(values: dict[str, tuple[str, str]]) -> Iterator[str]:
     """Yield the lines of the section ``ins``, with dotted names as sections at the end."""
-    plain = {name: told for name, told in values.items() if "." not in name}
+    plain = {name: texts for name, texts in values.items() if "." not in name}
     yield from (_line(6, name, *told) for name, told in plain.items())
     dotted = {name: told for name, told in values.items() if "." in name}
     for section in dict.fromkeys(name.partition(".")[0] for name in dotted):
@@ -53,7 +53,7 @@ def _known(value: float, log_sigma: float) -> str:
     return f"± {value * log_sigma:.2g}, 1 sigma" if known.startswith("±") else f"{known}, 1 sigma"
 
 
-def said(identification: Identification) -> list[str]:
+def result_lines(identification: Identification) -> list[str]:
     """Return the result line by line, without the warnings."""
     session, record = identification.session, identification.record
     hours, epochs = record.duration_s / 3600.0, len(record.times_s)
@@ -67,8 +67,8 @@ def said(identification: Identification) -> list[str]:
 
 
 def _parameters(fitted: FittedModel) -> Iterator[str]:
-    for what in fitted.model.told:
-        value, log_sigma = fitted.told(what)
+    for what in fitted.model.suite_parameters:
+        value, log_sigma = fitted.suite_value(what)
         yield f"{what.name:45}{value:12.4g} {what.unit:12}{uncertainty_text(log_sigma)}"
     for parameter, value, log_sigma in zip(fitted.model.parameters, fitted.values, fitted.log_sigmas, strict=True):
         if parameter.name.startswith("2 σ²/τ"):

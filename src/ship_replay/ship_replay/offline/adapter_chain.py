@@ -216,7 +216,7 @@ def suite_chain(
     for kind in meant:
         config = suite_config(bag, kind, config_path, full_name(kind.node_name, namespace))
         adapter = kind(config, factory, UNTOUCHED)
-        devices = [t.topic for t in adapter.inputs if t.at_times or t.topic.startswith(_DEVICE_PREFIXES)]
+        devices = [t.topic for t in adapter.inputs if t.is_occasional or t.topic.startswith(_DEVICE_PREFIXES)]
         if kind is not meant[0] and not found.keys() & devices:
             wanted = ", ".join(devices) or "the devices that it needs"
             left_out.append(f"{kind.node_name} is not replayed: the bag has no {wanted}")

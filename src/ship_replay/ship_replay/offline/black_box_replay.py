@@ -217,7 +217,7 @@ class _BlackBoxReplay:
         elif isinstance(event, Overload):
             self._use("overload", time_ns, lambda: adapter.overload(event, time_ns, waiting_ns))
         elif isinstance(event, Contested):
-            self._call("publishers", time_ns, lambda: adapter.contest(event.topic, event.text))
+            self._call("publishers", time_ns, lambda: adapter.set_duplicate_publishers(event.topic, event.text))
         elif isinstance(event, ServiceCalled):
             answer = self._call(f"~/{event.name}", time_ns, lambda: adapter.service(event.name, time_ns))
             success, message = answer or (None, None)

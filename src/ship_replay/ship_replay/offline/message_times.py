@@ -21,7 +21,7 @@ from theodolite_calib.config import OpticalAxisConfig
 _MAJORITY_SHARE = 0.5
 """Share of the time in gaps longer than a limit from which on the configuration is an error."""
 
-_WORTH_SAYING = 0.01
+_MIN_REPORTED_SHARE = 0.01
 _TOO_NEAR = 0.5
 """Share of a limit above which usual gaps exceed it now and then without any loss."""
 
@@ -180,7 +180,7 @@ def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterat
         times_s = lengths_s * counts
         # All gaps may be shorter than the resolution.
         share = times_s[lengths_s > allowed_s].sum() / max(times_s.sum(), 1e-9)
-        if share > _WORTH_SAYING:
+        if share > _MIN_REPORTED_SHARE:
             yield Exceeded(limit, _words(limit, allowed_s, lengths_s, counts, source), share > _MAJORITY_SHARE)
 
 

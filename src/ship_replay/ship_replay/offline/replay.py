@@ -24,7 +24,7 @@ from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_t
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.message_times import LogDelays, in_order_of_stamps
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.offline.status_course import reasons_for
+from ship_replay.offline.status_course import poor_status_reasons
 
 Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
@@ -76,9 +76,9 @@ def replay(
             for record in records:
                 run.take(relative_names[record.topic], record)
             if bag.last_time_ns is None or bag.start_ns is None:
-                told = "".join(f"; {problem}" for problem in bag.problems)
+                problem_text = "".join(f"; {problem}" for problem in bag.problems)
                 looked_for = sorted(relative_names) or sorted({topic.topic for topic in chain.inputs})
-                text = f"no message of {', '.join(looked_for)} could be read{told}"
+                text = f"no message of {', '.join(looked_for)} could be read{problem_text}"
                 if not relative_names:
                     text += "; if the topics are in a namespace, give it by --namespace"
                 raise BadInput(text, file=bag_path)
@@ -86,21 +86,21 @@ def replay(
         last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
         for adapter in chain.adapters:
             health = adapter.health.messages(factory, last_ns)
-            _tell_of_node(summary, adapter, chain.configs[adapter.node_name], health, is_alone=len(chain.adapters) == 1)
+            _summarise_node(summary, adapter, chain.configs[adapter.node_name], health, is_alone=len(chain.adapters) == 1)
         summary.problems = left_out + bag.problems
         summary.duration_s = (bag.last_time_ns - bag.start_ns) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s
     return summary
 
 
-def _tell_of_node(
+def _summarise_node(
     summary: ReplaySummary, adapter: Adapter, config: Any, health: Sequence[Any], is_alone: bool
 ) -> None:
     """Add a node's reasons for poor statuses and its rejected and noted messages to the summary."""
     for output in adapter.outputs:
         if output.topic in summary.status_histories:
             history = summary.status_histories[output.topic]
-            summary.reasons += reasons_for(history, adapter, config, summary.times, health)
+            summary.reasons += poor_status_reasons(history, adapter, config, summary.times, health)
     for topic, counts in adapter.health.refused_and_noted().items():
         name = topic if is_alone else f"{adapter.node_name}: {topic}"
         for kept, reasons in zip((summary.rejected, summary.noted), counts, strict=True):

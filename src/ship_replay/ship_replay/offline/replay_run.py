@@ -201,7 +201,7 @@ class ReplayRun:
 
     def _note_sayings(self, diagnostics: Any) -> None:
         """Record the diagnostics about statuses: "ship_attitude: attitude" is about ship/attitude."""
-        for said in diagnostics.status:
-            history = self._summary.status_histories.get(self._status_topics.get(said.name, ""))
+        for status in diagnostics.status:
+            history = self._summary.status_histories.get(self._status_topics.get(status.name, ""))
             if history is not None:
-                history.note(said.message)
+                history.note(status.message)

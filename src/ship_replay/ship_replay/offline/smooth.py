@@ -77,7 +77,7 @@ class Smoothed:
         """Median sigmas of the angles in real time and smoothed, shape (2, 3); None if all are DEGRADED."""
         return np.sqrt(np.nanmedian(self.variances, axis=0)) / ARCSEC if self.variances else None
 
-    def record(self, at_once: "_AtOnce", message: Any, covariance: FloatArray) -> BagRecord:
+    def record(self, real_time: "_RealTimeOutput", message: Any, covariance: FloatArray) -> BagRecord:
         """Return a smoothed message with the log time of the real-time one, and count it.
 
         Args:
@@ -86,11 +86,11 @@ class Smoothed:
             covariance: covariance of its angles, rad², shape (3, 3).
         """
         self.count += 1
-        if at_once.status < Status.DEGRADED:
+        if real_time.status < Status.DEGRADED:
             first, second, third = covariance.diagonal().tolist()
-            self.variances.append((at_once.variances, (first, second, third)))
+            self.variances.append((real_time.variances, (first, second, third)))
         data = serialize(message)
-        return BagRecord(self.topic, self.type_name, at_once.log_time_ns, data, message_store())
+        return BagRecord(self.topic, self.type_name, real_time.log_time_ns, data, message_store())
 
 
 @dataclass
@@ -135,7 +135,7 @@ class _WholeSession(OpticalAxisAdapter):
         return SmoothingAxisCore(config, sky_model)
 
 
-class _AtOnce(NamedTuple):
+class _RealTimeOutput(NamedTuple):
     """A real-time output: log time, status and variances of its angles, rad²."""
 
     log_time_ns: int
@@ -143,12 +143,12 @@ class _AtOnce(NamedTuple):
     variances: Three
 
 
-class _ToldAtOnce:
+class _RealTimeOutputs:
     """Sink that stores the real-time attitudes and pointings by their stamps."""
 
     def __init__(self) -> None:
-        self.attitudes: dict[int, _AtOnce] = {}
-        self.pointings: dict[int, _AtOnce] = {}
+        self.attitudes: dict[int, _RealTimeOutput] = {}
+        self.pointings: dict[int, _RealTimeOutput] = {}
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Store an attitude or pointing."""
@@ -157,7 +157,7 @@ class _ToldAtOnce:
             if topic == POINTING_TOPIC:
                 first *= math.cos(message.elevation) ** 2
             kept = self.attitudes if topic == ATTITUDE_TOPIC else self.pointings
-            at_once = _AtOnce(log_time_ns, Status(message.status), (first, second, third))
+            at_once = _RealTimeOutput(log_time_ns, Status(message.status), (first, second, third))
             kept[ns_from_stamp(message.header.stamp)] = at_once
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
@@ -188,7 +188,7 @@ def smooth(
     with read_bag(bag_path) as bag:
         if out_path.resolve() == bag_path.resolve():
             raise BadInput("the output would overwrite the input", file=out_path)
-        config_text, factory, told = suite_text(bag, config_path), RosbagsFactory(), _ToldAtOnce()
+        config_text, factory, real_time = suite_text(bag, config_path), RosbagsFactory(), _RealTimeOutputs()
         kinds = (_WholeVoyage, StarAttitudeAdapter, OpticalAxisAdapter)
         chain, left_out = suite_chain(bag, kinds, factory, config_path, namespace)
         ship = next((one for one in chain.adapters if isinstance(one, _WholeVoyage)), None)
@@ -202,14 +202,14 @@ def smooth(
             records = watch(bag.records(some_names), bag)
             return in_order_of_stamps(records, median_delay_ns(bag_path, names)) if by_stamps else records
 
-        _hand_over(chain, records_of(names), names, told)
+        _hand_over(chain, records_of(names), names, real_time)
         summary = SmoothSummary([*left_out, *bag.problems])
         attitudes: Iterable[BagRecord] = []
         pointings: Iterable[BagRecord] = []
         if ship is not None:
             summary.outputs.append(Smoothed(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
             estimates = itertools.chain(ship.ended, ship.core.smoothed_to_the_end())
-            attitudes = _attitudes(estimates, told.attitudes, factory, ship.config.frames, summary.outputs[-1])
+            attitudes = _attitudes(estimates, real_time.attitudes, factory, ship.config.frames, summary.outputs[-1])
         if axis is not None:
             # The attitudes are both an input and an output.
             attitudes = list(attitudes)
@@ -217,10 +217,10 @@ def smooth(
             session = AdapterChain([again])
             of_session = {name: relative for name, relative in names.items() if relative in session.taken[0]}
             records = heapq.merge(records_of(of_session), attitudes, key=attrgetter("log_time_ns"))
-            _hand_over(session, records, of_session | {SMOOTHED_TOPIC: ATTITUDE_TOPIC}, _ToldAtOnce())
+            _hand_over(session, records, of_session | {SMOOTHED_TOPIC: ATTITUDE_TOPIC}, _RealTimeOutputs())
             angles = ("azimuth cos elevation", "elevation", "image rotation")
             summary.outputs.append(Smoothed(SMOOTHED_POINTING_TOPIC, POINTING_TYPE, angles))
-            pointings = _pointings(again.core, told.pointings, factory, summary.outputs[-1])
+            pointings = _pointings(again.core, real_time.pointings, factory, summary.outputs[-1])
         with BagWriter(out_path) as writer:
             announce(writer, bag, [OutputTopic(one.topic, one.type_name) for one in summary.outputs], config_text)
             for record in heapq.merge(_truth(bag, namespace), attitudes, pointings, key=attrgetter("log_time_ns")):
@@ -231,10 +231,10 @@ def smooth(
 
 
 def _hand_over(
-    chain: AdapterChain, records: Iterable[BagRecord], relative_names: Mapping[str, str], told: _ToldAtOnce
+    chain: AdapterChain, records: Iterable[BagRecord], relative_names: Mapping[str, str], sink: _RealTimeOutputs
 ) -> None:
     """Process the inputs one by one, under their relative names."""
-    run = ReplayRun(chain, told, ReplaySummary(), truth_topics=())
+    run = ReplayRun(chain, sink, ReplaySummary(), truth_topics=())
     for record in records:
         run.take(relative_names[record.topic], record)
 
@@ -247,7 +247,7 @@ def _truth(bag: Bag, namespace: str) -> Iterator[BagRecord]:
 
 def _attitudes(
     estimates: Iterable[AttitudeEstimate],
-    told: Mapping[int, _AtOnce],
+    real_time: Mapping[int, _RealTimeOutput],
     factory: RosbagsFactory,
     frames: FrameNames,
     smoothed: Smoothed,
@@ -257,18 +257,18 @@ def _attitudes(
         _, message = smoothed_message(factory, estimate, frames)
         heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
         covariance = angle_covariance(estimate.covariance_n, heading, pitch)
-        yield smoothed.record(told[estimate.time_ns], message, covariance)
+        yield smoothed.record(real_time[estimate.time_ns], message, covariance)
 
 
 def _pointings(
-    core: SmoothingAxisCore, told: Mapping[int, _AtOnce], factory: RosbagsFactory, smoothed: Smoothed
+    core: SmoothingAxisCore, real_time: Mapping[int, _RealTimeOutput], factory: RosbagsFactory, smoothed: Smoothed
 ) -> Iterator[BagRecord]:
     """Yield the smoothed pointings at the stamps of real-time ones and fill their summary.
 
     The status is the worse of the real-time and the smoothed one.
     """
     for estimate in core.smoothed_to_the_end():
-        at_once = told.get(estimate.time_ns)
+        at_once = real_time.get(estimate.time_ns)
         if at_once is not None:
             _, message = smoothed_pointing(factory, replace(estimate, status=max(at_once.status, estimate.status)))
             azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)

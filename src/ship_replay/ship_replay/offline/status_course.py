@@ -140,7 +140,7 @@ class StatusHistory:
         return lines
 
 
-def reasons_for(
+def poor_status_reasons(
     history: StatusHistory, adapter: Adapter, config: Any, times: Mapping[str, MessageTimes], health: Sequence[Any]
 ) -> list[str]:
     """Return why a node's outputs were INVALID or DEGRADED, one line each below a heading.
@@ -158,9 +158,9 @@ def reasons_for(
     counts = history.counts
     if sum(counts[word] for word in _POOR) <= _WORTH_A_REASON * counts.total():
         return []
-    said = history.sayings
-    warnings = [warning for warning in adapter.start_warnings if not any(warning in saying for saying in said)]
-    reasons = [*said, *warnings, *_reference_only_reasons(config)]
+    diagnostics = history.sayings
+    warnings = [warning for warning in adapter.start_warnings if not any(warning in saying for saying in diagnostics)]
+    reasons = [*diagnostics, *warnings, *_reference_only_reasons(config)]
     reasons += [excess.text for excess in exceeded(config, dict(times), "the bag")]
     reasons += [line for message in health if (line := hardly_used(message))]
     poor = " and ".join(f"{counts[word]} {word}" for word in reversed(_POOR) if counts[word])
@@ -182,8 +182,8 @@ def hardly_used(health: Any) -> str:
     if 2 * health.accepted > health.received:
         return ""
     reason, count = most_frequent_rejection(health)
-    told = f", {count} times for {reason}" if reason else ""
-    return f"of {health.received} messages on '{health.topic}' {health.accepted} were used{told}"
+    reason_text = f", {count} times for {reason}" if reason else ""
+    return f"of {health.received} messages on '{health.topic}' {health.accepted} were used{reason_text}"
 
 
 def most_frequent_rejection(health: Any) -> tuple[str, int]:

@@ -35,7 +35,7 @@ def _check_presence(check: BagCheck, present: Collection[str]) -> None:
     absent: dict[str, list[tuple[CheckedNode, bool]]] = {}
     for node in check.nodes:
         for topic in node.adapter.inputs:
-            if topic.topic not in present and not topic.at_times:
+            if topic.topic not in present and not topic.is_occasional:
                 absent.setdefault(topic.topic, []).append((node, topic.required))
     adapters = [node.adapter for node in check.nodes]
     kinds = {topic.topic: topic.type_name for each in adapters for topic in each.outputs}

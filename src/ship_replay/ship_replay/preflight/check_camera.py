@@ -41,16 +41,16 @@ def _focal_length(mounting: MeasuredMounting, bag: Bag) -> Iterator[tuple[bool, 
     if camera is None or camera.focal_length_m is None:
         return
     name, pitch_m = f"{mounting.section}.camera.focal_length_m", mounting.device.camera.pixel_pitch_m
-    said = f"parameter '{name}' = {configured_m:g} m, but angles between stars on '{mounting.topic}' in {bag.path}"
+    start = f"parameter '{name}' = {configured_m:g} m, but angles between stars on '{mounting.topic}' in {bag.path}"
     off = camera.focal_length_m / configured_m - 1.0
     if not abs(off) <= _FOCAL_LENGTH_TOLERANCE:
-        yield True, name, f"{said} are those of {camera.focal_length_m:.4g} m with pixels of {pitch_m:g} m"
+        yield True, name, f"{start} are those of {camera.focal_length_m:.4g} m with pixels of {pitch_m:g} m"
         return
     least = _LIKELY_SIGMAS * mounting.device.camera.focal_sigma
     if camera.optics is not None and abs(off) > max(_SIGMAS * camera.optics.scale_sigma, least):
         sigma_m = camera.optics.scale_sigma * configured_m
         text = (
-            f"{said} are those of {camera.focal_length_m:.6g} m, sigma {sigma_m:.1g} m, with pixels of {pitch_m:g} m: "
+            f"{start} are those of {camera.focal_length_m:.6g} m, sigma {sigma_m:.1g} m, with pixels of {pitch_m:g} m: "
             f"{100.0 * off:+.3f} %"
         )
         yield False, name, text

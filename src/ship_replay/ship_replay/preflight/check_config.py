@@ -131,14 +131,14 @@ def check_file(
         found = ", ".join(f"'{name}'" for name in strange) or "none"
         raise BadInput(f"no section for a node of this suite: {_expected(adapter_classes)}, found {found}", file=path)
     if not misfits:
-        told = _expected(adapter_classes)
-        findings.warnings += [f"{path}: section '{name}' fits no node of this suite: {told}" for name in strange]
+        expected_text = _expected(adapter_classes)
+        findings.warnings += [f"{path}: section '{name}' fits no node of this suite: {expected_text}" for name in strange]
     named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
     checked = (_checked(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
     places = [place for companion in companions for place in _companion_places(path, companion, namespace, findings)]
     findings.errors += list(_place_conflicts(path, places))
-    findings.warnings += list(_told_differently(path, nodes))
+    findings.warnings += list(_parameter_conflicts(path, nodes))
     _check_names(path, nodes, findings)
     return nodes
 
@@ -174,16 +174,16 @@ def _misfit(path: Path, name: str) -> list[str]:
 
 def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Findings) -> CheckedNode | None:
     file = read(path, name)
-    config, told = _configured(file, adapter_class.config_type, findings)
+    config, replaced = _configured(file, adapter_class.config_type, findings)
     if config is None:
         return None
     try:
         adapter = adapter_class(config, RosbagsFactory(), UNTOUCHED)
         findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
-        return CheckedNode(file, config, adapter, frozenset(told))
+        return CheckedNode(file, config, adapter, frozenset(replaced))
     except ParameterError as problem:
         # Parameters removed above are missing here and already reported.
-        if told.isdisjoint(problem.parameters):
+        if replaced.isdisjoint(problem.parameters):
             findings.errors.append(str(file.error(problem)))
     except BadInput as problem:
         findings.errors.append(f"{path}: {problem}")
@@ -202,8 +202,8 @@ def _companion_places(
         return
     node = full_name(companion.node_name, namespace)
     file = read(path, node)
-    config, told = _configured(file, kind, findings)
-    for place in () if told else config.places:
+    config, replaced = _configured(file, kind, findings)
+    for place in () if replaced else config.places:
         yield node, file, place
 
 
@@ -221,20 +221,20 @@ def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tup
     """Return the configuration with invalid values replaced, or None, and the names of reported parameters."""
     values = copy.deepcopy(file.values)
     descriptions = list(describe(kind))
-    told: set[str] = set()
+    replaced: set[str] = set()
     while True:
         try:
-            return build(kind, values), told
+            return build(kind, values), replaced
         except ParameterError as problem:  # noqa: PERF203 - each pass replaces another value
-            if problem.parameters and problem.parameters[0] in told:
-                return None, told  # caused by the removed value
+            if problem.parameters and problem.parameters[0] in replaced:
+                return None, replaced  # caused by the removed value
             findings.errors.append(str(file.error(problem)))
-            told.update(problem.parameters[:1])
+            replaced.update(problem.parameters[:1])
             if not _put_right(values, problem, descriptions):
-                return None, told
+                return None, replaced
 
 
-def _told_differently(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+def _parameter_conflicts(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
     """Yield warnings for parameters of a sensor's mounting or of the sky that differ between two nodes."""
     for node, other in itertools.combinations(nodes, 2):
         for name, one, two in [*_mountings(node.config, other.config), *_skies(node.config, other.config)]:

@@ -27,7 +27,7 @@ _SIGMAS = 5.0
 _TOO_FAR = np.deg2rad(1.0)
 """Installation error that no sigma explains, rad: no star would be used."""
 
-_WORTH_SAYING = np.deg2rad(0.01)
+_MIN_REPORTED_ANGLE = np.deg2rad(0.01)
 _FEWEST = 3
 _LOOKS_LIKE_RADIANS_DEG = 1.0
 
@@ -67,17 +67,17 @@ def check_installation(check: BagCheck) -> None:
     The attitudes of each device are compared with the INS at some times of the bag, and the stars of each camera with
     one another.
     """
-    told = {*check.findings.errors, *check.findings.warnings}
+    reported = {*check.findings.errors, *check.findings.warnings}
     for node in check.nodes:
         if not isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig, OpticalAxisConfig)):
             continue
         mountings = list(measured_mountings(node.config, check.bag, check.usable))
         for is_error, parameter, text in _contradictions(mountings, node.config, check.bag):
-            said = f"{node.place(check.path, parameter)}: {text}"
+            line = f"{node.place(check.path, parameter)}: {text}"
             # Replaced values are already reported.
-            if said not in told and parameter not in node.replaced_parameters:
-                told.add(said)
-                check.say(is_error, said)
+            if line not in reported and parameter not in node.replaced_parameters:
+                reported.add(line)
+                check.say(is_error, line)
 
 
 def _contradictions(
@@ -155,7 +155,7 @@ def _words_of_ins(turn_d: FloatArray, far: Sequence[_Residual], bag: Bag) -> str
 
 def _installation(residual: _Residual, bag: Bag) -> Iterator[tuple[bool, str, str]]:
     angle = float(np.linalg.norm(residual.turn_d))
-    if not (residual.sigmas > _SIGMAS and angle > _WORTH_SAYING):
+    if not (residual.sigmas > _SIGMAS and angle > _MIN_REPORTED_ANGLE):
         return
     mounting = residual.mounting
     where = f"'{mounting.topic}' and 'ins/imu' in {bag.path}"

@@ -68,15 +68,15 @@ def _check_source(
         return
     feed = next(feed for feed in adapter.feeds.values() if feed.source == source)
     record = adapter.health.records[feed.input.topic]
-    said = f"the innovations of {source} in {check.bag.path} fit {factor:.2g} times this noise"
+    text_of_factor = f"the innovations of {source} in {check.bag.path} fit {factor:.2g} times this noise"
     names = list(_parameters(node.config, source))
     if not names or 2 * record.noted[Reason.COVARIANCE_UNKNOWN] < record.received:
-        text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {said} ({diagnosis.count} measurements)"
+        text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {text_of_factor} ({diagnosis.count} measurements)"
         check.say(False, f"{text}: {factor**2:.2g} times its variance fits")
         return
     for name in names:
         value = _value(node.config, name)
-        text = f"{node.place(check.path, name)}: parameter '{name}' = {value:.3g}, but {said}"
+        text = f"{node.place(check.path, name)}: parameter '{name}' = {value:.3g}, but {text_of_factor}"
         check.say(False, f"{text} ({diagnosis.count} measurements): {factor * value:.2g} fits")
 
 

@@ -98,14 +98,14 @@ def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> N
         if not line:
             continue
         word = most_frequent_rejection(health)[0]
-        said = f"{check.bag.path}: {span}{node.adapter.node_name}: {line}"
+        line_text = f"{check.bag.path}: {span}{node.adapter.node_name}: {line}"
         if not health.accepted and word in _words(_OF_THE_CONFIGURATION):
-            check.findings.errors.append(said)
+            check.findings.errors.append(line_text)
         elif 2 * health.rejected <= health.received or word in _words(_OF_THE_WEATHER):
-            check.findings.warnings.append(said)
+            check.findings.warnings.append(line_text)
         else:
             share = f" ({100.0 * health.rejected / health.received:.0f} % not used)"
-            check.findings.unused.append(said + share + _reason_and_advice(records[health.topic].last_rejection, word))
+            check.findings.unused.append(line_text + share + _reason_and_advice(records[health.topic].last_rejection, word))
 
 
 def _words(reasons: Sequence[Reason]) -> Iterator[str]:
@@ -114,6 +114,6 @@ def _words(reasons: Sequence[Reason]) -> Iterator[str]:
 
 def _reason_and_advice(last: Any, word: str) -> str:
     """Return the node's text about the last rejection, and the advice."""
-    told = f": {shortened(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
+    node_text = f": {shortened(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
     advice = next((advice for reason, advice in _ADVICE.items() if reason.word == word), "")
-    return f"{told}; {advice}" if advice else told
+    return f"{node_text}; {advice}" if advice else node_text

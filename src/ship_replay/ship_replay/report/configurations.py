@@ -61,8 +61,8 @@ def parameter_differences(a: Recording, b: Recording) -> list[ParameterDifferenc
         values_a, values_b = _parameters(a, node, kind), _parameters(b, node, kind)
         if values_a is None or values_b is None:
             if values_a is not values_b:
-                told = ["not configured" if values is None else "configured" for values in (values_a, values_b)]
-                found.append(ParameterDifference(node, "", *told))
+                texts = ["not configured" if values is None else "configured" for values in (values_a, values_b)]
+                found.append(ParameterDifference(node, "", *texts))
             continue
         for name in dict.fromkeys([*values_a, *values_b]):
             value_a, value_b = values_a.get(name), values_b.get(name)

@@ -129,7 +129,7 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
         "pessimistic": [verdict for verdict in diagnoses if not verdict.is_consistent and verdict.ratio < 1.0],
     }
     minutes = {word: len(found) for word, found in outside.items()}
-    told = {"as stated": len(diagnoses) - sum(minutes.values()), **minutes}
+    minutes_by_result = {"as stated": len(diagnoses) - sum(minutes.values()), **minutes}
     known = np.isfinite(nis) & (degrees > 0)
     mean, freedom = (float(np.mean(values[known])) if known.any() else math.nan for values in (nis, degrees))
     if not diagnoses:
@@ -139,7 +139,7 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
     else:
         parts = [f"{inconsistent_text(_together(found))} in {len(found)}" for found in outside.values() if found]
         words = f"σ {', '.join(parts)} of {len(diagnoses)} minutes"
-    return SigmaFit("NIS", name, mean, freedom, int(known.sum()), math.nan, told, words)
+    return SigmaFit("NIS", name, mean, freedom, int(known.sum()), math.nan, minutes_by_result, words)
 
 
 def _together(diagnoses: list[NisConsistency]) -> float:

@@ -111,11 +111,11 @@ def status_svg(recording: Recording, marked: Iterable[int] = ()) -> str:
         grid[0].tick_params(length=0)
         drawn = 0
         for number, name in enumerate(shown):
-            told = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
-            told = told[told[:, 1] > 0.0]
-            drawn += len(told)
-            kept = np.flatnonzero(thinned(told[:, 1:], MOST_POINTS))
-            time_ns, (value,) = interrupted(told[kept, 0], gap_times(told[:, 0]), told[kept, 1])
+            accuracy = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
+            accuracy = accuracy[accuracy[:, 1] > 0.0]
+            drawn += len(accuracy)
+            kept = np.flatnonzero(thinned(accuracy[:, 1:], MOST_POINTS))
+            time_ns, (value,) = interrupted(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
             grid[1].plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=_SERIES[number % 5], lw=1.0,
                          ls=("-", "--", "-.", ":", "-")[number], label=name)
         grid[1].set_yscale("log" if drawn else "linear")
@@ -242,7 +242,7 @@ def thin_errors(errors: AttitudeErrors) -> AttitudeErrors:
     together = np.hstack([errors.error_arcsec, errors.sigma_arcsec])
     kept = thinned(together, MOST_POINTS)
     kept[0] = True
-    thin = errors.where(kept, errors.label)
+    thin = errors.select(kept, errors.label)
     columns = thin.error_arcsec, thin.sigma_arcsec, thin.nees
     time_ns, (error, sigma, nees) = interrupted(thin.time_ns, gap_times(errors.time_ns), *columns)
     return replace(thin, time_ns=time_ns, error_arcsec=error, sigma_arcsec=sigma, nees=nees)

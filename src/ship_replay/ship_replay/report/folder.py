@@ -67,17 +67,17 @@ def session_reports(
     """
     for path in bags:
         try:
-            told = read(path)
-            row = session_row(told)
-            write(row.file, page(told))
+            report_data = read(path)
+            row = session_row(report_data)
+            write(row.file, page(report_data))
         except (InputError, OSError) as problem:
             row = SessionRow(path.name, error=str(problem))
         yield row
 
 
-def session_row(told: ReportData) -> SessionRow:
+def session_row(report_data: ReportData) -> SessionRow:
     """Return the row of a session."""
-    recording = told.recording
+    recording = report_data.recording
     shares = {f"{topic} VALID": share for topic, share in valid_shares(recording).items()}
     for name in ANGLES:
         if total := (seconds := recording.seconds(name)).total():

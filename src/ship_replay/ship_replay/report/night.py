@@ -48,7 +48,7 @@ _OFTEN_ENOUGH_NS = NS_PER_S // 5
 
 
 @dataclass(frozen=True)
-class AlertTold:
+class RecordedAlert:
     """A change of an alert's state: raised, acknowledged, over."""
 
     utc_ns: int
@@ -110,7 +110,7 @@ class Recording:
     accuracy: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
     status_s: dict[str, dict[str, float]] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
-    alerts: list[AlertTold] = field(default_factory=list)
+    alerts: list[RecordedAlert] = field(default_factory=list)
     alerts_are_recorded: bool = False
     rejections: list[Rejection] = field(default_factory=list)
     budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
@@ -201,7 +201,7 @@ class _Reading:
             while next_ns <= now_ns:
                 self._sample_state(next_ns)
                 next_ns += _SAMPLE_PERIOD_NS
-            if rows[record.topic].every or now_ns - newest.get(record.topic, 0) >= _OFTEN_ENOUGH_NS:
+            if rows[record.topic].keeps_every_message or now_ns - newest.get(record.topic, 0) >= _OFTEN_ENOUGH_NS:
                 newest[record.topic] = now_ns
                 self._take(topics[record.topic], record)
         self._sample_state(self._recording.end_ns)
@@ -238,7 +238,7 @@ class _Reading:
             recording.events += reversed(fresh)
         if not recording.alerts_are_recorded and state.utc_ns:
             changes = self._book.take(conditions(state, recording.limits), now_ns, state.utc_ns)
-            recording.alerts += [AlertTold(state.utc_ns, change.what, change.alert) for change in _grave(changes)]
+            recording.alerts += [RecordedAlert(state.utc_ns, change.what, change.alert) for change in _grave(changes)]
         recording.last = state
         self._empty()
 
@@ -300,9 +300,9 @@ class _Reading:
         for key, alert in alerts.items():
             if key not in self._last_alerts or self._last_alerts[key].state != alert.state:
                 what = AlertState(alert.state).name.lower().replace("_", " ")
-                self._recording.alerts.append(AlertTold(alert.changed_ns, what, alert))
+                self._recording.alerts.append(RecordedAlert(alert.changed_ns, what, alert))
         self._recording.alerts += [
-            AlertTold(state.utc_ns, "over", alert) for key, alert in self._last_alerts.items() if key not in alerts
+            RecordedAlert(state.utc_ns, "over", alert) for key, alert in self._last_alerts.items() if key not in alerts
         ]
         self._last_alerts = alerts
 

@@ -44,9 +44,9 @@ _PACKAGES = (
 )
 
 
-def page(told: ReportData) -> str:
+def page(report_data: ReportData) -> str:
     """Return the report of one recording as a single HTML file; the same recording gives the same text."""
-    recording, evaluation = told.recording, told.evaluation
+    recording, evaluation = report_data.recording, report_data.evaluation
     start_ns = recording.start_utc_ns
     events, colours = event_rows(recording.events), source_colours(recording, evaluation)
     drawn = _drawn({
@@ -112,9 +112,9 @@ def recorded_versions(recording: Recording) -> list[tuple[str, str]]:
     commit = recording.metadata.get(COMMIT_RECORD, {}).get("commit", "")
     of_commit = [("suite, commit", commit)] if commit else []
     try:
-        told = json.loads(recording.attachments.get(VERSIONS_ATTACHMENT, b"{}"))
-        return of_commit + [(name, str(told[name])) for name in ("python", "machine") if name in told] + [
-            (name, str(version)) for group in ("suite", "libraries") for name, version in told.get(group, {}).items()
+        versions_there = json.loads(recording.attachments.get(VERSIONS_ATTACHMENT, b"{}"))
+        return of_commit + [(name, str(versions_there[name])) for name in ("python", "machine") if name in versions_there] + [
+            (name, str(version)) for group in ("suite", "libraries") for name, version in versions_there.get(group, {}).items()
         ]
     except (ValueError, AttributeError, TypeError):
         return of_commit  # damaged

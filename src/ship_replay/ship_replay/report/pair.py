@@ -8,8 +8,8 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.report.night import Recording, read_recording
-from ship_replay.report.published import OutputDifference, Published, differences, overlap_s, read_published, span
-from ship_replay.report.told import ReportData, check_truth, is_short, other_processes, read_told
+from ship_replay.report.published import OutputDifference, PublishedOutputs, differences, overlap_s, read_published, span
+from ship_replay.report.told import ReportData, check_truth, is_short, other_processes, read_report_data
 from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits
 
@@ -30,7 +30,7 @@ class Pair:
 
     a: ReportData
     b: ReportData
-    published: tuple[Published, Published]
+    published: tuple[PublishedOutputs, PublishedOutputs]
     differences: list[OutputDifference]
 
     @property
@@ -59,18 +59,18 @@ def read_pair(
         BadInput: a bag cannot be read or lacks a required topic, or the two have no time in common.
     """
     if is_short(a) and is_short(b):
-        told, other = (read_told(path, truth, limits, namespace) for path in (a, b))
+        first, other = (read_report_data(path, truth, limits, namespace) for path in (a, b))
         published = read_published(a, namespace), read_published(b, namespace)
     else:
-        told, other, published = _read_beside(a, b, truth, limits, namespace)
-    pair = Pair(told, other, published, differences(*published))
+        first, other, published = _read_beside(a, b, truth, limits, namespace)
+    pair = Pair(first, other, published, differences(*published))
     _check_overlap(pair)
     return pair
 
 
 def _read_beside(
     a: Path, b: Path, truth: Path | None, limits: Limits | None, namespace: str
-) -> tuple[ReportData, ReportData, tuple[Published, Published]]:
+) -> tuple[ReportData, ReportData, tuple[PublishedOutputs, PublishedOutputs]]:
     """Read both bags in parallel, with additional processes."""
     check_truth(truth, namespace)
     with other_processes(5) as others:
@@ -118,17 +118,17 @@ def _stem(pair: Pair) -> str:
         return f"The inputs are not the same: {', '.join(unequal)} differ{'s' * (len(unequal) == 1)}."
     injected = [recording.metadata.get(_INJECTION) for recording in pair.recordings]
     if injected[0] != injected[1]:
-        told = [f"{_entries(record)} in {letter}" for letter, record in zip("AB", injected, strict=True) if record]
-        only = " only" if len(told) == 1 else ""
-        return f"The inputs are not the same: faults were injected ({', '.join(told)}{only})."
+        texts = [f"{_entries(record)} in {letter}" for letter, record in zip("AB", injected, strict=True) if record]
+        only = " only" if len(texts) == 1 else ""
+        return f"The inputs are not the same: faults were injected ({', '.join(texts)}{only})."
     scenarios = [night.attachments.get(SCENARIO_ATTACHMENT) for night in pair.recordings]
     seeds = [night.metadata.get(_SIMULATION) for night in pair.recordings]
     if scenarios[0] is not None and scenarios[1] is not None:
         if scenarios[0] != scenarios[1]:
             return f"The inputs are not the same: the scenarios differ ({SCENARIO_ATTACHMENT} below)."
         if seeds[0] != seeds[1]:
-            told = [_entries(record) or "no seed" for record in seeds]
-            return f"The inputs are not the same: {told[0]} in A, {told[1]} in B."
+            texts = [_entries(record) or "no seed" for record in seeds]
+            return f"The inputs are not the same: {texts[0]} in A, {texts[1]} in B."
         faults = "" if injected[0] is None else " So is the seed of the injected faults; the faults are not recorded."
         return f"The inputs are the same simulated voyage (same scenario and seed).{faults}"
     if shared:

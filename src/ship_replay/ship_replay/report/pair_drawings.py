@@ -117,8 +117,8 @@ def sides_svg(pair: Pair) -> str:
 
     Both sides of a row have the same scale. The text is empty if there are neither errors nor innovations.
     """
-    sides = [_errors(told) if pair.a.evaluation.errors or pair.b.evaluation.errors else _innovations(told)
-             for told in (pair.a, pair.b)]
+    sides = [_errors(report_data) if pair.a.evaluation.errors or pair.b.evaluation.errors else _innovations(report_data)
+             for report_data in (pair.a, pair.b)]
     names = list(dict.fromkeys([*sides[0], *sides[1]]))
     if not names:
         return ""
@@ -156,11 +156,11 @@ def sides_svg(pair: Pair) -> str:
 def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
     drawn = 0
     for letter, recording, (colour, dash) in zip("AB", pair.recordings, (_A, _B), strict=True):
-        told = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
-        told = told[told[:, 1] > 0.0]  # a covariance of zeros was not given
-        kept = np.flatnonzero(thinned(told[:, 1:], MOST_POINTS))
+        accuracy = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
+        accuracy = accuracy[accuracy[:, 1] > 0.0]  # a covariance of zeros was not given
+        kept = np.flatnonzero(thinned(accuracy[:, 1:], MOST_POINTS))
         drawn += len(kept)
-        time_ns, (value,) = interrupted(told[kept, 0], gap_times(told[:, 0]), told[kept, 1])
+        time_ns, (value,) = interrupted(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
         axes.plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=colour, ls=dash, lw=1.0, label=letter)
     limit = pair.a.recording.limits.angle_limit(name) / ARCSEC
     axes.axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
@@ -175,10 +175,10 @@ def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
     axes.set_ylabel(f"{name}\n95 % [″]", fontsize=8)
 
 
-def _errors(told: ReportData) -> dict[str, _Line]:
+def _errors(report_data: ReportData) -> dict[str, _Line]:
     lines = {}
     outputs = [orientation.label for orientation in ORIENTATIONS]
-    for series in told.evaluation.errors:
+    for series in report_data.evaluation.errors:
         if series.label in outputs:
             thin = thin_errors(series)
             for channel, name in enumerate(series.channels):
@@ -188,9 +188,9 @@ def _errors(told: ReportData) -> dict[str, _Line]:
     return lines
 
 
-def _innovations(told: ReportData) -> dict[str, _Line]:
+def _innovations(report_data: ReportData) -> dict[str, _Line]:
     lines = {}
-    for source, part in told.evaluation.innovations.items():
+    for source, part in report_data.evaluation.innovations.items():
         thin = thin_innovations(part)
         for component in thin.components():
             stamps, residual, sigma = thin.series(component)

@@ -89,8 +89,8 @@ def pair_page(pair: Pair) -> str:
 def _problems(pair: Pair) -> list[str]:
     """Return the problems of the bags, each with the letters of the bags that have it."""
     found: dict[str, str] = {}
-    for letter, told in zip("AB", (pair.a, pair.b), strict=True):
-        for problem in sorted({*told.recording.problems, *told.evaluation.problems}):
+    for letter, report_data in zip("AB", (pair.a, pair.b), strict=True):
+        for problem in sorted({*report_data.recording.problems, *report_data.evaluation.problems}):
             found[problem] = f"{found[problem]} and {letter}" if problem in found else letter
     return [f"{letters}: {problem}" for problem, letters in found.items()]
 

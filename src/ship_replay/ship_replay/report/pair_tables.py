@@ -16,7 +16,7 @@ from ship_replay.report.consistency import SigmaFit, consistency
 from ship_replay.report.night import Recording
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
-from ship_replay.report.tables import shown_scale, told_value
+from ship_replay.report.tables import shown_scale, shown_value
 from ship_replay.report.wording import number, placed, utc
 from ship_watch.history import BudgetPoint, ParameterShown
 from ship_watch.orientations import channel_name
@@ -64,12 +64,12 @@ class ErrorRow:
 
 def error_rows(pair: Pair) -> list[ErrorRow]:
     """Return a row for each source and channel with errors against the truth; at equal stamps if there are any."""
-    sides = [{series.label: series for series in told.evaluation.errors} for told in (pair.a, pair.b)]
+    sides = [{series.label: series for series in report_data.evaluation.errors} for report_data in (pair.a, pair.b)]
     rows = []
     for label in dict.fromkeys([*sides[0], *sides[1]]):
         series = [side.get(label) for side in sides]
         common = _common_stamps(series)
-        parts = [one if one is None or common is None else one.where(np.isin(one.time_ns, common), label)
+        parts = [one if one is None or common is None else one.select(np.isin(one.time_ns, common), label)
                  for one in series]
         for channel, name in enumerate(next(one for one in parts if one is not None).channels):
             sizes = [np.empty(0) if one is None else np.abs(one.error_arcsec[:, channel]) for one in parts]
@@ -166,7 +166,7 @@ class FitOfBoth:
 
 def consistency_rows(pair: Pair) -> list[FitOfBoth]:
     """Return a row for each NEES, then for each NIS."""
-    a, b = ({(fit.kind, fit.name): fit for fit in consistency(told.evaluation)} for told in (pair.a, pair.b))
+    a, b = ({(fit.kind, fit.name): fit for fit in consistency(report_data.evaluation)} for report_data in (pair.a, pair.b))
     keys = sorted({**a, **b}, key=lambda key: key[0])
     return [FitOfBoth(*key, a.get(key), b.get(key)) for key in keys]
 
@@ -199,7 +199,7 @@ def only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 def alerts_only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
     """Return the alert changes of one run only, in order of time, and the number of those of both."""
-    a, b = ([(told.utc_ns, (told.alert.id, told.what), told) for told in recording.alerts] for recording in pair.recordings)
+    a, b = ([(alert_record.utc_ns, (alert_record.alert.id, alert_record.what), alert_record) for alert_record in recording.alerts] for recording in pair.recordings)
     alone, both = _unmatched(a, b)
     return [
         {"when": utc(time_ns), "side": side, "priority": told.alert.priority.name, "id": told.alert.id,
@@ -233,13 +233,13 @@ def _common_stamps(series: Sequence[AttitudeErrors | None]) -> np.ndarray | None
 def _mean_variances(points: Sequence[BudgetPoint]) -> dict[str, dict[str, float]]:
     """Return angle → source of error → mean variance, rad²; a source missing at a time counts as zero there."""
     sums: dict[str, dict[str, float]] = {}
-    told = [point for point in points if point.by_angle]
-    for point in told:
+    known_points = [point for point in points if point.by_angle]
+    for point in known_points:
         for angle, by_source in point.by_angle.items():
             totals = sums.setdefault(angle, {})
             for name, variance in by_source.items():
                 totals[name] = totals.get(name, 0.0) + (variance if math.isfinite(variance) else 0.0)
-    return {angle: {name: total / len(told) for name, total in totals.items()} for angle, totals in sums.items()}
+    return {angle: {name: total / len(known_points) for name, total in totals.items()} for angle, totals in sums.items()}
 
 
 def _sigma_text(variance: float | None) -> str:
@@ -252,7 +252,7 @@ def _alignment_row(
     scale, unit = shown_scale(either)
     row = {"name": either.name, "unit": unit, "apart": "", "differs": "", "note": ""}
     for side, shown in (("a", a), ("b", b)):
-        row[side] = "–" if shown is None else placed(told_value(shown) / scale, shown.sigma / scale)
+        row[side] = "–" if shown is None else placed(shown_value(shown) / scale, shown.sigma / scale)
         row[f"{side}_sigma"] = "" if shown is None else number(shown.sigma / scale)
     if a is not None and b is not None:
         difference = float(wrap_pi(b.value - a.value)) if a.unit == "rad" else b.value - a.value

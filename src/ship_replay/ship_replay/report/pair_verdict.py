@@ -110,8 +110,8 @@ def _outputs(found: OutputDifference) -> str:
     text = f"{topic}: {stamps} equal stamps{f' ({alone})' if alone else ''}"
     if all(found.channels_equal):
         rest = stamps - found.messages_equal
-        told = f"; other fields differ in {rest} messages" if rest else ""
-        return f"{text}; the angles are equal to the last bit{told}."
+        rest_text = f"; other fields differ in {rest} messages" if rest else ""
+        return f"{text}; the angles are equal to the last bit{rest_text}."
     largest = [found.largest(channel) for channel in range(len(found.orientation.channels))]
     if all(abs(value) < _LAST_BITS_ARCSEC for value, _ in largest):
         return f"{text}; the angles differ only by rounding, by less than {_LAST_BITS_ARCSEC:g}″."
@@ -138,17 +138,17 @@ def _not_compared(pair: Pair) -> list[str]:
 def _sources(pair: Pair) -> list[str]:
     """Return which source was out in one run only, for the time that both cover."""
     a, b = (outages(recording) for recording in pair.recordings)
-    sentences, told = [], set()
+    sentences, named = [], set()
     for source in dict.fromkeys(outage.source for outage in (*a, *b)):
         for letter, other, mine, others in (("A", "B", a, b), ("B", "A", b, a)):
             found = _beyond([one for one in mine if one.source == source],
                             [*(one for one in others if one.source == source), *_unrecorded(pair, other, source)])
             if found:
-                told.add(source)
+                named.add(source)
                 more = f" and {len(found) - _MOST_NAMED} times more" if len(found) > _MOST_NAMED else ""
                 times = ", ".join(one.text for one in found[:_MOST_NAMED])
                 sentences.append(f"{source} was out in {letter} and not in {other}: {times}{more}.")
-    common = [source for source in dict.fromkeys(outage.source for outage in a) if source not in told]
+    common = [source for source in dict.fromkeys(outage.source for outage in a) if source not in named]
     if common:
         sentences.append(f"Identical outages in both runs: {', '.join(common)}.")
     return sentences if a or b else ["No source was out in either."]

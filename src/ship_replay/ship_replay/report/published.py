@@ -36,7 +36,7 @@ class Claims:
 
 
 @dataclass
-class Published:
+class PublishedOutputs:
     """Outputs and inputs of one bag.
 
     Attributes:
@@ -93,13 +93,13 @@ class OutputDifference:
         return first, second
 
 
-def read_published(path: Path, namespace: str = "") -> Published:
+def read_published(path: Path, namespace: str = "") -> PublishedOutputs:
     """Read the outputs of a bag.
 
     Raises:
         BadInput: the bag cannot be read.
     """
-    published = Published()
+    published = PublishedOutputs()
     with read_bag(path) as bag:
         names = {name: topic for topic, name in relative_topics(bag.topics, namespace).items()}
         orientations = {known.topic: known for known in ORIENTATIONS}
@@ -124,7 +124,7 @@ def read_published(path: Path, namespace: str = "") -> Published:
     return published
 
 
-def differences(first: Published, second: Published) -> list[OutputDifference]:
+def differences(first: PublishedOutputs, second: PublishedOutputs) -> list[OutputDifference]:
     """Return B minus A for each orientation that both published, if they have equal stamps."""
     return [
         found
@@ -176,7 +176,7 @@ def _claims(rows: dict[int, tuple[bytes, FloatArray, FloatArray]]) -> Claims:
     )
 
 
-def span(published: Published) -> tuple[int, int] | None:
+def span(published: PublishedOutputs) -> tuple[int, int] | None:
     """Return first and last stamp of all outputs, UTC in ns; None if there are none."""
     claims = published.claims.values()
     if not claims:

@@ -108,7 +108,7 @@ def _mountings(recording: Recording) -> str:
 
 def _advice(recording: Recording) -> str:
     """Return the advice of the raised alerts, causes first, then by priority."""
-    raised = [told.alert for told in recording.alerts if told.what in ("raised", "active not acknowledged")]
+    raised = [record.alert for record in recording.alerts if record.what in ("raised", "active not acknowledged")]
     raised.sort(key=lambda alert: (alert.id.endswith(_CONSEQUENCE), -int(alert.priority)))
     texts = [
         f"{alert.source or alert.id}: {alert.advice[:1].lower()}{alert.advice[1:]}" for alert in raised if alert.advice

@@ -93,9 +93,9 @@ def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShow
         rows.append({
             "name": shown.name,
             "unit": unit,
-            "before": placed(told_value(start) / scale, start.sigma / scale),
+            "before": placed(shown_value(start) / scale, start.sigma / scale),
             "before_sigma": number(start.sigma / scale),
-            "after": placed(told_value(shown) / scale, shown.sigma / scale),
+            "after": placed(shown_value(shown) / scale, shown.sigma / scale),
             "after_sigma": number(shown.sigma / scale),
             "change": f"{change / start.sigma:+.1f} σ".replace("-", "−") if start.sigma > 0.0 else "",
             "note": "" if shown.is_observable else "not observable",
@@ -121,7 +121,7 @@ def rejection_rows(recording: Recording) -> list[dict[str, str]]:
     ]
 
 
-def told_value(shown: ParameterShown) -> float:
+def shown_value(shown: ParameterShown) -> float:
     """Return the value of a parameter, an angle wrapped to -pi to pi, so that azimuths around 0 do not jump to 360°."""
     return float(wrap_pi(shown.value)) if shown.unit == "rad" else shown.value
 

@@ -32,7 +32,7 @@ class ReportData:
     evaluation: Evaluation
 
 
-def read_told(
+def read_report_data(
     path: Path, truth: Path | None = None, limits: Limits | None = None, namespace: str = ""
 ) -> ReportData:
     """Read and evaluate a bag with outputs.

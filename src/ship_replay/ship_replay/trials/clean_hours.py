@@ -168,8 +168,8 @@ def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Res
         run = simulate(scenario_of(voyage, folder, length_s), voyage.number)
         statistics = VoyageStatistics(ALERT_LIMIT_ARCSEC.get(voyage.kind, np.inf) * ARCSEC)
         (_sail_theodolite if voyage.kind == THEODOLITE else _sail_ship)(run, statistics)
-        told = {name: value for name, value in vars(statistics).items() if name[0] != "_" and name != "limit"}
-        result |= told | {
+        fields = {name: value for name, value in vars(statistics).items() if name[0] != "_" and name != "limit"}
+        result |= fields | {
             "squares": (statistics.squares / ARCSEC**2).tolist(),
             "worst_level": statistics.worst_level / ARCSEC,
         }

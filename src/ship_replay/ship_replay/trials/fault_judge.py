@@ -26,7 +26,7 @@ import numpy as np
 from ship_bags.stamps import NS_PER_S
 from ship_replay.offline.exclusion_history import INTEGRITY
 from ship_replay.trials.passage import Passage
-from ship_replay.trials.voyage_told import EXCLUSION, Claim, Sign, Told
+from ship_replay.trials.voyage_told import EXCLUSION, Claim, Sign, VoyageOutputs
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 
@@ -74,7 +74,7 @@ class FaultOutcome:
     longest_beyond_s: float
 
 
-def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, until_s: float) -> FaultOutcome:
+def judged(fault: Fault, changed_ns: np.ndarray, outputs: VoyageOutputs, clean: Passage, until_s: float) -> FaultOutcome:
     """Evaluate a fault.
 
     Args:
@@ -87,16 +87,16 @@ def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, unt
     start_ns, first_ns = clean.start_ns, int(changed_ns[0])
     begin_ns, until_ns = start_ns + round(fault.start_s * NS_PER_S), start_ns + round(until_s * NS_PER_S)
     end_ns = min(start_ns + round((fault.end_s + SETTLING_S) * NS_PER_S), until_ns)
-    known = {(sign.source, sign.stamp_ns) for sign in clean.told.signs}
+    known = {(sign.source, sign.stamp_ns) for sign in clean.outputs.signs}
     signs = [
         sign
-        for sign in told.signs
+        for sign in outputs.signs
         if first_ns <= sign.log_ns < end_ns and (sign.source, sign.stamp_ns) not in known
     ]  # fmt: skip
-    left_ns, is_new = _first_left(told, clean.told, first_ns, end_ns)
+    left_ns, is_new = _first_left(outputs, clean.outputs, first_ns, end_ns)
     own = [sign.log_ns for sign in signs if is_source(sign.source, fault)]
     alerts_ns = [*own[:1], *([] if left_ns is None else [left_ns])]
-    after = [claim for claim in told.claims if begin_ns <= claim.stamp_ns < until_ns]
+    after = [claim for claim in outputs.claims if begin_ns <= claim.stamp_ns < until_ns]
     beyond_s, longest_s = beyond(after)
     levels = [claim.over_level for claim in after if np.isfinite(claim.over_level)]
     names = first_named(signs)
@@ -158,7 +158,7 @@ def _drone_names(id_: str) -> tuple[str, ...]:
     return tuple(f"{kind}.{id_}" for kind in ("beacon", "baseline", "drone", "light"))
 
 
-def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> tuple[int | None, bool]:
+def _first_left(outputs: VoyageOutputs, clean: VoyageOutputs, begin_ns: int, end_ns: int) -> tuple[int | None, bool]:
     """Return log time and novelty of the first output worse than VALID and than in the fault-free voyage.
 
     The second value is True if it is not the remaining effect of an earlier fault.
@@ -166,7 +166,7 @@ def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> tuple[in
     usual: dict[tuple[str, int], np.ndarray] = {}
     last_worse_ns: dict[str, int] = {}
     first_ns, is_new = None, False
-    for name, stamp_ns, log_ns, status in told.not_valid:
+    for name, stamp_ns, log_ns, status in outputs.not_valid:
         if name not in INTEGRITY or log_ns >= end_ns:
             continue
         if (name, status) not in usual:

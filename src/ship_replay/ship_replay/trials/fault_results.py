@@ -164,7 +164,7 @@ def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
             in_time >= _IN_TIME * len(steps),
             (
                 f"  of {len(steps)} steps ≥ {_LARGE_STEP:g}σ detected within 1 s or {MEASUREMENTS} measurements: "
-                f"{_share(steps, _in_time)}, at any time {_share(steps, _told)}; bound {_IN_TIME:.0%}; "
+                f"{_share(steps, _in_time)}, at any time {_share(steps, _is_reported)}; bound {_IN_TIME:.0%}; "
                 f"{len(large) - len(steps)} more ended before, {len(all_large) - len(large)} undetectable"
             ),
         ),
@@ -197,7 +197,7 @@ def _share(faults: Sequence[Result], holds: Callable[[Result], bool]) -> str:
     return f"{sum(map(holds, faults)) / len(faults):.1%}" if faults else "-"
 
 
-def _told(fault: Result) -> bool:
+def _is_reported(fault: Result) -> bool:
     return fault["alert_s"] is not None
 
 

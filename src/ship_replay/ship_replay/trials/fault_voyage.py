@@ -24,7 +24,7 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.trials.fault_judge import beyond, judged
 from ship_replay.trials.passage import Passage
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
-from ship_replay.trials.voyage_told import Told, VoyageSink
+from ship_replay.trials.voyage_told import VoyageOutputs, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.names import IMAGE_TOPIC
@@ -93,8 +93,8 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
         "faults": [],
     }
     try:
-        outcomes, told = fly(voyage.bag, drawn, voyage.number, clean)
-        result |= {"failures": told.failures, "faults": outcomes, "longest_beyond_s": round(beyond(told.claims)[1], 4)}
+        outcomes, outputs = fly(voyage.bag, drawn, voyage.number, clean)
+        result |= {"failures": outputs.failures, "faults": outcomes, "longest_beyond_s": round(beyond(outputs.claims)[1], 4)}
     except Exception:
         # Software defects are recorded, and the other voyages continue.
         result |= {"exception": traceback.format_exc(limit=-4), "faults": [_described(one) for one in drawn]}
@@ -108,22 +108,22 @@ def taken_topics(bag: Bag) -> dict[str, str]:
     return {topic.topic: topic.type_name for topic in chain.inputs if topic.topic in bag.topics}
 
 
-def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> tuple[list[dict[str, Any]], Told]:
+def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> tuple[list[dict[str, Any]], VoyageOutputs]:
     """Replay a bag with faults; return the outcome of each fault that changed a message, and the outputs."""
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
     injection = Injection(path, faults, seed)
-    told = replayed(injection)
+    outputs = replayed(injection)
     outcomes = []
     for number, (name, one) in enumerate(zip(faults, drawn, strict=True)):
         changed_ns = np.array(injection.effect(name).times_ns)
         if not changed_ns.size:
             continue
         later = [other.fault.start_s for other in drawn[number + 1 :]]
-        outcome = judged(one.fault, changed_ns, told, clean, min([*later, clean.length_s]))
+        outcome = judged(one.fault, changed_ns, outputs, clean, min([*later, clean.length_s]))
         plain = {key: _plain(value) for key, value in dataclasses.asdict(outcome).items()}
         row = {"threat": clean.unseen(one.fault, int(changed_ns[0])) or one.threat.label}
         outcomes.append(_described(one) | row | plain | {"alert_limit_s": clean.alert_limit_s(one.fault)})
-    return outcomes, told
+    return outcomes, outputs
 
 
 def clean_voyage(path: Path) -> Passage:
@@ -139,7 +139,7 @@ def clean_voyage(path: Path) -> Passage:
         ship = chain.configs.get(ShipAttitudeAdapter.node_name)
         pointing = chain.configs.get(OpticalAxisAdapter.node_name)
         return Passage(
-            told=replayed(Injection(path, {}, 0)),
+            outputs=replayed(Injection(path, {}, 0)),
             arrivals_ns={topic: np.array(times) for topic, times in arrivals.items()},
             beacon_times_ns=np.array(beacon_times_ns),
             encoder_sigma_arcsec=math.nan if pointing is None else pointing.encoder.sigma_arcsec,
@@ -149,7 +149,7 @@ def clean_voyage(path: Path) -> Passage:
         )
 
 
-def replayed(injection: Injection) -> Told:
+def replayed(injection: Injection) -> VoyageOutputs:
     """Return the outputs of the nodes, in this process, for a bag with faults."""
     with read_bag(injection.path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
@@ -160,7 +160,7 @@ def replayed(injection: Injection) -> Told:
             if record.topic in taken:
                 run.take(record.topic, record)
         run.finish()
-    return sink.told
+    return sink.outputs
 
 
 class _Quiet(AdapterChain):

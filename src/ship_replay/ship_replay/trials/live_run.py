@@ -27,7 +27,7 @@ _LOG_LINES = 15
 # The recording is complete if it grows in this time by no more than a node's periodic output: after the last /clock a
 # node continues to publish INVALID and its status once a second.
 _STILL_S = 1.0
-_SAID_BY_ITSELF_BYTES = 20_000
+_IDLE_GROWTH_BYTES = 20_000
 
 
 class LiveFailure(Exception):
@@ -126,7 +126,7 @@ class LiveRun:
         while time.monotonic() - still_since_s < _STILL_S:
             self._check_alive()
             time.sleep(_POLL_S)
-            if self.recorded_path.stat().st_size > size + _SAID_BY_ITSELF_BYTES:
+            if self.recorded_path.stat().st_size > size + _IDLE_GROWTH_BYTES:
                 size, still_since_s = self.recorded_path.stat().st_size, time.monotonic()
         if self._recorder.end() != 0:
             raise LiveFailure(_end_of(self._recorder, "record"))

@@ -183,17 +183,17 @@ class _InsBatches:
 
 def deflection_reading(run: SimulatedRun, index: int) -> DeflectionReading:
     """Return a reading of the deflection of the vertical."""
-    told = run.deflections
-    assert told is not None
-    covariance = told.covariance if told.covariance.any() else None
-    return DeflectionReading(int(told.time_ns[index]), told.deflection[index], covariance)
+    deflections = run.deflections
+    assert deflections is not None
+    covariance = deflections.covariance if deflections.covariance.any() else None
+    return DeflectionReading(int(deflections.time_ns[index]), deflections.deflection[index], covariance)
 
 
 def baseline_measurement(run: SimulatedRun, index: int) -> BaselineMeasurement:
     """Return a satellite baseline between the two antennas on board."""
-    told = run.ship_baseline
-    assert told is not None
-    return BaselineMeasurement(int(told.time_ns[index]), told.baseline_n[index], told.covariance_n[index])
+    baselines = run.ship_baseline
+    assert baselines is not None
+    return BaselineMeasurement(int(baselines.time_ns[index]), baselines.baseline_n[index], baselines.covariance_n[index])
 
 
 def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:
@@ -201,11 +201,11 @@ def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:
     if source == "fix":
         fixes = run.fixes
         return PositionFix(int(fixes.time_ns[index]), fixes.position(index), fixes.covariance_m2)
-    told = run.scenario.weather
+    weather = run.scenario.weather
     values = {
-        "pressure": told.pressure_hpa,
-        "temperature": told.temperature_c,
-        "humidity": 0.01 * told.humidity_percent,
+        "pressure": weather.pressure_hpa,
+        "temperature": weather.temperature_c,
+        "humidity": 0.01 * weather.humidity_percent,
     }
     return AirReading(source, int(run.weather_ns[index]), values[source], None)
 

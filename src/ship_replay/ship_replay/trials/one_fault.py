@@ -12,7 +12,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_replay.offline.status_course import STATUS_WORDS
 from ship_replay.trials.fault_judge import is_source, judged
 from ship_replay.trials.fault_voyage import clean_voyage, replayed, taken_topics
-from ship_replay.trials.voyage_told import Told
+from ship_replay.trials.voyage_told import VoyageOutputs
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.fault_file import load_faults
@@ -37,9 +37,9 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
     changed_ns = np.array(injection.effect("one").times_ns)
     if not changed_ns.size:
         raise BadInput(f"the fault changes no message of {fault.topic}", file=path)
-    clean, told = clean_voyage(path), replayed(injection)
+    clean, outputs = clean_voyage(path), replayed(injection)
     start_ns, until_s = clean.start_ns, clean.length_s
-    outcome = judged(fault, changed_ns, told, clean, until_s)
+    outcome = judged(fault, changed_ns, outputs, clean, until_s)
     unseen = clean.unseen(fault, int(changed_ns[0]))
     worst = f"worst error {outcome.worst_sigmas:.1f} σ, {outcome.worst_over_level:.2f} of its protection level"
     beyond = f"beyond 5σ for {outcome.beyond_s:.1f} s, longest {outcome.longest_beyond_s:.1f} s"
@@ -48,10 +48,10 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
         f"changed {outcome.changed} messages, the first at {_seconds(int(changed_ns[0]), start_ns).strip()}",
         *([f"undetectable: {unseen}"] if unseen else []),
         f"detected {outcome.detected} after {outcome.alert_s:.2f} s, attributed {outcome.attributed}",
-        f"while VALID: {worst}; {beyond}; failures {told.failures}",
-        *_worst_by_time(told, start_ns),
-        *_statuses(told, start_ns),
-        *_named(told, fault, start_ns),
+        f"while VALID: {worst}; {beyond}; failures {outputs.failures}",
+        *_worst_by_time(outputs, start_ns),
+        *_statuses(outputs, start_ns),
+        *_named(outputs, fault, start_ns),
     ]
 
 
@@ -59,11 +59,11 @@ def _seconds(time_ns: int, start_ns: int) -> str:
     return f"{(time_ns - start_ns) / NS_PER_S:8.2f} s"
 
 
-def _worst_by_time(told: Told, start_ns: int) -> Iterator[str]:
+def _worst_by_time(outputs: VoyageOutputs, start_ns: int) -> Iterator[str]:
     """Yield the worst VALID output of each ten seconds."""
-    for topic in sorted({claim.topic for claim in told.claims}):
+    for topic in sorted({claim.topic for claim in outputs.claims}):
         yield f"worst error of {topic} while VALID, in each ten seconds (σ; share of the level):"
-        claims = sorted((claim for claim in told.claims if claim.topic == topic), key=lambda claim: claim.stamp_ns)
+        claims = sorted((claim for claim in outputs.claims if claim.topic == topic), key=lambda claim: claim.stamp_ns)
         spans = groupby(claims, key=lambda claim: (claim.stamp_ns - start_ns) // (10 * NS_PER_S))
         texts = []
         for span, group in spans:
@@ -72,11 +72,11 @@ def _worst_by_time(told: Told, start_ns: int) -> Iterator[str]:
         yield "  " + "  ".join(texts)
 
 
-def _statuses(told: Told, start_ns: int) -> Iterator[str]:
+def _statuses(outputs: VoyageOutputs, start_ns: int) -> Iterator[str]:
     """Yield the spans in which an output was not VALID."""
-    for topic in sorted({entry[0] for entry in told.not_valid}):
+    for topic in sorted({entry[0] for entry in outputs.not_valid}):
         yield f"{topic} not VALID (by stamps):"
-        entries = sorted(entry for entry in told.not_valid if entry[0] == topic)
+        entries = sorted(entry for entry in outputs.not_valid if entry[0] == topic)
         spans: list[list[int]] = []
         for _, stamp_ns, _, status in entries:
             if spans and spans[-1][2] == status and stamp_ns - spans[-1][1] < NS_PER_S // 2:
@@ -87,11 +87,11 @@ def _statuses(told: Told, start_ns: int) -> Iterator[str]:
             yield f"  {_seconds(first_ns, start_ns)} to {_seconds(last_ns, start_ns)}  {STATUS_WORDS[status]}"
 
 
-def _named(told: Told, fault: Fault, start_ns: int) -> Iterator[str]:
+def _named(outputs: VoyageOutputs, fault: Fault, start_ns: int) -> Iterator[str]:
     """Yield the named sources with reason, first and last time, and count."""
     yield "named sources (log time of the first and the last indication):"
     kinds: dict[tuple[str, str], list[int]] = {}
-    for source, log_ns, _, reason in told.signs:
+    for source, log_ns, _, reason in outputs.signs:
         kinds.setdefault((source, reason), []).append(log_ns)
     for (source, reason), times in sorted(kinds.items(), key=lambda item: item[1][0])[:_MOST_LINES]:
         own = "  <- the faulty one" if is_source(source, fault) else ""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
-from ship_replay.trials.voyage_told import Told
+from ship_replay.trials.voyage_told import VoyageOutputs
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
 
@@ -52,7 +52,7 @@ class Passage:
         end_ns: end of the bag.
     """
 
-    told: Told
+    outputs: VoyageOutputs
     arrivals_ns: dict[str, np.ndarray]
     beacon_times_ns: np.ndarray
     encoder_sigma_arcsec: float

@@ -88,7 +88,7 @@ class Claim(NamedTuple):
 
 
 @dataclass
-class Told:
+class VoyageOutputs:
     """Outputs of a voyage.
 
     Attributes:
@@ -115,7 +115,7 @@ class VoyageSink:
     """
 
     def __init__(self, truths: Mapping[str, Truth]) -> None:
-        self.told = Told()
+        self.outputs = VoyageOutputs()
         self._truths = truths
         self._orientations = {known.topic: known for known in ORIENTATIONS}
         self._levels: dict[str, np.ndarray] = {}
@@ -132,30 +132,30 @@ class VoyageSink:
         elif topic in INTEGRITY.values():
             self._integrity(topic, message, log_time_ns)
         elif topic == _HEALTH:
-            self.told.signs += self._health.signs(message, log_time_ns)
+            self.outputs.signs += self._health.signs(message, log_time_ns)
         elif topic in self._orientations:
             self._claim(self._orientations[topic], message, log_time_ns)
 
     def _innovation(self, message: Any, log_time_ns: int) -> None:
         reason = Reason(message.reason)
         if reason is Reason.FAILED:
-            self.told.failures += 1
+            self.outputs.failures += 1
         if not message.accepted and reason not in (Reason.NONE, Reason.REVISED):
             stamp_ns = ns_from_stamp(message.header.stamp)
-            self.told.signs.append(Sign(message.source, log_time_ns, stamp_ns, reason.word))
+            self.outputs.signs.append(Sign(message.source, log_time_ns, stamp_ns, reason.word))
 
     def _integrity(self, topic: str, message: Any, log_time_ns: int) -> None:
         self._levels[topic] = np.array(message.protection_level, dtype=float)
         now = set(message.excluded)
         for source in sorted(now - self._excluded.get(topic, set())):
-            self.told.signs.append(Sign(source, log_time_ns, ns_from_stamp(message.header.stamp), EXCLUSION))
+            self.outputs.signs.append(Sign(source, log_time_ns, ns_from_stamp(message.header.stamp), EXCLUSION))
         self._excluded[topic] = now
 
     def _claim(self, orientation: Orientation, message: Any, log_time_ns: int) -> None:
         stamp_ns, status = ns_from_stamp(message.header.stamp), int(message.status)
-        self.told.outputs += 1
+        self.outputs.outputs += 1
         if status != _VALID:
-            self.told.not_valid.append((orientation.topic, stamp_ns, log_time_ns, status))
+            self.outputs.not_valid.append((orientation.topic, stamp_ns, log_time_ns, status))
             return
         truth = self._truths.get(orientation.topic)
         truth_nd = None if truth is None else truth.rotation_at_stamp(stamp_ns)
@@ -168,7 +168,7 @@ class VoyageSink:
         over_level = error / level if np.all(np.isfinite(level)) else np.full(3, np.nan)
         # A NaN error counts as wrong.
         sigmas = float(np.max(np.nan_to_num(error / sigma, nan=np.inf)))
-        self.told.claims.append(Claim(orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level))))
+        self.outputs.claims.append(Claim(orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level))))
 
 
 class HealthBook:

@@ -19,7 +19,7 @@ from ship_simulation.draws.noise import GaussMarkov, CorrelatedError, random_str
 STRETCH_S = 20
 """Length of a stretch when a bag is written, s: some thousand samples, which is as fast as all at once."""
 
-_ASKED_BACK_S = 10.0
+_HISTORY_S = 10.0
 """Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""
 
 _NORMALS_AT_ONCE = 4096
@@ -138,7 +138,7 @@ class Draws:
             self._lasting[component] = make(random_stream(self.seed, component))
         return cast(LastingT, self._lasting[component])
 
-    def begin(self, stretch: Stretch) -> None:
+    def begin_stretch(self, stretch: Stretch) -> None:
         """Drop the parts of all draws that a stretch and later ones do not need."""
         for lasting in self._lasting.values():
-            lasting.forget(stretch.begin_s - _ASKED_BACK_S)
+            lasting.forget(stretch.begin_s - _HISTORY_S)

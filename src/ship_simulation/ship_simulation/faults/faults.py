@@ -64,7 +64,7 @@ def spoilt(
     """
     for name, fault in sorted(faults.items()):
         rng = random_stream(seed, f"fault.{name}")
-        window = _Window(fault, start_ns, rng)
+        window = _FaultWindow(fault, start_ns, rng)
         stream = _STREAMS.get(fault.kind)
         if stream is not None:
             deliveries = stream(deliveries, window)
@@ -74,7 +74,7 @@ def spoilt(
 
 
 @dataclass(frozen=True)
-class _Window:
+class _FaultWindow:
     """Selects the messages that a fault affects."""
 
     fault: Fault
@@ -97,7 +97,7 @@ class _Window:
         return self.since_s(delivery) is not None
 
 
-class _Queue:
+class _DeliveryQueue:
     """Deliveries that wait for others that arrive before them."""
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class _Queue:
             yield heapq.heappop(self._heap)[2]
 
 
-def _values(deliveries: Deliveries, window: _Window, spoiler: Spoiler) -> Deliveries:
+def _values(deliveries: Deliveries, window: _FaultWindow, spoiler: Spoiler) -> Deliveries:
     for delivery in deliveries:
         since_s = window.since_s(delivery)
         if since_s is not None:
@@ -123,12 +123,12 @@ def _values(deliveries: Deliveries, window: _Window, spoiler: Spoiler) -> Delive
         yield delivery
 
 
-def _drop(deliveries: Deliveries, window: _Window) -> Deliveries:
+def _drop(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
     return (delivery for delivery in deliveries if not window.hits(delivery))
 
 
-def _delay(deliveries: Deliveries, window: _Window) -> Deliveries:
-    queue = _Queue()
+def _delay(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
+    queue = _DeliveryQueue()
     for delivery in deliveries:
         now_ns = delivery.log_time_ns
         if window.hits(delivery):
@@ -140,8 +140,8 @@ def _delay(deliveries: Deliveries, window: _Window) -> Deliveries:
     yield from queue.ready(None)
 
 
-def _duplicate(deliveries: Deliveries, window: _Window) -> Deliveries:
-    queue = _Queue()
+def _duplicate(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
+    queue = _DeliveryQueue()
     for delivery in deliveries:
         queue.put(delivery)
         if window.hits(delivery):
@@ -150,8 +150,8 @@ def _duplicate(deliveries: Deliveries, window: _Window) -> Deliveries:
     yield from queue.ready(None)
 
 
-def _conflict(deliveries: Deliveries, window: _Window) -> Deliveries:
-    queue = _Queue()
+def _conflict(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
+    queue = _DeliveryQueue()
     waiting: Delivery | None = None
     for delivery in deliveries:
         if delivery.message is PASSED:
@@ -167,7 +167,7 @@ def _conflict(deliveries: Deliveries, window: _Window) -> Deliveries:
     yield from queue.ready(None)
 
 
-def _freeze(deliveries: Deliveries, window: _Window) -> Deliveries:
+def _freeze(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
     frozen_message: Any = None
     for delivery in deliveries:
         if window.hits(delivery):
@@ -180,8 +180,8 @@ def _freeze(deliveries: Deliveries, window: _Window) -> Deliveries:
         yield delivery
 
 
-def _flood(deliveries: Deliveries, window: _Window) -> Deliveries:
-    queue = _Queue()
+def _flood(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
+    queue = _DeliveryQueue()
     last_ns: int | None = None
     for delivery in deliveries:
         now_ns = delivery.log_time_ns
@@ -212,7 +212,7 @@ def _with_values(delivery: Delivery, other: Delivery) -> Delivery:
     return replace(delivery, message=message, log_time_ns=delivery.log_time_ns + _REPETITION_AFTER_NS, data=None)
 
 
-_STREAMS: dict[str, Callable[[Deliveries, _Window], Deliveries]] = {
+_STREAMS: dict[str, Callable[[Deliveries, _FaultWindow], Deliveries]] = {
     "drop": _drop,
     "delay": _delay,
     "reorder": _delay,

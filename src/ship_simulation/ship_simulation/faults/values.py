@@ -183,7 +183,7 @@ def _turn(spoiler: Spoiler, message: Any, turn: FloatArray) -> None:
     turn_in_device(message, spoiler.type_name, turn, spoiler.fault.topic, spoiler.optics)
 
 
-def _slip(spoiler: Spoiler, message: Any, since_s: float) -> None:
+def _slip_encoders(spoiler: Spoiler, message: Any, since_s: float) -> None:
     _encoders(message, spoiler.fault.azimuth_arcsec, spoiler.fault.elevation_arcsec)
 
 
@@ -244,16 +244,16 @@ def _false_lights(spoiler: Spoiler, message: Any, since_s: float) -> None:
     message.beacons = lights
 
 
-def _hide(spoiler: Spoiler, message: Any, since_s: float) -> None:
+def _hide_first_light(spoiler: Spoiler, message: Any, since_s: float) -> None:
     message.beacons = message.beacons[1:]
 
 
-def _swap(spoiler: Spoiler, message: Any, since_s: float) -> None:
+def _swap_identities(spoiler: Spoiler, message: Any, since_s: float) -> None:
     seen_lights = spoiler.type_name == IMAGE
     spots = (message.beacons if seen_lights else message.stars)[:2]
     names = ["beacon_id"] if seen_lights else ["catalogue_id", "right_ascension", "declination"]
-    told = [[getattr(spot, name) for name in names] for spot in reversed(spots)]
-    for spot, values in zip(spots, told, strict=True):
+    identities = [[getattr(spot, name) for name in names] for spot in reversed(spots)]
+    for spot, values in zip(spots, identities, strict=True):
         for name, value in zip(names, values, strict=True):
             setattr(spot, name, value)
 
@@ -285,11 +285,11 @@ _SPOILERS: dict[str, Callable[[Spoiler, Any, float], None]] = {
     "position_off": _position_off,
     "knock": _turn_in_device,
     "drift": _drift,
-    "slip": _slip,
+    "slip": _slip_encoders,
     "wrong_fix": _wrong_fix,
     "false_stars": _false_stars,
     "false_lights": _false_lights,
-    "hide": _hide,
-    "swap": _swap,
+    "hide": _hide_first_light,
+    "swap": _swap_identities,
     "wrong_id": _wrong_id,
 }

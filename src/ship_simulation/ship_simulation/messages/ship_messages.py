@@ -52,7 +52,7 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
 def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) -> Maker:
     """Return the maker of reference/<name>/imu. Its covariance is that of the white noise only; it has no rate."""
     quaternions = quaternion_rows(samples.rotation_nv)
-    covariances = Rows(lambda part: list(enu_covariance(white_in_horizon(samples, part)).reshape(-1, 9)))
+    covariances = Rows(lambda part: list(enu_covariance(white_covariance_in_horizon(samples, part)).reshape(-1, 9)))
 
     def make(stamp: int, value: int) -> Any:
         header = make_header(factory, int(samples.time_ns[stamp]), name)
@@ -61,7 +61,7 @@ def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) 
     return make
 
 
-def white_in_horizon(samples: DeviceSamples, part: slice) -> FloatArray:
+def white_covariance_in_horizon(samples: DeviceSamples, part: slice) -> FloatArray:
     """Return the white covariance of samples about the horizon's axes by the measured attitude, shape (n, 3, 3)."""
     rotation_nv = samples.rotation_nv[part]
     return rotation_nv @ samples.noise_v @ np.swapaxes(rotation_nv, -1, -2)
@@ -123,24 +123,24 @@ def fused_maker(samples: FusedSamples, factory: MessageFactory) -> Maker:
         return list(angle_covariance(samples.covariance_n, headings, pitches).reshape(-1, 9))
 
     total = enu_covariance(samples.covariance_n).ravel()
-    told = {"rotation_covariance": total, "sources": ["ins", "star"], "star_age_s": 0.0}
-    return _maker(samples.time_ns, samples.rotation_nd, samples.rate_d, Rows(covariances), told, factory)
+    constant_fields = {"rotation_covariance": total, "sources": ["ins", "star"], "star_age_s": 0.0}
+    return _ship_attitude_maker(samples.time_ns, samples.rotation_nd, samples.rate_d, Rows(covariances), constant_fields, factory)
 
 
 def true_attitude_maker(
     time_ns: np.ndarray, rotation_nd: FloatArray, rate_d: FloatArray, factory: MessageFactory
 ) -> Maker:
     """Return the maker of truth/attitude."""
-    told = {"rotation_covariance": np.zeros(9), "sources": ["truth"], "star_age_s": float("nan")}
-    return _maker(time_ns, rotation_nd, rate_d, Rows(lambda part: [_EXACT] * BLOCK_ROWS), told, factory)
+    constant_fields = {"rotation_covariance": np.zeros(9), "sources": ["truth"], "star_age_s": float("nan")}
+    return _ship_attitude_maker(time_ns, rotation_nd, rate_d, Rows(lambda part: [_EXACT] * BLOCK_ROWS), constant_fields, factory)
 
 
-def _maker(
+def _ship_attitude_maker(
     time_ns: np.ndarray,
     rotation_nd: FloatArray,
     rate_d: FloatArray,
     covariances: Rows[FloatArray],
-    told: dict[str, Any],
+    constant_fields: dict[str, Any],
     factory: MessageFactory,
 ) -> Maker:
     """Return the maker of ShipAttitude; ``constant_fields`` are equal in all messages."""
@@ -161,7 +161,7 @@ def _maker(
             angular_velocity=make_vector(factory, rates[value]),
             status=0,
             horizon=0,
-            **told,
+            **constant_fields,
         )
 
     return make

@@ -12,7 +12,7 @@ from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_fr
 from ship_geometry.ros_axes import FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_simulation.messages.rows import Rows
-from ship_simulation.messages.ship_messages import Maker, angle_rows, make_quaternion, white_in_horizon
+from ship_simulation.messages.ship_messages import Maker, angle_rows, make_quaternion, white_covariance_in_horizon
 from ship_simulation.scenario.names import INERTIAL, OBSERVATIONS, STAR, star_frame
 from ship_simulation.scenario.scenario import StarSensor
 from ship_simulation.ship.attitude_device import DeviceSamples
@@ -27,7 +27,7 @@ def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, facto
     angles = angle_rows(samples.rotation_nv)
 
     def covariances(part: slice) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        noise_n = white_in_horizon(samples, part)
+        noise_n = white_covariance_in_horizon(samples, part)
         total_n = noise_n + samples.common_n
         azimuths, elevations, _ = angles_from_rotation(samples.rotation_nv[part]).T
         of_angles = angle_covariance(total_n, azimuths, elevations)
@@ -101,8 +101,8 @@ def inertial_maker(sensor_id: str, samples: InertialSamples, factory: MessageFac
 
     def quaternions_of(part: slice) -> list[list[float]]:
         rotations = Rotation.from_matrix(samples.rotation_cv[part] @ FLU_FROM_DEVICE.T)
-        told: list[list[float]] = rotations.as_quat(canonical=True).tolist()
-        return told
+        xyzw: list[list[float]] = rotations.as_quat(canonical=True).tolist()
+        return xyzw
 
     quaternions = Rows(quaternions_of)
     covariance = (FLU_FROM_DEVICE @ samples.noise_v @ FLU_FROM_DEVICE.T).ravel()

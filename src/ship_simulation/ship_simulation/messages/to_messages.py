@@ -166,7 +166,7 @@ class _Topic:
         self._coming: Iterator[Delivery] = iter(())
         faults = {name: fault for name, fault in run.scenario.faults.items() if fault.topic == topic}
         type_name = simulated_topics(run.scenario)[topic]
-        self._spoilt = spoilt(self._arriving(), type_name, faults, run.start_ns, run.seed, _optics(run.scenario))
+        self._spoilt = spoilt(self._arriving(), type_name, faults, run.start_ns, run.seed, _optics_of_scenario(run.scenario))
 
     def delivered(
         self, run: SimulatedRun, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
@@ -204,7 +204,7 @@ class _Topic:
             yield Delivery(PASSED, int(run.stretch.end_ns) - 1, None, 0)
 
 
-def _optics(scenario: Scenario) -> Optics:
+def _optics_of_scenario(scenario: Scenario) -> Optics:
     """Return the cameras of a scenario's devices."""
     stars = {
         f"star/{key}/observations": sensor.camera.camera(key)
@@ -212,9 +212,9 @@ def _optics(scenario: Scenario) -> Optics:
         if sensor.output == "observations"
     }
     stars |= {mount_stars_topic(key): one.camera.camera(key) for key, one in scenario.telescopes.items()}
-    told = scenario.theodolite.telescope
+    telescope_config = scenario.theodolite.telescope
     aboard = scenario.theodolite.aboard
-    telescope = telescope_camera(told.focal_length_m, told.principal_x_m, told.principal_z_m) if aboard else None
+    telescope = telescope_camera(telescope_config.focal_length_m, telescope_config.principal_x_m, telescope_config.principal_z_m) if aboard else None
     return Optics(stars, telescope)
 
 

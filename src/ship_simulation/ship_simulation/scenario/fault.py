@@ -25,7 +25,7 @@ _DRIFT = tuple(f"{name}_arcsec_per_min" for name in _RATES)
 _VECTOR = ("east_m", "north_m", "up_m")
 
 
-class Kind(NamedTuple):
+class FaultKind(NamedTuple):
     """A kind of fault.
 
     Attributes:
@@ -45,44 +45,44 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "drop": Kind("no message arrives"),
-    "delay": Kind("messages arrive delay_s later", (("delay_s",),)),
-    "reorder": Kind("each message arrives later by a random time between 0 and delay_s", (("delay_s",),)),
-    "duplicate": Kind("each message arrives again 1 ms later, with the same bytes"),
-    "conflict": Kind("a message with the same stamp and the next one's values arrives 1 ms later; none for the last"),
-    "flood": Kind(
+    "drop": FaultKind("no message arrives"),
+    "delay": FaultKind("messages arrive delay_s later", (("delay_s",),)),
+    "reorder": FaultKind("each message arrives later by a random time between 0 and delay_s", (("delay_s",),)),
+    "duplicate": FaultKind("each message arrives again 1 ms later, with the same bytes"),
+    "conflict": FaultKind("a message with the same stamp and the next one's values arrives 1 ms later; none for the last"),
+    "flood": FaultKind(
         "times messages arrive for each; the others have random stamps, up to spread_s earlier",
         (("times",),),
         ("spread_s",),
     ),
-    "freeze": Kind("new stamps, with the values of the first affected message"),
-    "nan": Kind("NaN in a field; default: the first value (of the first star, if there is one)", (), ("field",)),
-    "infinite": Kind("infinity in a field; default: the first value", (), ("field",)),
-    "corrupt": Kind("a field is set to the value", (("field",),), ("value",)),
-    "offset": Kind("the value is added to a field", (("field",), ("value",))),
-    "stamp_zero": Kind("stamp zero"),
-    "stamp_late": Kind("stamps are delay_s later than the measurement", (("delay_s",),)),
-    "clock_step": Kind("step_s is added to the stamps, positive or negative", (("step_s",),)),
-    "frame": Kind("another frame_id"),
-    "covariance_unknown": Kind("covariances all zero"),
-    "covariance_negative": Kind("a negative variance"),
-    "rate_in_degrees": Kind("angular rate in degrees per second"),
-    "angles_in_degrees": Kind("encoder or attitude angles in degrees"),
-    "units": Kind(
+    "freeze": FaultKind("new stamps, with the values of the first affected message"),
+    "nan": FaultKind("NaN in a field; default: the first value (of the first star, if there is one)", (), ("field",)),
+    "infinite": FaultKind("infinity in a field; default: the first value", (), ("field",)),
+    "corrupt": FaultKind("a field is set to the value", (("field",),), ("value",)),
+    "offset": FaultKind("the value is added to a field", (("field",), ("value",))),
+    "stamp_zero": FaultKind("stamp zero"),
+    "stamp_late": FaultKind("stamps are delay_s later than the measurement", (("delay_s",),)),
+    "clock_step": FaultKind("step_s is added to the stamps, positive or negative", (("step_s",),)),
+    "frame": FaultKind("another frame_id"),
+    "covariance_unknown": FaultKind("covariances all zero"),
+    "covariance_negative": FaultKind("a negative variance"),
+    "rate_in_degrees": FaultKind("angular rate in degrees per second"),
+    "angles_in_degrees": FaultKind("encoder or attitude angles in degrees"),
+    "units": FaultKind(
         "the wrong unit: degrees; of a fix radians; hPa, K, percent; millimetres of a baseline and of an image"
     ),
-    "axes": Kind("other axes: x and y exchanged, or north-east-down and forward-right-down", (("axes",),)),
-    "bias": Kind("attitude rotated about the horizon's axes, with unchanged rates", (_HORIZON,)),
-    "position_off": Kind("a vector is added to the position", (_VECTOR,)),
-    "knock": Kind("mounting shift: the device is rotated in its own frame; stars and lights move", (_DEVICE,)),
-    "drift": Kind("the device rotates slowly in its own frame, or encoders drift", (_DRIFT,)),
-    "slip": Kind("a step is added to the encoders", (_ENCODERS,)),
-    "wrong_fix": Kind("a vector is added to a baseline with fix FIXED", (_VECTOR,)),
-    "false_stars": Kind("count additional spots that are no stars; identified as the other stars are", (("count",),)),
-    "false_lights": Kind("count lights are moved in the image; additional ones have new ids", (("count",),)),
-    "hide": Kind("the first light of the image is missing"),
-    "swap": Kind("the identities of the first two lights of the image, or stars of the exposure, are swapped"),
-    "wrong_id": Kind("the first light of the image, or the rover of a baseline, has an unknown id"),
+    "axes": FaultKind("other axes: x and y exchanged, or north-east-down and forward-right-down", (("axes",),)),
+    "bias": FaultKind("attitude rotated about the horizon's axes, with unchanged rates", (_HORIZON,)),
+    "position_off": FaultKind("a vector is added to the position", (_VECTOR,)),
+    "knock": FaultKind("mounting shift: the device is rotated in its own frame; stars and lights move", (_DEVICE,)),
+    "drift": FaultKind("the device rotates slowly in its own frame, or encoders drift", (_DRIFT,)),
+    "slip": FaultKind("a step is added to the encoders", (_ENCODERS,)),
+    "wrong_fix": FaultKind("a vector is added to a baseline with fix FIXED", (_VECTOR,)),
+    "false_stars": FaultKind("count additional spots that are no stars; identified as the other stars are", (("count",),)),
+    "false_lights": FaultKind("count lights are moved in the image; additional ones have new ids", (("count",),)),
+    "hide": FaultKind("the first light of the image is missing"),
+    "swap": FaultKind("the identities of the first two lights of the image, or stars of the exposure, are swapped"),
+    "wrong_id": FaultKind("the first light of the image, or the rover of a baseline, has an unknown id"),
 }
 
 AXES = ("", "exchanged", "ned_frd")

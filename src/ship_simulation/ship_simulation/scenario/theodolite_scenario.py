@@ -37,7 +37,7 @@ class Lever:
 
 
 @dataclass(frozen=True)
-class UntoldVector:
+class SurveyError:
     """Error of a survey in the axes of the device: part of the truth, and unknown to the suite."""
 
     forward_m: float = parameter(0.0, doc="error of the survey along forward, unknown to the suite", **_METRES)
@@ -121,7 +121,7 @@ class Telescope:
     rotation_arcsec: float = parameter(0.0, doc="known rotation of the main image in the telescope", **_PARALLELISM)
     rotation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
     lens: Lever = section(Lever)
-    lens_untold: UntoldVector = section(UntoldVector)
+    lens_untold: SurveyError = section(SurveyError)
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ class Deflection:
         """Return the rotation vector of the geodetic horizon against gravity's, (North, Up, East), rad, (n, 3)."""
         xi, eta = self.at(since_start_s).T
         time_ns = self._track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64)
-        latitude_deg, _ = self._track.degrees(time_ns)
+        latitude_deg, _ = self._track.latitude_longitude_deg(time_ns)
         return np.column_stack([eta, eta * np.tan(np.deg2rad(latitude_deg)), -xi])
 
 
@@ -87,7 +87,7 @@ def deflection_table(scenario: Scenario) -> dict[str, list[float]]:
     end_m = speed * scenario.duration_s
     way_m = np.linspace(0.0, end_m, max(int(np.ceil(end_m / gravity.table_step_m)), 1) + 1)
     since_start_s = way_m / speed if speed else np.array([0.0, scenario.duration_s])
-    latitude_deg, longitude_deg = track.degrees(track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64))
+    latitude_deg, longitude_deg = track.latitude_longitude_deg(track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64))
     xi_arcsec, eta_arcsec = known_deflection(gravity, way_m).T / ARCSEC
     columns = {
         "table_latitude_deg": latitude_deg,

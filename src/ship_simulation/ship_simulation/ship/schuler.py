@@ -95,7 +95,7 @@ class SchulerError:
 
     def _step_at(self, since_start_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the transition of one second, the effect of the deflection, and a root of the noise covariance."""
-        latitude_deg, _ = self._track.degrees(
+        latitude_deg, _ = self._track.latitude_longitude_deg(
             np.array([self._track.start_ns + round(since_start_s * SECOND_NS)])
         )
         latitude = math.radians(float(latitude_deg[0]))

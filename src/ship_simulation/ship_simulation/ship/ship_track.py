@@ -35,7 +35,7 @@ class ShipTrack:
         course = np.deg2rad(self.position.course_deg)
         return self.position.speed_m_per_s * np.array([np.cos(course), 0.0, np.sin(course)])
 
-    def degrees(self, time_ns: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    def latitude_longitude_deg(self, time_ns: np.ndarray) -> tuple[FloatArray, FloatArray]:
         """Return latitude and longitude at times, deg."""
         place = self.position
         latitude = np.deg2rad(place.latitude_deg)
@@ -51,7 +51,7 @@ class ShipTrack:
 
     def at(self, time_ns: np.ndarray) -> GeodeticPosition:
         """Return the position at times."""
-        latitude_deg, longitude_deg = self.degrees(time_ns)
+        latitude_deg, longitude_deg = self.latitude_longitude_deg(time_ns)
         height_m = np.full(np.shape(time_ns), self.position.height_m)
         return GeodeticPosition(np.deg2rad(latitude_deg), np.deg2rad(longitude_deg), height_m)
 
@@ -95,7 +95,7 @@ def simulate_fixes(scenario: Scenario, track: ShipTrack, stretch: Stretch, draws
     # The order is north, east, up.
     error_m = white_m + slow_m
     north_deg, east_deg = np.rad2deg(error_m[:, :2] / _EARTH_RADIUS_M).T
-    latitude_deg, longitude_deg = track.degrees(time_ns)
+    latitude_deg, longitude_deg = track.latitude_longitude_deg(time_ns)
     return FixSamples(
         time_ns=time_ns,
         latitude_deg=np.clip(latitude_deg + north_deg, -90.0, 90.0),

@@ -52,8 +52,8 @@ class TrueSky:
 
     def orientation(self, time_ns: np.ndarray) -> EarthOrientation:
         """Return the true orientation of the Earth at times in ns."""
-        told = earth_orientation_table().at(time_ns)
-        return dataclasses.replace(told, ut1_minus_utc_s=told.ut1_minus_utc_s + self.ut1_error_s)
+        tabulated = earth_orientation_table().at(time_ns)
+        return dataclasses.replace(tabulated, ut1_minus_utc_s=tabulated.ut1_minus_utc_s + self.ut1_error_s)
 
     def directions(self, stars: StarPositions, time_ns: np.ndarray) -> FloatArray:
         """Return unit vectors (N, U, E) with refraction, shape (..., 3); NaN below the range of the refraction model.
@@ -102,8 +102,8 @@ class TrueSky:
 
 def draw_sky(scenario: Scenario, track: ShipTrack, seed: int) -> TrueSky:
     """Return the sky of a run; its errors depend on the seed and have the scenario's sigmas."""
-    told = earth_orientation_table().at(track.start_ns)
-    ut1_sigma_s = scenario.earth_rotation_sigma_s or float(told.ut1_sigma_s)
+    tabulated = earth_orientation_table().at(track.start_ns)
+    ut1_sigma_s = scenario.earth_rotation_sigma_s or float(tabulated.ut1_sigma_s)
     catalogue = hipparcos()
     return TrueSky(
         track=track,

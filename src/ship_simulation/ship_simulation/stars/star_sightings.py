@@ -31,7 +31,7 @@ _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 
 
 @dataclass(frozen=True)
-class ToldStars:
+class ReportedStars:
     """Stars as a sensor reports them, one entry per star.
 
     The fields have the names of an estimator's exposure, which is not imported here; a test compares the two.
@@ -55,9 +55,9 @@ class ToldStars:
     def __len__(self) -> int:
         return len(self.hip)
 
-    def __getitem__(self, rows: Any) -> "ToldStars":
+    def __getitem__(self, rows: Any) -> "ReportedStars":
         """Return some of the stars."""
-        return ToldStars(*(getattr(self, field)[rows] for field in vars(self)))
+        return ReportedStars(*(getattr(self, field)[rows] for field in vars(self)))
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class StarSightings:
     first: NDArray[np.int64]
     pixel: FloatArray
     sigma_px: float
-    stars: ToldStars
+    stars: ReportedStars
 
     def rows(self, index: int) -> slice:
         """Return the slice of an exposure's stars."""
@@ -129,7 +129,7 @@ def simulate_sightings(
         first=np.searchsorted(spots.exposure, np.arange(motion.time_ns.size + 1)),
         pixel=spots.pixel,
         sigma_px=sigma_px,
-        stars=ToldStars(
+        stars=ReportedStars(
             hip=hip,
             directions_s=camera.directions(spots.pixel),
             sigma=equivalent_sigma(camera.direction_covariance(spots.pixel, sigma_px)),

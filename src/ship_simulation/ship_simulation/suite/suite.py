@@ -143,7 +143,7 @@ def suite_yaml(scenario: Scenario) -> str:
 
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of ``ship_attitude`` as nested mapping."""
-    configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS), **_rates(scenario)}}
+    configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS), **_rates(scenario)}}
     if scenario.ins.model == SCHULER:
         configuration["ins"] |= {"model": SCHULER, "schuler": asdict(scenario.ins.schuler)}
     if scenario.gravity.told != "none":
@@ -152,14 +152,14 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
         configuration["gravity"] = {"unknown_sigma_arcsec": 0.0}
     if scenario.star_sensors:
         configuration["star_sensors"] = {
-            key: {"frame_id": star_frame(key), **_input(sensor), **_told(sensor, _STAR_SENSOR), **_masks(sensor)}
+            key: {"frame_id": star_frame(key), **_input(sensor), **_select_parameters(sensor, _STAR_SENSOR), **_masks(sensor)}
             for key, sensor in scenario.star_sensors.items()
         }
     if scenario.needs_sky:
         configuration["sky"] = _sky_of_ship(scenario)
     if scenario.references:
         configuration["references"] = {
-            key: {"frame_id": key, **_told(reference, _REFERENCE)} for key, reference in scenario.references.items()
+            key: {"frame_id": key, **_select_parameters(reference, _REFERENCE)} for key, reference in scenario.references.items()
         }
     if scenario.ship_baseline.is_aboard:
         configuration["ship_baseline"] = _ship_baseline(scenario.ship_baseline)
@@ -174,32 +174,32 @@ def _ship_baseline(baseline: ShipBaseline) -> dict[str, Any]:
         "bias_sigma_m": baseline.rtk.bias_sigma_m,
         "bias_time_s": baseline.rtk.bias_time_s,
     }
-    return {**ids, **_told(baseline, ("forward_m", "up_m", "right_m", "sigma_m")), **rtk}
+    return {**ids, **_select_parameters(baseline, ("forward_m", "up_m", "right_m", "sigma_m")), **rtk}
 
 
 def _gravity(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of the deflection of the vertical."""
     gravity = scenario.gravity
-    told: dict[str, Any] = {
+    parameters: dict[str, Any] = {
         "deflection": gravity.told,
         "sigma_arcsec": gravity.sigma_arcsec,
         "unknown_sigma_arcsec": gravity.told_unknown_sigma_arcsec,
         "correlation_length_m": gravity.correlation_length_m,
     }
     if gravity.told == "constant":
-        return told | _told(gravity, ("xi_arcsec", "eta_arcsec"))
-    return told | deflection_table(scenario) if gravity.told == "table" else told
+        return parameters | _select_parameters(gravity, ("xi_arcsec", "eta_arcsec"))
+    return parameters | deflection_table(scenario) if gravity.told == "table" else parameters
 
 
 def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of ``star_attitude``, for the sensors that give single stars."""
     return {
-        "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS_BESIDE_STARS), **_rates(scenario)},
+        "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS_BESIDE_STARS), **_rates(scenario)},
         "star_sensors": {
             key: {
                 "frame_id": star_frame(key),
                 "camera": _camera(sensor.camera),
-                **_told(sensor, _STAR_MOUNTING),
+                **_select_parameters(sensor, _STAR_MOUNTING),
                 **_masks(sensor),
             }
             for key, sensor in scenario.star_sensors.items()
@@ -213,24 +213,24 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of ``optical_axis`` as nested mapping."""
     theodolite = scenario.theodolite
     configuration = {
-        "encoder": {**_told(theodolite.encoder, ("sigma_arcsec",)), "frame_id": MOUNT_FRAME},
-        "axes": _told(theodolite.axes, _AXES),
-        "deformation": _told(theodolite.deformation, ("sigma_arcsec", "time_s")),
-        "lever": _told(theodolite.lever, _LEVER),
+        "encoder": {**_select_parameters(theodolite.encoder, ("sigma_arcsec",)), "frame_id": MOUNT_FRAME},
+        "axes": _select_parameters(theodolite.axes, _AXES),
+        "deformation": _select_parameters(theodolite.deformation, ("sigma_arcsec", "time_s")),
+        "lever": _select_parameters(theodolite.lever, _LEVER),
         "telescope": _telescope(theodolite.telescope),
-        "air": _told(theodolite.air, _REFRACTION),
-        "ship_antenna": _told(theodolite.ship_antenna, ("sigma_m", "time_s")),
+        "air": _select_parameters(theodolite.air, _REFRACTION),
+        "ship_antenna": _select_parameters(theodolite.ship_antenna, ("sigma_m", "time_s")),
         "ship": _ship(scenario),
-        "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS), **_rates(scenario)},
+        "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS), **_rates(scenario)},
     }
     if scenario.targets:
         configuration["main_detector"] = {
-            **_told(theodolite.main_detector, _MAIN_DETECTOR), "frame_id": MAIN_DETECTOR_FRAME
+            **_select_parameters(theodolite.main_detector, _MAIN_DETECTOR), "frame_id": MAIN_DETECTOR_FRAME
         }  # fmt: skip
     if scenario.telescopes:
         configuration["telescopes"] = {
             key: {
-                **_told(camera, _STAR_TELESCOPE), "frame_id": mount_camera_frame(key), "camera": _camera(camera.camera)
+                **_select_parameters(camera, _STAR_TELESCOPE), "frame_id": mount_camera_frame(key), "camera": _camera(camera.camera)
             }
             for key, camera in scenario.telescopes.items()
         }  # fmt: skip
@@ -242,16 +242,16 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
 
 def _rates(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of the INS's rates; empty if they have no errors, as by default."""
-    told = _told(scenario.ins, ("rate_sigma_arcsec_per_s", "rate_has_earth_rate"))
-    return {name: value for name, value in told.items() if value}
+    parameters = _select_parameters(scenario.ins, ("rate_sigma_arcsec_per_s", "rate_has_earth_rate"))
+    return {name: value for name, value in parameters.items() if value}
 
 
-def _told(device: object, names: tuple[str, ...]) -> dict[str, Any]:
+def _select_parameters(device: object, names: tuple[str, ...]) -> dict[str, Any]:
     return {name: getattr(device, name) for name in names}
 
 
 def _camera(detector: Detector) -> dict[str, Any]:
-    return _told(detector, _CAMERA)
+    return _select_parameters(detector, _CAMERA)
 
 
 def _input(sensor: StarSensor) -> dict[str, Any]:
@@ -299,7 +299,7 @@ def _sky(scenario: Scenario, magnitude_limits: list[float]) -> dict[str, Any]:
 
 def _telescope(telescope: Telescope) -> dict[str, Any]:
     ids = {"telescope_id": TELESCOPE_ID, "frame_id": TELESCOPE_FRAME}
-    return {**_told(telescope, _TELESCOPE), "lens": _told(telescope.lens, _LEVER), **ids}
+    return {**_select_parameters(telescope, _TELESCOPE), "lens": _select_parameters(telescope.lens, _LEVER), **ids}
 
 
 def _ship(scenario: Scenario) -> dict[str, Any]:
@@ -315,10 +315,10 @@ def _ship(scenario: Scenario) -> dict[str, Any]:
 def _beacon(beacon_id: str, beacon: Beacon) -> dict[str, Any]:
     ids = {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": beacon_id}
     return {
-        "light": _told(beacon.light, _LEVER),
-        "rtk": {**_told(beacon.rtk, ("sigma_m", "bias_sigma_m", "bias_time_s")), **ids},
+        "light": _select_parameters(beacon.light, _LEVER),
+        "rtk": {**_select_parameters(beacon.rtk, ("sigma_m", "bias_sigma_m", "bias_time_s")), **ids},
         "imu": {
-            **_told(beacon.imu, ("tilt_sigma_deg", "heading_sigma_deg", "time_s")),
+            **_select_parameters(beacon.imu, ("tilt_sigma_deg", "heading_sigma_deg", "time_s")),
             "frame_id": beacon_frame(beacon_id),
         },
     }

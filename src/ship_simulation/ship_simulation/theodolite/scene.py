@@ -21,7 +21,7 @@ from ship_simulation.scenario.theodolite_scenario import (
     Target,
     Telescope,
     Theodolite,
-    UntoldVector,
+    SurveyError,
 )
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, swaying
@@ -58,7 +58,7 @@ def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
         parallelism=known + sigma * random_stream(seed, "theodolite.parallelism").standard_normal(3),
         focal_length_m=telescope.focal_length_m + telescope.focal_length_sigma_m * focal_error,
         lever_d=draw_lever(config.lever, "theodolite.lever", seed),
-        lens_m=draw_lever(telescope.lens, "theodolite.lens", seed) + untold(telescope.lens_untold),
+        lens_m=draw_lever(telescope.lens, "theodolite.lens", seed) + survey_error(telescope.lens_untold),
     )
 
 
@@ -81,7 +81,7 @@ def surveyed(lever: Lever) -> FloatArray:
     return np.array([lever.forward_m, lever.up_m, lever.right_m])
 
 
-def untold(vector: UntoldVector) -> FloatArray:
+def survey_error(vector: SurveyError) -> FloatArray:
     """Return the error of the survey of a vector, m, shape (3,)."""
     return np.array([vector.forward_m, vector.up_m, vector.right_m])
 

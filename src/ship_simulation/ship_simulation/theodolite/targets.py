@@ -78,14 +78,14 @@ def see_targets(
     """Return the images of a stretch, of each target that is present, not hidden, and on the detector."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
-    told = np.deg2rad(config.rotation_deg + config.rotation_rate_deg_per_s * t_s)
+    reported_rotation = np.deg2rad(config.rotation_deg + config.rotation_rate_deg_per_s * t_s)
     # Each target has a stream of its own, so that a further target does not change the others.
     drawn = [draws.stream(f"target.{key}.image").standard_normal((time_ns.size, 3)) for key in targets]
     noise = np.stack(drawn, axis=1) if drawn else np.empty((time_ns.size, 0, 3))
     times = exposure_times(config.exposure_s)
     camera, rotation_error = _true_detector(config, draws.seed)
     way_m = np.array([
-        _points(camera, scene, targets, t_s + t, told + rotation_error) for t in times.since_middle_s
+        _points(camera, scene, targets, t_s + t, reported_rotation + rotation_error) for t in times.since_middle_s
     ])  # fmt: skip
     # The effect of streaks on the centroid is part of sigma_m, the only error that the main detector states.
     point_m = centroids(times, way_m, np.inf, config.sigma_m, noise[..., :2])
@@ -103,7 +103,7 @@ def see_targets(
         target_ids=tuple(targets),
         target=target,
         point_m=point_m[exposure, target],
-        rotation=wrap_pi(told)[exposure],
+        rotation=wrap_pi(reported_rotation)[exposure],
         range_m=range_m[exposure, target],
         range_sigma_m=range_sigma_m[target],
         direction_n=_directions_n(scene, targets, t_s)[exposure, target],

@@ -25,7 +25,7 @@ from ship_geometry.rotations import FloatArray
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, AxisFit, fit
 from theodolite_calib.axis_fit.sightings import Sightings, directions
 
-POORLY_TOLD_APART = 10.0
+NEAR_DEPENDENCY_INDEX = 10.0
 """Condition index from which on a combination of errors is reported."""
 
 CORRELATED = 0.9
@@ -85,7 +85,7 @@ def unobservable(fit: AxisFit) -> Unobservable | None:
     return Unobservable(names, int(np.sum(is_open))) if names else None
 
 
-def poorly_told_apart(fit: AxisFit) -> list[UnseenRun]:
+def near_dependencies(fit: AxisFit) -> list[UnseenRun]:
     """Return the observable combinations with at least :data:`NEAR_DEPENDENCY_INDEX`, by falling condition index."""
     indices, runs = _combinations(fit)
     shares = runs**2 / np.sum(runs**2, axis=0)
@@ -93,7 +93,7 @@ def poorly_told_apart(fit: AxisFit) -> list[UnseenRun]:
     found = []
     for index, run, share in zip(indices, runs, shares, strict=True):
         part = np.flatnonzero(share > _TAKES_PART)
-        if index < POORLY_TOLD_APART or np.any(np.abs(run) > _KNOWN_BEFORE) or len(part) == 0:
+        if index < NEAR_DEPENDENCY_INDEX or np.any(np.abs(run) > _KNOWN_BEFORE) or len(part) == 0:
             continue
         signed = run[part] * np.sign(run[part[0]])
         found.append(UnseenRun(tuple(fit.fitted[i] for i in part), tuple(signed.tolist()), effect))
@@ -121,7 +121,7 @@ def _combinations(fit: AxisFit) -> tuple[FloatArray, FloatArray]:
     return singular[0] / singular, fit.scale * vectors / singular[:, None] / lengths
 
 
-_TOLD = 10.0
+_MIN_LOG_LIKELIHOOD_GAIN = 10.0
 """Gain of the log-likelihood from which on another reading is reported: twenty thousand times as likely."""
 _LEAST_COSINE = 1e-3
 """Minimum cosine of the elevation, used near the zenith where it is a divisor."""
@@ -138,7 +138,7 @@ def table_warnings(sightings: Sightings, fixed: Mapping[str, float]) -> list[str
     alone = replace(sightings, slow_errors=())
     given, independent = _log_likelihood(alone, fixed)
     best, text = max((_gain(other, given, fixed), words) for other, words in _readings(alone))
-    return [text] if independent * best > _TOLD else []
+    return [text] if independent * best > _MIN_LOG_LIKELIHOOD_GAIN else []
 
 
 def _gain(reading: tuple[Sightings, float], given: float, fixed: Mapping[str, float]) -> float:
@@ -150,7 +150,7 @@ def _gain(reading: tuple[Sightings, float], given: float, fixed: Mapping[str, fl
 def _log_likelihood(sightings: Sightings, fixed: Mapping[str, float]) -> tuple[float, float]:
     """Return the log-likelihood of the directions, and the ratio of independent sightings."""
     result = fit(sightings, fixed)
-    share = min(1.0, max(0.0, (1.0 - result.neighbours) / (1.0 + result.neighbours)))
+    share = min(1.0, max(0.0, (1.0 - result.neighbour_correlation) / (1.0 + result.neighbour_correlation)))
     return -2.0 * len(sightings.labels) * float(np.log(result.scale)), share
 
 

@@ -9,7 +9,7 @@ import yaml
 
 from ship_bags.output_files import write_csv, write_whole
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, poorly_told_apart, unobservable
+from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, near_dependencies, unobservable
 from theodolite_calib.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
 from theodolite_calib.axis_fit.sightings import Sightings, azimuth_and_elevation, coverage
 from theodolite_calib.chain.axes import NAMES
@@ -40,7 +40,7 @@ def summary(fit: AxisFit, sightings: Sightings, table_warnings: list[str]) -> st
         "",
         *_residuals(fit),
         *_outliers(fit, sightings),
-        *_told_apart(fit),
+        *_observability_lines(fit),
     ]
     return "\n".join(lines)
 
@@ -76,7 +76,7 @@ def _terms(fit: AxisFit) -> Iterator[str]:
         yield f"{name:8}  {round(float(value), 2) + 0.0:9.2f} {sigma}   {MEANINGS[name]}"
     if not fit.sigmas_known:
         yield (
-            f"no sigma: the residuals of neighbouring sightings are correlated ({fit.neighbours:.2f}), so "
+            f"no sigma: the residuals of neighbouring sightings are correlated ({fit.neighbour_correlation:.2f}), so "
             "they have common errors that the table does not state: columns slow_right_arcsec:NAME:T, "
             "slow_up_arcsec:NAME:T, or group, group_sigma_arcsec"
         )
@@ -110,11 +110,11 @@ def _outliers(fit: AxisFit, sightings: Sightings) -> Iterator[str]:
         )
 
 
-def _told_apart(fit: AxisFit) -> Iterator[str]:
+def _observability_lines(fit: AxisFit) -> Iterator[str]:
     yield f"condition number: {condition_number(fit):.3g}"
     for first, second, correlation in correlated_pairs(fit):
         yield f"correlated: {first} and {second}, {correlation:+.3f}"
-    for combination in poorly_told_apart(fit):
+    for combination in near_dependencies(fit):
         runs = together(combination.names, np.array(combination.run))
         yield (
             f"poorly separated: {', '.join(combination.names)}: {runs} arcsec together (1 sigma) change these "
@@ -171,12 +171,12 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, table_warnings: 
         "sigma_arcsec": _sigmas_arcsec(fit) if fit.sigmas_known else None,
         "covariance_of": list(fit.fitted),
         "covariance_rad2": fit.covariance.tolist() if fit.sigmas_known else None,
-        "neighbours_correlation": fit.neighbours,
+        "neighbours_correlation": fit.neighbour_correlation,
         "rms_of_shared_errors_arcsec": rms(fit.shared) / ARCSEC,
         "doubts": table_warnings,
         "given_again": list(sightings.repeated),
         "unobservable": list(open_combinations.names) if open_combinations else [],
-        "poorly_told_apart": [list(combination.names) for combination in poorly_told_apart(fit)],
+        "poorly_told_apart": [list(combination.names) for combination in near_dependencies(fit)],
         "condition_number": condition_number(fit),
         "sighting_count": len(sightings.labels),
         "outliers": [label for label, outlier in zip(sightings.labels, fit.outliers, strict=True) if outlier],

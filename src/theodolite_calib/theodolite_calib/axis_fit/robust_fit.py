@@ -76,7 +76,7 @@ class AxisFit:
     errors: AxisErrors
     fitted: tuple[str, ...]
     covariance: FloatArray
-    neighbours: float
+    neighbour_correlation: float
     sigmas_known: bool
     scale: float
     before: FloatArray
@@ -205,13 +205,13 @@ def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: fl
     sightings, terms = problem.sightings, int(np.sum(problem.free))
     residuals, design = problem.linearized(vector, shared)
     weights = _weights(residuals, scale)
-    neighbours = _neighbours(sightings, weights[:, None] * residuals)
+    neighbours = _neighbour_correlation(sightings, weights[:, None] * residuals)
     chance = _CHANCE_SIGMAS / np.sqrt(residuals.size)
     return AxisFit(
         errors=AxisErrors.from_vector(vector),
         fitted=tuple(name for name, fitted in zip(NAMES, problem.free, strict=True) if fitted),
         covariance=_covariance(residuals, design, weights, problem.information, taken)[:terms, :terms],
-        neighbours=neighbours,
+        neighbour_correlation=neighbours,
         sigmas_known=neighbours <= max(HANG_TOGETHER, chance),
         scale=scale,
         before=sightings.residuals(AxisErrors()),
@@ -223,7 +223,7 @@ def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: fl
     )
 
 
-def _neighbours(sightings: Sightings, residuals: FloatArray) -> float:
+def _neighbour_correlation(sightings: Sightings, residuals: FloatArray) -> float:
     """Return the correlation between the residuals of neighbours in time, or in the table without times."""
     if sightings.time_s is not None:
         residuals = residuals[np.argsort(sightings.time_s, kind="stable")]

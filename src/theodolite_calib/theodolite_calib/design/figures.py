@@ -71,13 +71,13 @@ def _sweeps_figure(study: DesignStudy) -> Figure:
 def _draw_sweep(axes: Axes, sweep: Sweep, study: DesignStudy) -> None:
     given_arcsec, required_arcsec = study.given_arcsec[2], study.config.required_arcsec
     axes.loglog(sweep.values, sweep.sigma_arcsec, color=_GIVEN, lw=2, label="given lights")
-    asked = np.isfinite(sweep.best_arcsec)
-    axes.loglog(sweep.values[asked], sweep.best_arcsec[asked], "^", color=_BEST, label="best positions")
+    is_evaluated = np.isfinite(sweep.best_arcsec)
+    axes.loglog(sweep.values[is_evaluated], sweep.best_arcsec[is_evaluated], "^", color=_BEST, label="best positions")
     if sweep.given > 0.0:
         axes.plot(sweep.given, given_arcsec, "o", color=_GIVEN, ms=8, label="this design")
     if required_arcsec > 0.0:
         axes.axhline(required_arcsec, color="0.3", ls=":", lw=1.5, label="required")
-    shown = [*sweep.sigma_arcsec, *sweep.best_arcsec[asked], required_arcsec or given_arcsec]
+    shown = [*sweep.sigma_arcsec, *sweep.best_arcsec[is_evaluated], required_arcsec or given_arcsec]
     axes.set(
         xlabel=sweep.label if sweep.unit == "m" else f"{sweep.label} [{sweep.unit}]",
         ylabel="error [″]",

@@ -19,12 +19,12 @@ from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
-COUNT = 25
+SWEEP_COUNT = 25
 """Number of values of a sweep."""
 BEST_EVERY = 4
 """Step of the values for which the best positions are computed, which takes longer."""
-_FACTORS = np.geomspace(0.2, 5.0, COUNT)
-_SURVEY_M = np.geomspace(1e-3, 0.2, COUNT)
+_FACTORS = np.geomspace(0.2, 5.0, SWEEP_COUNT)
+_SURVEY_M = np.geomspace(1e-3, 0.2, SWEEP_COUNT)
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
             "widest angle between the lights",
             "deg",
             separation_deg,
-            separation_deg * widest * np.geomspace(0.05, 1.0, COUNT),
+            separation_deg * widest * np.geomspace(0.05, 1.0, SWEEP_COUNT),
             lights_of=lambda value: (middle + (beside - middle) * (value / separation_deg), distances_m),
             best=False,
         )

@@ -33,7 +33,7 @@ TELESCOPE = "telescope"
 AXIS_SOURCES = frozenset({ENCODER, SHIP, TELESCOPE})
 """Sources that lead from the horizon to the telescope."""
 
-_UNKNOWN = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
+_UNKNOWN_CHANGE_SIGMA = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
 """Standard deviation of the unknown change of an error between two sightings, rad: encoders that stood still while the
 axis turned; a ship's attitude that drifted (its rates reveal a larger step); a telescope that shifted on the main
 axis."""
@@ -73,7 +73,7 @@ class RowsSeen:
     whitened_innovation: FloatArray
 
 
-class _Pattern(NamedTuple):
+class _MeasurementPattern(NamedTuple):
     """Components of a sighting that each subfilter uses; h subfilters, l beacons, m = 2 l components.
 
     Attributes:
@@ -110,7 +110,7 @@ class SourceRows:
         self._model, self._ship_error = model, ship_error
         first_axis = model.slices["axes"].start
         zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
-        self._patterns: dict[tuple[tuple[str, ...], frozenset[str], float], _Pattern] = {}
+        self._patterns: dict[tuple[tuple[str, ...], frozenset[str], float], _MeasurementPattern] = {}
         self._states = {
             ENCODER: zero_points,
             SHIP: model.state_indices("ship.attitude"),
@@ -132,7 +132,7 @@ class SourceRows:
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
         return replace(subfilters, mean=np.tile(mean, (count, 1)), parts=parts)
 
-    def propagate(self, subfilters: Alternatives, time_ns: int, ship_now_n: FloatArray | None) -> Alternatives:
+    def propagate(self, subfilters: Alternatives, time_ns: int, new_ship_covariance_n: FloatArray | None) -> Alternatives:
         """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
         dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
@@ -140,10 +140,10 @@ class SourceRows:
         parts = predict(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
         mean[:, ship] = self._ship_error.propagate(subfilters.mean[:, ship], decay[ship])
         mean, parts, _ = self._ship_error.apply_stated_covariance(
-            mean, parts, ship, decay[ship], subfilters.ship_steady_n, ship_now_n, _ONLY_SOURCE
+            mean, parts, ship, decay[ship], subfilters.ship_steady_n, new_ship_covariance_n, _ONLY_SOURCE
         )
         later_ns = time_ns if subfilters.time_ns is None else max(time_ns, subfilters.time_ns)
-        return Alternatives(later_ns, mean, parts, ship_now_n)
+        return Alternatives(later_ns, mean, parts, new_ship_covariance_n)
 
     def inflate_covariance(self, subfilters: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
         """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
@@ -156,24 +156,24 @@ class SourceRows:
         parts = subfilters.covariances.copy()
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():
-                add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN[name])
+                add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN_CHANGE_SIGMA[name])
         return replace(subfilters, parts=parts)
 
     def add_unknown_errors_to_parts(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
         """Add the unknown error changes of excluded sources to a covariance by source, shape (n_sources, n, n)."""
         parts = parts.copy()
         for name in sorted(excluded & self._states.keys()):
-            add_unknown_change(parts, self._states[name], source_index, _UNKNOWN[name])
+            add_unknown_change(parts, self._states[name], source_index, _UNKNOWN_CHANGE_SIGMA[name])
         return parts
 
-    def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_Pattern":
+    def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_MeasurementPattern":
         """Return the pattern for beacons with these names; computed once for all their sightings."""
         key = names, excluded, probability
         if key not in self._patterns:
             self._patterns[key] = self._new_pattern(names, excluded, probability)
         return self._patterns[key]
 
-    def _new_pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_Pattern":
+    def _new_pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_MeasurementPattern":
         unknown = excluded & self._states.keys()
         has_unknown_states = [bool(unknown), *(bool(unknown) or source in self._states for source in self.sources)]
         sees = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
@@ -183,7 +183,7 @@ class SourceRows:
         others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
         known = sees & np.array(has_unknown_states)[:, None] & others
         degrees = np.count_nonzero(sees[1:], axis=1).tolist()
-        return _Pattern(
+        return _MeasurementPattern(
             sees=sees[1:].astype(np.uint8),
             conditioning=known.astype(np.uint8),
             learns=np.ones((len(self.sources), self._model.size), dtype=np.uint8),

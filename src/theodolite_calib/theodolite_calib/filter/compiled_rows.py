@@ -19,7 +19,7 @@ from cython.cimports.libc.math import sqrt
 @cython.cfunc
 @cython.exceptval(check=False)
 def _solved(
-    matrix: cython.p_double, size: cython.Py_ssize_t, asked: cython.p_double, columns: cython.Py_ssize_t
+    matrix: cython.p_double, size: cython.Py_ssize_t, right_side: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.bint:
     """Replace the right-hand side (size × columns) by the inverse of a symmetric matrix times it, which is overwritten.
 
@@ -45,16 +45,16 @@ def _solved(
         for k in range(i):
             factor = matrix[i * size + k]
             for j in range(columns):
-                asked[i * columns + j] -= factor * asked[k * columns + j]
+                right_side[i * columns + j] -= factor * right_side[k * columns + j]
         for j in range(columns):
-            asked[i * columns + j] /= matrix[i * size + i]
+            right_side[i * columns + j] /= matrix[i * size + i]
     for i in range(size - 1, -1, -1):
         for k in range(i + 1, size):
             factor = matrix[k * size + i]
             for j in range(columns):
-                asked[i * columns + j] -= factor * asked[k * columns + j]
+                right_side[i * columns + j] -= factor * right_side[k * columns + j]
         for j in range(columns):
-            asked[i * columns + j] /= matrix[i * size + i]
+            right_side[i * columns + j] /= matrix[i * size + i]
     return True
 
 
@@ -93,7 +93,7 @@ def _whiten_beacon(
     size: cython.int = known.shape[0]
     count: cython.int = _chosen(known, covariance, places, scratch)
     # For the conditioning components: covariance with the two of the beacon, and residual.
-    asked: cython.p_double = scratch + count * count
+    right_side: cython.p_double = scratch + count * count
     left = cython.declare(cython.double[2])
     own = cython.declare(cython.double[4])
     area: cython.double
@@ -103,9 +103,9 @@ def _whiten_beacon(
     k: cython.int
     for i in range(count):
         for j in range(2):
-            asked[3 * i + j] = covariance[places[i] * size + 2 * beacon + j]
-        asked[3 * i + 2] = residual[places[i]]
-    if not _solved(scratch, count, asked, 3):
+            right_side[3 * i + j] = covariance[places[i] * size + 2 * beacon + j]
+        right_side[3 * i + 2] = residual[places[i]]
+    if not _solved(scratch, count, right_side, 3):
         return False
     for i in range(2):
         left[i] = residual[2 * beacon + i]
@@ -113,8 +113,8 @@ def _whiten_beacon(
             own[2 * i + j] = covariance[(2 * beacon + i) * size + 2 * beacon + j]
         for k in range(count):
             for j in range(2):
-                own[2 * i + j] -= covariance[(2 * beacon + i) * size + places[k]] * asked[3 * k + j]
-            left[i] -= covariance[(2 * beacon + i) * size + places[k]] * asked[3 * k + 2]
+                own[2 * i + j] -= covariance[(2 * beacon + i) * size + places[k]] * right_side[3 * k + j]
+            left[i] -= covariance[(2 * beacon + i) * size + places[k]] * right_side[3 * k + 2]
     # Inverse of the symmetric root of the conditional covariance.
     area = sqrt(own[0] * own[3] - own[1] * own[1])
     scale = 1.0 / (area * sqrt(own[0] + own[3] + 2.0 * area))
@@ -176,7 +176,7 @@ def beacon_innovations(
     covariance: cython.p_double = subfilter_residual + m
     cross: cython.p_double = covariance + m * m
     scratch: cython.p_double = cross + m * n
-    asked: cython.p_double
+    right_side: cython.p_double
     total: cython.double
     count: cython.Py_ssize_t
     subfilter: cython.Py_ssize_t
@@ -220,16 +220,16 @@ def beacon_innovations(
         if subfilter < 0:
             continue
         count = _chosen(sees[subfilter], covariance, cython.address(places[0]), scratch)
-        asked = scratch + count * count
+        right_side = scratch + count * count
         for i in range(count):
             for k in range(n):
-                asked[i * (n + 1) + k] = cross[places[i] * n + k]
-            asked[i * (n + 1) + n] = residuals[subfilter, places[i]] = subfilter_residual[places[i]]
-        if not _solved(scratch, count, asked, n + 1):
+                right_side[i * (n + 1) + k] = cross[places[i] * n + k]
+            right_side[i * (n + 1) + n] = residuals[subfilter, places[i]] = subfilter_residual[places[i]]
+        if not _solved(scratch, count, right_side, n + 1):
             raise np.linalg.LinAlgError("innovation covariance is not positive definite")
         nis[subfilter] = 0.0
         for i in range(count):
             for k in range(n):
-                gains[subfilter, k, places[i]] = asked[i * (n + 1) + k]
-            nis[subfilter] += subfilter_residual[places[i]] * asked[i * (n + 1) + n]
+                gains[subfilter, k, places[i]] = right_side[i * (n + 1) + k]
+            nis[subfilter] += subfilter_residual[places[i]] * right_side[i * (n + 1) + n]
     return of_residuals, of_gains, of_nis, innovation_array

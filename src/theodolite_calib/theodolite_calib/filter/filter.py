@@ -71,13 +71,13 @@ class CalibrationState:
     ship_covariance_n: FloatArray | None = None
     refusals: int = 0
     rejection_text: str = ""
-    used_ns: int | None = None
+    last_beacons_ns: int | None = None
     light_count: int = 0
-    stars_ns: int | None = None
+    last_stars_ns: int | None = None
     stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: _NO_STAYS)
     sighting_count: int = 0
     points_used: int = 0
-    squares: float = 0.0
+    residual_square_sum: float = 0.0
 
     @property
     def covariance(self) -> FloatArray:
@@ -88,12 +88,12 @@ class CalibrationState:
     @property
     def informed_ns(self) -> int | None:
         """Time of the last accepted sighting, of beacons or of stars; None before the first."""
-        return max((time_ns for time_ns in (self.used_ns, self.stars_ns) if time_ns is not None), default=None)
+        return max((time_ns for time_ns in (self.last_beacons_ns, self.last_stars_ns) if time_ns is not None), default=None)
 
     @property
     def residual_rms(self) -> float:
         """RMS of the residuals of beacons and stars on the sky, rad; NaN before the first."""
-        return float(np.sqrt(self.squares / self.points_used)) if self.points_used else float("nan")
+        return float(np.sqrt(self.residual_square_sum / self.points_used)) if self.points_used else float("nan")
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class CalibrationFilter:
         self.model = state_model(config)
         self.sightings = SightingModel(config, self.model)
         self.stars = StarModel(config, self.model, self.sightings)
-        self.observability = Observability(self.model, tells_lens=bool(config.telescopes))
+        self.observability = Observability(self.model, includes_lens=bool(config.telescopes))
         self.ship_error = ShipErrorProcess(config, self.model)
         self.subfilters = SourceRows(config, self.model, self.ship_error)
 
@@ -144,7 +144,7 @@ class CalibrationFilter:
             None, mean, parts, self.observability.initial_state(), alternatives, initial_fault_state(self.subfilters), solution_separation
         )
 
-    def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
+    def predicted(self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None) -> CalibrationState:
         """Propagate the state to a later time.
 
         Args:
@@ -157,7 +157,7 @@ class CalibrationFilter:
         parts = predict(state.parts, decay, noise, self.model.source_of)
         mean, steady_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
         mean[..., ship] = self.ship_error.propagate(state.mean[..., ship], decay[ship])
-        mean, parts, step = self.ship_error.apply_stated_covariance(mean, parts, ship, decay[ship], steady_n, ship_now_n)
+        mean, parts, step = self.ship_error.apply_stated_covariance(mean, parts, ship, decay[ship], steady_n, new_ship_covariance_n)
         unaided = self.observability.propagate(state.unaided, dt_s, steady_n)
         if step is not None:
             unaided = self.observability.with_ship_step(unaided, step)
@@ -167,8 +167,8 @@ class CalibrationFilter:
             mean=mean,
             parts=parts,
             unaided=unaided,
-            alternatives=self.subfilters.propagate(state.subfilters, time_ns, ship_now_n),
-            ship_steady_n=ship_now_n,
+            alternatives=self.subfilters.propagate(state.subfilters, time_ns, new_ship_covariance_n),
+            ship_steady_n=new_ship_covariance_n,
         )
 
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
@@ -261,7 +261,7 @@ class CalibrationFilter:
             light_count=len(sighting.names),
             sighting_count=state.sighting_count + 1,
             points_used=state.points_used + len(sighting.names),
-            squares=state.squares + float(on_sky @ on_sky),
+            squares=state.residual_square_sum + float(on_sky @ on_sky),
         )
         return after, compared
 
@@ -290,7 +290,7 @@ class CalibrationFilter:
             stays=stays,
             sighting_count=state.sighting_count + 1,
             points_used=state.points_used + len(measurement.residual) // 2,
-            squares=state.squares + float(measurement.residual @ measurement.residual),
+            squares=state.residual_square_sum + float(measurement.residual @ measurement.residual),
         )
 
     def _compared(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:
@@ -312,14 +312,14 @@ def _reshaped(parts: FloatArray, covariance: FloatArray) -> FloatArray:
     # Scaled to unit variance, since states are in radians and metres; a state with zero variance keeps it.
     scale = np.outer(sigma, sigma)
     unit = 1.0 / np.where(scale > 0.0, scale, np.inf)
-    transformation = _root(covariance * unit) @ np.linalg.pinv(_root(before * unit), rcond=1e-9, hermitian=True)
+    transformation = _symmetric_root(covariance * unit) @ np.linalg.pinv(_symmetric_root(before * unit), rcond=1e-9, hermitian=True)
     transformed = transformation @ (parts * unit) @ transformation.T
     missing = covariance * unit - transformed.sum(axis=0)
     reshaped: FloatArray = scale * (transformed + missing / len(parts))
     return reshaped
 
 
-def _root(covariance: FloatArray) -> FloatArray:
+def _symmetric_root(covariance: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(covariance)
     root: FloatArray = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     return root

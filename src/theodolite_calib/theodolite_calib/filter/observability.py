@@ -50,7 +50,7 @@ class Observability:
         tells_lens: True to include N', if it is a state.
     """
 
-    def __init__(self, model: StateModel, tells_lens: bool = False) -> None:
+    def __init__(self, model: StateModel, includes_lens: bool = False) -> None:
         deformation = model.blocks["deformation"]
         unknown = {
             "axes": replace(model.blocks["axes"], sigma=_UNKNOWN * model.blocks["axes"].sigma),
@@ -61,17 +61,17 @@ class Observability:
                 walk=deformation.sigma * np.sqrt(2.0 / deformation.time_s),
             ),
         }
-        told = {"axes": NAMES, "deformation": DEFORMATION_NAMES}
-        if tells_lens and "lens" in model.slices:
+        reported = {"axes": NAMES, "deformation": DEFORMATION_NAMES}
+        if includes_lens and "lens" in model.slices:
             unknown["lens"] = replace(model.blocks["lens"], sigma=_UNKNOWN * model.blocks["lens"].sigma)
-            told["lens"] = LENS_NAMES
+            reported["lens"] = LENS_NAMES
         blocks = [replace(unknown.get(name, entry), source="any") for name, entry in model.blocks.items()]
         self._model = StateModel(blocks, [])
         self._ship = model.slices["ship.attitude"]
-        names = [name for of_block in told.values() for name in of_block]
-        sigma = np.concatenate([model.blocks[name].sigma for name in told])
-        rows = np.concatenate([model.state_indices(name) for name in told])
-        self._told = names
+        names = [name for of_block in reported.values() for name in of_block]
+        sigma = np.concatenate([model.blocks[name].sigma for name in reported])
+        rows = np.concatenate([model.state_indices(name) for name in reported])
+        self._reported_names = names
         # An error with a sigma of 0 is fixed and not reported.
         order = [names.index(name) for name in _LEADING if name in names and sigma[names.index(name)] > 0.0]
         self._names, self._sigma, self._rows = [names[i] for i in order], sigma[order], rows[order]
@@ -110,7 +110,7 @@ class Observability:
     def open_combinations(self, unaided: ObservabilityState) -> tuple[str, ...]:
         """Return the combinations of names that the sightings so far cannot separate, as ``g - deformation_up``."""
         root = unaided.root[self._rows]
-        return open_combinations(root @ root.T, self._sigma, self._names, self._told)
+        return open_combinations(root @ root.T, self._sigma, self._names, self._reported_names)
 
 
 def _triangle(root: FloatArray) -> FloatArray:

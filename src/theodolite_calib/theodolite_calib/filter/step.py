@@ -137,8 +137,8 @@ class SightingStep:
                 # The predicted attitude uses the excluded encoders; the update gives the attitude by the beacons.
                 turned = exp_rotation(compared.prediction.by_state_n @ (after.mean - unknown.mean))
                 rotation_nt = turned @ result.comparison.prediction.rotation_nt
-                told_dt = result.sighting.deck_from_telescope(rotation_nt), _sigma_seen(compared)
-                decision = replace(decision, telescope_dt=told_dt)
+                telescope_dt = result.sighting.deck_from_telescope(rotation_nt), _attitude_sigma(compared)
+                decision = replace(decision, telescope_dt=telescope_dt)
             return self._learnt(unknown, after, result.sighting.names, compared, decision)
         comparison = self._filter.compare(unknown, chosen)
         unused_state = replace(unused_state, trust=trust)
@@ -165,11 +165,11 @@ class SightingStep:
         separation = separations(after, alternatives, self._turning, prediction.rotation_nt, prediction.by_state_n)
         after_acceptance = self._fault_detector.agreed(trust, time_ns)
         after = replace(after, alternatives=alternatives, trust=after_acceptance, separation=separation)
-        is_detected, source, explaining = self._fault_detector.isolate_fault(after.fault_state, after.separation, time_ns)
+        is_detected, source, explaining_sources = self._fault_detector.isolate_fault(after.fault_state, after.separation, time_ns)
         if is_detected and not trust.excluded:
             is_common = self._fault_detector.creep_alike(trust, time_ns)
-            source = isolate_drift_fault(source, explaining, is_common, self._has_ship_drifted(time_ns))
-            source = self._faulty(source, explaining, time_ns)
+            source = isolate_drift_fault(source, explaining_sources, is_common, self._has_ship_drifted(time_ns))
+            source = self._faulty(source, explaining_sources, time_ns)
         elif not is_detected and self._fault_detector.indicates_ship_drift(trust, time_ns) and self._has_ship_drifted(time_ns):
             source = SHIP
         if source is not None:
@@ -199,34 +199,34 @@ class SightingStep:
         )
         time_ns = sighting.time_ns
         trust = self._fault_detector.update_means(unused_state.fault_state, sighting.names, innovations, False, time_ns)
-        is_detected, found, explaining = self._fault_detector.isolate_fault(trust, np.zeros(len(self._filter.subfilters.sources)), time_ns)
+        is_detected, found, explaining_sources = self._fault_detector.isolate_fault(trust, np.zeros(len(self._filter.subfilters.sources)), time_ns)
         after = replace(predicted, alternatives=alternatives, trust=trust)
         source = found
         if found in (ENCODER, SHIP) and not unused_state.fault_state.excluded:
-            source = self._isolate_by_streams(unused_state, found, explaining, decision)
-            source = self._faulty(source, explaining, time_ns)
+            source = self._isolate_by_streams(unused_state, found, explaining_sources, decision)
+            source = self._faulty(source, explaining_sources, time_ns)
         if source is not None:
             return self._attributed(replace(after, refusals=unused_state.refusals + 1), source, decision, found)
         trust = self._fault_detector.disagreed(trust, _disagreement_n(comparison), lasting=is_detected)
         return count_rejection(replace(unused_state, alternatives=alternatives, trust=trust), decision, self._gate, "lights")
 
     def _isolate_by_streams(
-        self, unused_state: CalibrationState, source: str, explaining: Set[str], decision: ExposureDecision
+        self, unused_state: CalibrationState, source: str, explaining_sources: Set[str], decision: ExposureDecision
     ) -> str | None:
         """Isolate a fault of encoders or ship by their own streams; return the faulty source or None."""
         time_ns = decision.measurement.time_ns
-        told = None if unused_state.used_ns is None else self._streams_since(unused_state.used_ns, time_ns)
-        if told is None:
+        streams = None if unused_state.last_beacons_ns is None else self._streams_since(unused_state.last_beacons_ns, time_ns)
+        if streams is None:
             return source
-        return isolate_step_fault(source, explaining, told, float(np.max(np.abs(decision.residual))))
+        return isolate_step_fault(source, explaining_sources, streams, float(np.max(np.abs(decision.residual))))
 
-    def _faulty(self, source: str | None, explaining: Set[str], time_ns: int) -> str | None:
+    def _faulty(self, source: str | None, explaining_sources: Set[str], time_ns: int) -> str | None:
         """Return the source to exclude: if another one has shown a fault of its own recently, that one or none."""
         own = self._own_faults(time_ns)
         if source not in AXIS_SOURCES or source in own or len(own) != 1:
             return source
         (other,) = own
-        return other if other in explaining else None
+        return other if other in explaining_sources else None
 
     def _attributed(
         self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
@@ -342,7 +342,7 @@ def separations(
     return statistic
 
 
-def _sigma_seen(comparison: Comparison) -> float:
+def _attitude_sigma(comparison: Comparison) -> float:
     """Return the standard deviation of the telescope's attitude about its worst axis from the beacons alone, rad."""
     by_attitude, noise = comparison.prediction.by_attitude_n, comparison.measurement.noise
     information = by_attitude.T @ np.linalg.solve(noise, by_attitude)

@@ -59,7 +59,7 @@ class ExclusionRecord:
     rejected_residual_m: float = 0.0
     jumped_n: FloatArray = field(default_factory=lambda: np.zeros(3))
     jumped_sigma_m: float = 0.0
-    jump_ns: int = 0
+    last_jump_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class FaultState:
         return self.exclusions.keys()
 
 
-def isolate_step_fault(source: str, explaining: Set[str], told: Streams, off_rad: float) -> str | None:
+def isolate_step_fault(source: str, explaining_sources: Set[str], streams: Streams, off_rad: float) -> str | None:
     """Return the faulty source of a sudden contradiction between beacons and prediction; None if it is not isolated.
 
     Args:
@@ -109,18 +109,18 @@ def isolate_step_fault(source: str, explaining: Set[str], told: Streams, off_rad
         told: largest steps of the two streams since the last accepted sighting.
         off_rad: offset of the beacons on the sky, rad.
     """
-    if told.is_ship_unreliable:
-        return SHIP if SHIP in explaining else None
-    steps = {ENCODER: told.encoder, SHIP: told.ship}
+    if streams.is_ship_unreliable:
+        return SHIP if SHIP in explaining_sources else None
+    steps = {ENCODER: streams.encoder, SHIP: streams.ship}
     stepped = [name for name, step in steps.items() if step is not None and step.is_there(off_rad)]
     if stepped:
-        return stepped[0] if len(stepped) == 1 and stepped[0] in explaining else source
-    candidate_steps = [steps[name] for name in {source, *explaining} & steps.keys()]
+        return stepped[0] if len(stepped) == 1 and stepped[0] in explaining_sources else source
+    candidate_steps = [steps[name] for name in {source, *explaining_sources} & steps.keys()]
     right = all(step is not None and step.is_not(off_rad) for step in candidate_steps)
     return TELESCOPE if right else source
 
 
-def isolate_drift_fault(source: str | None, explaining: Set[str], is_common: bool, has_ship_drifted: bool | None) -> str | None:
+def isolate_drift_fault(source: str | None, explaining_sources: Set[str], is_common: bool, has_ship_drifted: bool | None) -> str | None:
     """Return the faulty source of a drift of accepted beacons; None if it is not isolated.
 
     If all beacons drift together, the encoders or the ship's attitude drift, because two drones do not drift together.
@@ -133,7 +133,7 @@ def isolate_drift_fault(source: str | None, explaining: Set[str], is_common: boo
         alike: True if all beacons drift together.
         ship_crept: True if the ship's attitude has departed from its own rates; None if unknown.
     """
-    axis_sources = explaining & {ENCODER, SHIP}
+    axis_sources = explaining_sources & {ENCODER, SHIP}
     if has_ship_drifted is not None:
         axis_sources = axis_sources & {SHIP if has_ship_drifted else ENCODER}
     if not axis_sources:
@@ -264,7 +264,7 @@ class FaultDetector:
     def jumped(self, fault_state: FaultState, source: str, jump: BaselineJump) -> FaultState:
         """Record another jump of the baseline of an excluded drone, which may have jumped back."""
         record = fault_state.exclusions[source]
-        if jump.time_ns <= record.jump_ns + _SAME_JUMP_NS:
+        if jump.time_ns <= record.last_jump_ns + _SAME_JUMP_NS:
             return fault_state
         jumped_n, sigma_m = record.jumped_n + jump.jump_n, float(np.hypot(record.jumped_sigma_m, jump.sigma_m))
         again = replace(record, jumped_n=jumped_n, jumped_sigma_m=sigma_m, jump_ns=jump.time_ns)
@@ -308,7 +308,7 @@ class FaultDetector:
     def _watched(self, fault_state: FaultState, source: str, exclusion: ExcludedSource, is_reinstated: bool) -> FaultState:
         exclusions, jumped_ns, means = dict(fault_state.exclusions), dict(fault_state.jumped_ns), fault_state.innovation_means
         if is_reinstated:
-            jumped_ns[source] = exclusions.pop(source).jump_ns + _SAME_JUMP_NS
+            jumped_ns[source] = exclusions.pop(source).last_jump_ns + _SAME_JUMP_NS
             row = len(self._subfilters.beacons) if source in AXIS_SOURCES else self._subfilters.sources.index(source)
             if row < len(self._subfilters.beacons):
                 # Means of an excluded source are not valid for subfilters that use it again.

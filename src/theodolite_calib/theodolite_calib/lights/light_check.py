@@ -16,7 +16,7 @@ from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.rotations import FloatArray, angle_between, log_rotation
 from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve, total
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve_attitude, total
 
 _MAX_BEACONS = 4
 """Maximum number of beacons for which exchanged names are tried; their number grows as the factorial."""
@@ -136,7 +136,7 @@ class _Trial:
 def _trial(
     image: Image, camera: Camera, lines: LinesOfSight, order: tuple[int, ...], prior: AttitudePrior | None
 ) -> _Trial:
-    attitude = solve(image.chosen(order), camera, lines)
+    attitude = solve_attitude(image.chosen(order), camera, lines)
     if prior is None:
         return _Trial(order, attitude, None)
     departure = log_rotation(attitude.rotation_nt @ prior.rotation_nt.T)

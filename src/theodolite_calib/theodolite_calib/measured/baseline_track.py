@@ -21,9 +21,9 @@ from theodolite_calib.measured.samples import BaselineSample
 
 _MOST, _BEFORE = 14, 5
 """Maximum number of solutions in the fit, and minimum number of them before a step."""
-_LONGEST_NS = 2 * SECOND_NS
+_MAX_SPAN_NS = 2 * SECOND_NS
 """Maximum time over which the path of a drone is a cubic, ns."""
-_SIGMAS = 7.0
+_JUMP_SIGMAS = 7.0
 """Threshold of a jump in standard deviations: less than one false jump per voyage at ten solutions a second with ten
 candidate steps."""
 _CUBIC, _COMPONENTS = 3, 3
@@ -49,7 +49,7 @@ class BaselineJump:
 class BaselineTrack(VectorTrack[BaselineSample]):
     """Baselines to one drone, valid and rejected; rejected ones are not used and not interpolated across."""
 
-    history_ns = _LONGEST_NS
+    history_ns = _MAX_SPAN_NS
 
     def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Rejection:
         """Return the baseline at a time (N, U, E), m, with the covariance of its white error, m²; or the rejection."""
@@ -88,7 +88,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         last = interval[0] + (interval[1] > 0.0)
         first = last
         while first > 0 and last - first + 1 < _MOST and self._are_joined(first - 1):
-            if self._times[last] - self._times[first - 1] > _LONGEST_NS:
+            if self._times[last] - self._times[first - 1] > _MAX_SPAN_NS:
                 break
             first -= 1
         return self._jump_among(first, last + 1)
@@ -100,11 +100,11 @@ class BaselineTrack(VectorTrack[BaselineSample]):
             return None
         samples = self._samples[first:end]
         position_m = np.array([sample.vector for sample in samples]) - samples[-1].vector
-        since = (np.array(self._times[first:end]) - self._times[end - 1]) / _LONGEST_NS
+        since = (np.array(self._times[first:end]) - self._times[end - 1]) / _MAX_SPAN_NS
         place, jump_m, weight, squares = compiled_cubics.clearest_step(since, position_m, _BEFORE)
         stated = sum(sample.variance_m2 for sample in samples) / (count * _COMPONENTS)
         sigma_m = math.sqrt(max(stated, squares / degrees, 0.0) / weight)
-        if not math.hypot(*jump_m.tolist()) > _SIGMAS * sigma_m:
+        if not math.hypot(*jump_m.tolist()) > _JUMP_SIGMAS * sigma_m:
             return None
         return BaselineJump(samples[place].time_ns, jump_m, sigma_m)
 

@@ -47,7 +47,7 @@ _BY_TRAPEZOIDS = 2.0 / 3.0
 that the difference is three times the error."""
 _STEADY_SIGMAS = 5.0
 """Difference between two means below which the attitude has not drifted, in standard deviations of an attitude."""
-_TOLD_SIGMAS = 5.0
+_STATED_CHANGE_SIGMAS = 5.0
 """Factor on the change of the stated standard deviation by which the attitude may move, as after a star correction."""
 
 
@@ -126,20 +126,20 @@ def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: flo
         longest_gap_ns: maximum interval of attitudes; a larger one is a gap.
         sigma_rad: noise of an attitude about each axis.
     """
-    told = [sample for sample in ship if sample.status is not Status.DEGRADED]
-    if len(told) < 2 or _gap(told, longest_gap_ns) or any(sample.rate_d is None for sample in told):
+    usable = [sample for sample in ship if sample.status is not Status.DEGRADED]
+    if len(usable) < 2 or _gap(usable, longest_gap_ns) or any(sample.rate_d is None for sample in usable):
         return None
-    seconds = _seconds(told, told[0].time_ns)
+    seconds = _seconds(usable, usable[0].time_ns)
     if seconds[-1] < _MIN_DRIFT_S:
         return None
     places = (seconds / _MEAN_OVER_S).astype(int)
     count = np.bincount(places)
-    rotation_nd, rate_d = _attitudes(told)
+    rotation_nd, rate_d = _attitudes(usable)
     left_n = _rate_residuals(rotation_nd, rate_d, seconds)
     means_n = np.stack([np.bincount(places, axis_n) for axis_n in left_n.T], axis=1) / count[:, None]
     spread_rad = float(np.max(np.ptp(means_n, axis=0)))
-    stated_n = np.array([one.correlated_covariance_n for one in told if one.correlated_covariance_n is not None])
-    may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
+    stated_n = np.array([one.correlated_covariance_n for one in usable if one.correlated_covariance_n is not None])
+    may_rad = _STATED_CHANGE_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
     coarse_n = _rate_residuals(rotation_nd[::2], rate_d[::2], seconds[::2])
     may_rad += _BY_TRAPEZOIDS * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
     if spread_rad > _DRIFT_SIGMAS * sigma_rad + may_rad:

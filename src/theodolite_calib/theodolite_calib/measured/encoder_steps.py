@@ -22,7 +22,7 @@ _FITTED = 12
 """Number of readings in the cubic."""
 _LEAST = 7
 """Minimum number of readings in the cubic."""
-_SIGMAS = 6.5
+_DETECTION_SIGMAS = 6.5
 """Threshold of a pending step in standard deviations: at fifty readings a second at most one false one in some
 hours."""
 _SURE_SIGMAS = 3.0
@@ -120,7 +120,7 @@ class EncoderSteps:
         first, self._pending_step = self._pending_step, None
         if first is not None:
             assert off is not None  # by the same readings as the first
-            return self._told(*first, off, angles)
+            return self._resolve_step(*first, off, angles)
         if off is not None and self._count >= _LEARNING and off.far:
             self._pending_step = off, angles
             return None
@@ -133,13 +133,13 @@ class EncoderSteps:
         """Return the prediction error of a reading; None if there are too few readings before it."""
         if len(self._before) < _LEAST:
             return None
-        weights, gain = _weights(tuple([before_ns - time_ns for before_ns, _ in self._before]))
+        weights, gain = _weights_at_zero(tuple([before_ns - time_ns for before_ns, _ in self._before]))
         led = weights @ np.array([before.tolist() for _, before in self._before])
         noise_rad = max(sigma_rad, math.sqrt(self._variance))
-        bound_rad = gain * (_SIGMAS * noise_rad + ACROSS * math.sqrt(0.5) * coarseness_rad)
+        bound_rad = gain * (_DETECTION_SIGMAS * noise_rad + ACROSS * math.sqrt(0.5) * coarseness_rad)
         return _Off(time_ns, angles - led, gain, gain * noise_rad, bound_rad)
 
-    def _told(self, first: _Off, angles: FloatArray, off: _Off, now: FloatArray) -> EncoderStep | None:
+    def _resolve_step(self, first: _Off, angles: FloatArray, off: _Off, now: FloatArray) -> EncoderStep | None:
         """Resolve a pending step by the reading after it; the readings are ``angles`` and ``now``."""
         axis = int(np.argmax(np.abs(first.by)))
         share, before_ns = off.by[axis] / first.by[axis], self._before[-1][0]
@@ -164,7 +164,7 @@ class EncoderSteps:
 
 
 @lru_cache(maxsize=64)
-def _weights(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
+def _weights_at_zero(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
     """Return the least-squares weights of values at some times in the value at zero of the cubic through them.
 
     The second result is the standard deviation of a further value relative to that one, per standard deviation of a

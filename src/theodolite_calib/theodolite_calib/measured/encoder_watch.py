@@ -22,7 +22,7 @@ from ship_estimation.value_guards import (
     JumpDecision,
     Match,
     StuckGuard,
-    size,
+    vector_length,
     step_by_motion,
 )
 from ship_estimation.witnesses import Witness
@@ -33,7 +33,7 @@ from theodolite_calib.measured.samples import EncoderSample
 
 _BEACONS = "lights"
 """Name of the beacons as a motion reference."""
-_SIGMAS = 5.0
+_MOTION_SIGMAS = 5.0
 """Change between two readings that is a motion, in standard deviations of a reading."""
 _LONGEST_STEP_S = 1.0
 """Maximum interval between readings that are compared, s."""
@@ -88,7 +88,7 @@ class EncoderCheck:
         self._last: tuple[EncoderSample, FloatArray] | None = None
         self._newest_ns: int | None = None
         self._wrong_unit, self._otherwise = False, 0
-        self._still_since_ns: int | None = None
+        self._unchanged_since_ns: int | None = None
         self._halted_since_ns: int | None = None
         self._unconfirmed: Unconfirmed | None = None
         self._steps = EncoderSteps()
@@ -158,7 +158,7 @@ class EncoderCheck:
     def record_beacon_attitude(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
         """Record the telescope's attitude in the deck by beacons, shape (3, 3), and the error about its worst axis."""
         # Rotations before the readings stood still do not count.
-        if self._still_since_ns is not None and time_ns >= self._still_since_ns:
+        if self._unchanged_since_ns is not None and time_ns >= self._unchanged_since_ns:
             self._motion_references[_BEACONS] = Witness(time_ns, telescope_dt, sigma_rad)
 
     def confirm(self, time_ns: int) -> None:
@@ -215,7 +215,7 @@ class EncoderCheck:
 
     def _check_step(self, step: EncoderStep) -> CheckedReading:
         """Check the reading that proves a step."""
-        step_rad = size(step.step)
+        step_rad = vector_length(step.step)
         # From rest to rest: half of the way with maximum acceleration, half of it braking.
         reached_rad = 0.25 * self._max_acceleration * step.within_s**2
         if not step.sure_rad > reached_rad:
@@ -242,14 +242,14 @@ class EncoderCheck:
     def _check_motion(self, sample: EncoderSample) -> None:
         """Mark readings as unconfirmed after one equal to the last although that one had moved."""
         if self._last is None:
-            self._last, self._still_since_ns = (sample, np.zeros(2)), sample.time_ns
+            self._last, self._unchanged_since_ns = (sample, np.zeros(2)), sample.time_ns
             return
         last, rate = self._last
         step = short_way(sample.vector - last.vector)
         interval_s = (sample.time_ns - last.time_ns) * 1e-9
         if step.any():
-            self._motion_references, self._still_since_ns, self._halted_since_ns = {}, sample.time_ns, None
-        elif np.abs(rate).max() * interval_s > _SIGMAS * self._sigma_rad and self._halted_since_ns is None:
+            self._motion_references, self._unchanged_since_ns, self._halted_since_ns = {}, sample.time_ns, None
+        elif np.abs(rate).max() * interval_s > _MOTION_SIGMAS * self._sigma_rad and self._halted_since_ns is None:
             self._halted_since_ns = sample.time_ns
         self._last = sample, step / interval_s
 
@@ -276,6 +276,6 @@ def _extrapolate_back(sample: EncoderSample, first: EncoderSample, second: Encod
 
 
 def _gate_rejection(match: Match) -> Rejection:
-    off, bound = size(match.difference) / ARCSEC, match.bound_rad / ARCSEC
+    off, bound = vector_length(match.difference) / ARCSEC, match.bound_rad / ARCSEC
     text = f"{off:.0f}″ from the predicted reading: the mount can reach {bound:.0f}″"
     return Rejection(Reason.GATE, text)

@@ -20,7 +20,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured.samples import ShipSample
 
-_SIGMAS = 5.0
+_STATED_STEP_SIGMAS = 5.0
 """Factor on the change of the stated standard deviation by which the source may step."""
 
 _PATIENCE = 8
@@ -66,7 +66,7 @@ class GuardAhead:
             self._clear_batch()
             self._before = copy.deepcopy(self._ins_check)
         self._batch += samples
-        self._block, self._told_rad = _arrays(self._batch)
+        self._block, self._reported_steps_rad = _arrays(self._batch)
 
     def check(self, sample: ShipSample, accepted_track: AttitudeTrack, reported_step_rad: float) -> JudgedIns:
         """Check an attitude as :meth:`ship_estimation.ins_check.InsCheck.check` does, without motion references.
@@ -105,7 +105,7 @@ class GuardAhead:
             return
         # Not beyond a gap, nor where a reported step exceeds the noise.
         steps_ns = np.diff(times_ns[place:])
-        usual = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._told_rad[place + 1 :] <= least_rad)
+        usual = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._reported_steps_rad[place + 1 :] <= least_rad)
         end = len(times_ns) if usual.all() else place + 1 + int(np.argmin(usual))
         checked = self._ins_check.check_block(self._batch[place:end], self._block.some(slice(place, end)))
         if checked.count:
@@ -123,11 +123,11 @@ class GuardAhead:
             self._ins_check.check(sample, nothing, {}, reported_step_rad)
 
 
-def told_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:
+def stated_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:
     """Return the possible step of the source from the change of its stated covariance, rad."""
     if covariance_n is None or before_n is None:
         return 0.0
-    return _SIGMAS * math.sqrt(abs(float((covariance_n - before_n).trace())))
+    return _STATED_STEP_SIGMAS * math.sqrt(abs(float((covariance_n - before_n).trace())))
 
 
 def _arrays(samples: Sequence[ShipSample]) -> tuple[SampleBlock, FloatArray]:
@@ -138,4 +138,4 @@ def _arrays(samples: Sequence[ShipSample]) -> tuple[SampleBlock, FloatArray]:
         np.array([sample.rate_d for sample in samples]),
     )
     stated = [sample.correlated_covariance_n for sample in samples]
-    return block, np.array([told_step_rad(now, before) for now, before in zip(stated, [None, *stated], strict=False)])
+    return block, np.array([stated_step_rad(now, before) for now, before in zip(stated, [None, *stated], strict=False)])

@@ -15,7 +15,7 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.guard_ahead import GuardAhead, told_step_rad
+from theodolite_calib.measured.guard_ahead import GuardAhead, stated_step_rad
 from theodolite_calib.measured.samples import ShipSample
 
 
@@ -55,7 +55,7 @@ class ShipCheck:
     def check(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
         """Check a sample; none before ``oldest_ns`` will come."""
         self._accepted.drop_before(oldest_ns)
-        result = self._batch_check.check(sample, self._accepted, told_step_rad(sample.correlated_covariance_n, self._stated))
+        result = self._batch_check.check(sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated))
         if result.rates_wrong_after_ns is not None:
             self._accepted.forget_rates(result.rates_wrong_after_ns)
         if result.jumps:

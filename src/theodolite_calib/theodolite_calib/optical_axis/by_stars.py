@@ -49,8 +49,8 @@ def pointing_by_stars(
         return None
     if exposure.length is not None:
         # The rotation of the camera during the exposure is not measured.
-        untold = np.deg2rad(config.ins.untold_acceleration_deg_per_s2)
-        solution = solution.with_more_noise(exposure.length.untold_turn_variance(float(untold)))
+        unmeasured_acceleration = np.deg2rad(config.ins.untold_acceleration_deg_per_s2)
+        solution = solution.with_more_noise(exposure.length.unmeasured_turn_variance(float(unmeasured_acceleration)))
     model, camera_id = filter_.model, exposure.source.partition(".")[2]
     block = model.slices[parallelism_block(camera_id, config)]
     azimuth, elevation, roll = config.telescopes[camera_id].parallelism + state.mean[block]

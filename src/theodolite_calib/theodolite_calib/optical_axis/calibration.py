@@ -130,14 +130,14 @@ def _star_values(filter_: CalibrationFilter, config: OpticalAxisConfig, state: C
     if not config.telescopes:
         return []
     model, telescope = filter_.model, config.telescope
-    told = {"parallelism": (SAVED_NAMES[-3:], telescope.parallelism, "rad")}
+    reported = {"parallelism": (SAVED_NAMES[-3:], telescope.parallelism, "rad")}
     for id_, camera in config.telescopes.items():
         # The calibration telescope has one parallelism for beacons and stars, already listed.
-        told.setdefault(parallelism_block(id_, config), (camera_names(id_), camera.parallelism, "rad"))
-    told["lens"] = LENS_NAMES, telescope.lens.vector_m, "m"
+        reported.setdefault(parallelism_block(id_, config), (camera_names(id_), camera.parallelism, "rad"))
+    reported["lens"] = LENS_NAMES, telescope.lens.vector_m, "m"
     return [
         _Named(name, row, float(value + state.mean[row]), unit)
-        for block, (names, configured, unit) in told.items()
+        for block, (names, configured, unit) in reported.items()
         if block in model.slices
         for name, row, value in zip(names, model.state_indices(block).tolist(), configured, strict=True)
         if state.covariance[row, row] > 0.0

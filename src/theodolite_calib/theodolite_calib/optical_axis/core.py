@@ -71,13 +71,13 @@ from theodolite_calib.optical_axis.targets import TargetAnswers
 
 if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice
-    from theodolite_calib.optical_axis.escorting import Escort
+    from theodolite_calib.optical_axis.escorting import EscortAdvisor
 
 _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons for which a reading or an attitude is rejected by its own stream: stuck, repeated stamp, or jump."""
 _MOST_JUMPS = 100
 """Maximum number of jumps of encoders and ship that are kept until they are requested, once a second."""
-_TOLD_TWICE = "encoders and ship both contradict themselves at one time: a clock has repeated a time"
+_REPEATED_TIME_TEXT = "encoders and ship both contradict themselves at one time: a clock has repeated a time"
 
 
 class _WaitingReading(NamedTuple):
@@ -120,7 +120,7 @@ class OpticalAxisCore:
             failed=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
-            decided=self._tell_watches,
+            decided=self._update_checks,
             on_commit=closed,
         )
         self._estimator: EstimatorShell[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
@@ -174,7 +174,7 @@ class OpticalAxisCore:
         self._encoder_arrival_ns: int | None = None
         self._ship_arrival_ns: int | None = None
         self._newest_stars: tuple[StarExposure, int] | None = None
-        self._told_twice: tuple[int, int] | None = None
+        self._repeated_time_ns: tuple[int, int] | None = None
         self._stream_fault_ns: dict[str, int] = {}
         self._own_jumps: deque[OwnJump] = deque(maxlen=_MOST_JUMPS)
         self._stands = False
@@ -314,7 +314,7 @@ class OpticalAxisCore:
         self._point_by_stars(outcome, waiting_ns)
         is_timed_out = _is_timed_out(self._encoder_arrival_ns, waiting_ns)
         missing = "no usable reading of the encoders" if is_timed_out else f"no attitude on {self.config.ship.source}"
-        self._estimator.say_invalid(outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing))
+        self._estimator.report_invalid(outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing))
         self._answer_targets(outcome, waiting_ns)
         return outcome
 
@@ -367,7 +367,7 @@ class OpticalAxisCore:
     def is_undisputed(self) -> bool:
         """True if the state rests on beacons or stars, and no source is excluded, contradictory or unconfirmed."""
         now_ns = self._estimator.window.newest_ns
-        unconfirmed_reason = self._encoder_check.unconfirmed_reason or self._ship_check.unconfirmed_reason(now_ns) or self._contradiction(now_ns)
+        unconfirmed_reason = self._encoder_check.unconfirmed_reason or self._ship_check.unconfirmed_reason(now_ns) or self._contradiction_text(now_ns)
         return is_undisputed(self.state) and not unconfirmed_reason
 
     @property
@@ -442,14 +442,14 @@ class OpticalAxisCore:
         self._pointing = PointingOutput(config, self.filter)
         self._calibration = None
 
-    def _new_escort(self) -> "Escort | None":
+    def _new_escort(self) -> "EscortAdvisor | None":
         """Return the advisor for the drones; None if it is disabled."""
         if not self.config.escort.enabled:
             return None
         # Imported here: loading scipy's optimisers takes longer than the rest of the node.
-        from theodolite_calib.optical_axis.escorting import Escort
+        from theodolite_calib.optical_axis.escorting import EscortAdvisor
 
-        return Escort(self.config, self.filter, self._tracks)
+        return EscortAdvisor(self.config, self.filter, self._tracks)
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
         outcome = PointingOutcome(self._estimator.window.late(sample.time_ns))
@@ -490,9 +490,9 @@ class OpticalAxisCore:
     ) -> tuple[CalibrationState, ExposureDecision] | None:
         if may_wait and self._tracks.awaits(exposure):
             return None
-        told_twice = self._told_twice
-        if told_twice is not None and told_twice[0] <= exposure.time_ns <= told_twice[1]:
-            return state, ExposureDecision(exposure, Reason.CONFLICT, text=_TOLD_TWICE)
+        repeated_time_ns = self._repeated_time_ns
+        if repeated_time_ns is not None and repeated_time_ns[0] <= exposure.time_ns <= repeated_time_ns[1]:
+            return state, ExposureDecision(exposure, Reason.CONFLICT, text=_REPEATED_TIME_TEXT)
         if isinstance(exposure, StarExposure):
             return self._step_by_stars(state, exposure)
         assembled = self._sightings.assemble(exposure)
@@ -548,7 +548,7 @@ class OpticalAxisCore:
         if self._sky is not None:
             self._sky.surroundings.drop_before(time_ns)
 
-    def _tell_watches(self, decision: ExposureDecision) -> None:
+    def _update_checks(self, decision: ExposureDecision) -> None:
         """Pass the result of an exposure to the checks of the encoders and of the INS."""
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
@@ -579,7 +579,7 @@ class OpticalAxisCore:
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
             sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting.popleft()
-            unconfirmed_reason = unconfirmed_reason or self._ship_check.unconfirmed_reason(sample.time_ns) or self._contradiction(sample.time_ns)
+            unconfirmed_reason = unconfirmed_reason or self._ship_check.unconfirmed_reason(sample.time_ns) or self._contradiction_text(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
                 pending = PendingPointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._estimator.state_now)
@@ -618,18 +618,18 @@ class OpticalAxisCore:
 
     def _check_repeated_time(self) -> None:
         """Compare beacons again if rejections show that encoders and ship repeat a time."""
-        before = self._told_twice
+        before = self._repeated_time_ns
         together = self._estimator.contradictions.together({ENCODER, self.config.ship.source})
         if together is None:
             return
         first_ns = together[0] - self._tracks.reach_ns
-        self._told_twice = first_ns, together[1]
+        self._repeated_time_ns = first_ns, together[1]
         if before is None or before[0] != first_ns:
             self._estimator.data_changed(first_ns if before is None else min(before[0], first_ns))
         elif together[1] > before[1]:
             self._estimator.data_changed(before[1])
 
-    def _contradiction(self, time_ns: int) -> str:
+    def _contradiction_text(self, time_ns: int) -> str:
         """Return the text of a source that contradicted itself at a time; empty if none did."""
         return self._estimator.contradictions.text(self._estimator.contradictions.at(time_ns))
 

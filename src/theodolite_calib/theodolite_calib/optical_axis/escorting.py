@@ -16,7 +16,7 @@ from theodolite_calib.measured.samples import BaselineSample, PointingEstimate
 from theodolite_calib.measured.tracks import MeasuredTracks
 
 
-class Escort:
+class EscortAdvisor:
     """Advisor for the drones of one run.
 
     Args:
@@ -27,9 +27,9 @@ class Escort:
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, tracks: MeasuredTracks) -> None:
         self._tracks = tracks
-        self._told_ns: int | None = None
+        self._advised_ns: int | None = None
         self._names: tuple[str, ...] = ()
-        self._told_n: FloatArray | None = None
+        self._advised_n: FloatArray | None = None
         self.reconfigure(config, filter_)
 
     def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
@@ -43,7 +43,7 @@ class Escort:
             estimate: latest pointing that is not INVALID.
         """
         time_ns, period_ns = estimate.time_ns, round(self._config.escort.period_s * SECOND_NS)
-        if self._told_ns is not None and time_ns - self._told_ns < period_ns:
+        if self._advised_ns is not None and time_ns - self._advised_ns < period_ns:
             return None
         names = self._usable(estimate)
         ship, encoder = self._tracks.ship_at(time_ns), self._tracks.encoder_at(time_ns)
@@ -59,12 +59,12 @@ class Escort:
             estimate.state.mean,
             {name: sample.covariance_n for name, sample in samples.items()},
         )
-        if self._told_n is None or names != self._names:
-            self._told_n = np.array([now_n[name] for name in names]) if len(now_n) == len(names) else None
-        advice = advise(self._config.escort, accuracy, names, now_n, self._told_n)
-        self._told_ns, self._names = time_ns, names
+        if self._advised_n is None or names != self._names:
+            self._advised_n = np.array([now_n[name] for name in names]) if len(now_n) == len(names) else None
+        advice = advise(self._config.escort, accuracy, names, now_n, self._advised_n)
+        self._advised_ns, self._names = time_ns, names
         if np.isfinite(advice.sigma_advised):
-            self._told_n = advice.places_n
+            self._advised_n = advice.places_n
         return advice
 
     def _usable(self, estimate: PointingEstimate) -> tuple[str, ...]:

@@ -38,7 +38,7 @@ class PointingLevels:
         sources = filter_.subfilters.sources
         self._k = hypothesis_factors(config.integrity, sources)
         self._turning = axis_state_indices(filter_.model)
-        excluded = {name: told.exclusion.since_ns for name, told in state.fault_state.exclusions.items()}
+        excluded = {name: record.exclusion.since_ns for name, record in state.fault_state.exclusions.items()}
         self._subfilter_indices = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
         self._names = tuple([sources[row] for row in self._subfilter_indices])
         self._excluded = tuple(sorted(excluded.items()))

@@ -19,7 +19,7 @@ from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
-_UNKNOWN_RAD = float(np.deg2rad(20.0))
+_STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
 """Standard deviation of each zero point of encoders that stood still while the axis turned, rad."""
 
 
@@ -43,7 +43,7 @@ class OwnJump:
 
 def stood_still(time_ns: int) -> OwnJump:
     """Return the jump that stuck encoders may have missed until a time."""
-    return OwnJump(EncoderJump(time_ns, np.zeros(2), _UNKNOWN_RAD))
+    return OwnJump(EncoderJump(time_ns, np.zeros(2), _STUCK_SIGMA_RAD))
 
 
 def is_undisputed(state: CalibrationState) -> bool:
@@ -61,7 +61,7 @@ def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> C
         ship_steady_n=memory.ship_covariance_n,
         sighting_count=memory.sighting_count,
         points_used=memory.points_used,
-        squares=memory.squares,
+        squares=memory.residual_square_sum,
     )
 
 

@@ -210,7 +210,7 @@ class PointingOutput:
         time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
         if state.fault_state.conflict is not None:
             axes.covariance_by_source_n[:, self._disagreement] += state.fault_state.conflict.spread_n
-        lights, stars = self._recent(time_ns, state.used_ns), self._recent(time_ns, state.stars_ns)
+        lights, stars = self._recent(time_ns, state.last_beacons_ns), self._recent(time_ns, state.last_stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
         covariance_without_separation_n, covariance_n = compiled_mounts.totals(

@@ -47,12 +47,12 @@ def _prior(document: dict[str, Any]) -> CalibrationPrior:
     """Return the content of the document; a ValueError names the section that cannot be used."""
     names = section(document, "values", _names)
     covariance = section(document, "covariance", lambda rows: joint_covariance(rows, len(names)))
-    said = np.diagonal(covariance) > 0.0
+    has_value = np.diagonal(covariance) > 0.0
     return CalibrationPrior(
         time_ns=section(document, "time_ns", stamp_ns),
         serial=section(document, "serial", str),
         telescope_id=section(document, "telescope_id", str),
-        values=section(document, "values", lambda given: _values(given, names, said)),
+        values=section(document, "values", lambda given: _values(given, names, has_value)),
         covariance=covariance,
         names=names,
     )
@@ -64,12 +64,12 @@ def _names(given: dict[str, Any]) -> tuple[str, ...]:
     return (*SAVED_NAMES, *(match[1] for match in found if match is not None))
 
 
-def _values(given: dict[str, Any], names: tuple[str, ...], said: NDArray[np.bool_]) -> FloatArray:
+def _values(given: dict[str, Any], names: tuple[str, ...], has_value: NDArray[np.bool_]) -> FloatArray:
     """Return the values; a focal length without a sigma is not given and may be 0."""
     numbers = finite_numbers({key: given[key] for key in map(_key, names)})
     key_of_length = _key(_FOCAL_LENGTH)
-    focal_length_m, is_said = numbers[key_of_length], said[names.index(_FOCAL_LENGTH)]
-    if not (focal_length_m > 0.0 or (focal_length_m == 0.0 and not is_said)):
+    focal_length_m, has_focal_length = numbers[key_of_length], has_value[names.index(_FOCAL_LENGTH)]
+    if not (focal_length_m > 0.0 or (focal_length_m == 0.0 and not has_focal_length)):
         raise ValueError(f"{key_of_length} is {focal_length_m:g}: expected more than 0")
     for key, number in numbers.items():
         if key != key_of_length and not abs(number) * ARCSEC <= _HALF_TURN:

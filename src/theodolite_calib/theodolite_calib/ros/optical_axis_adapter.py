@@ -180,7 +180,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         read_image, take_image = functools.partial(messages_in.exposure, config=config), untimed(core.add_exposure)
         yield Feed(image, "lights", read_image, take_image, has_decision=True, measured_by=Exposure.source)
         target = InputTopic(
-            TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, at_times=True
+            TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, is_occasional=True
         )
         yield Feed(target, "target", functools.partial(messages_in.target, config=config), core.add_target, has_decision=True)
         if self._sky is not None:
@@ -202,7 +202,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         assert self._sky is not None
         for id_, camera in config.telescopes.items():
             topic = InputTopic(
-                f"theodolite/{id_}/stars", "ship_msgs/msg/StarObservationArray", False, depth=100, at_times=True
+                f"theodolite/{id_}/stars", "ship_msgs/msg/StarObservationArray", False, depth=100, is_occasional=True
             )
             read = functools.partial(
                 star_exposure,

@@ -57,20 +57,20 @@ class TriangulationAdapter(ReportingAdapter):
     def __init__(self, config: TriangulationConfig, factory: MessageFactory, files: Files = DISK) -> None:
         if len(config.stations) < 2:
             self.start_warnings = (f"stations has {len(config.stations)}: a position needs two theodolites or more",)
-        self._told_ns: int | None = None
+        self._published_ns: int | None = None
         super().__init__(config, TriangulationCore(config), factory, functools.partial(place_messages, factory))
 
     def table(self, config: TriangulationConfig, core: TriangulationCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that take them."""
         for name in sorted(config.stations):
-            topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, at_times=True)
+            topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, is_occasional=True)
             read = functools.partial(direction, station=name, horizon=config.frames.horizon)
             yield Feed(topic, f"station.{name}", read, core.add_direction)
 
     def published(self, outcome: PlacingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :class:`ReportingAdapter`."""
         if outcome.estimates:
-            self._told_ns = waiting_ns
+            self._published_ns = waiting_ns
         return super().report_outcome(outcome, now_ns, waiting_ns)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
@@ -84,11 +84,11 @@ class TriangulationAdapter(ReportingAdapter):
     def _position_status(self, waiting_ns: int) -> DiagnosticStatus:
         values = {"clock jumps back": str(self.clock_jumps)}
         last: PlaceEstimate | None = self.latest
-        if last is None or self._told_ns is None:
+        if last is None or self._published_ns is None:
             return DiagnosticStatus("position", Level.OK, "none yet", values)
-        if waiting_ns - self._told_ns > _STALE_NS:
+        if waiting_ns - self._published_ns > _STALE_NS:
             # No theodolite may have a target in view.
-            text = f"none for {(waiting_ns - self._told_ns) * 1e-9:.0f} s, {last.status.name} before"
+            text = f"none for {(waiting_ns - self._published_ns) * 1e-9:.0f} s, {last.status.name} before"
             return DiagnosticStatus("position", Level.OK, text, values)
         values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
         if last.status is not Status.INVALID:
@@ -102,7 +102,7 @@ class TriangulationAdapter(ReportingAdapter):
 def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[Published]:
     """Return the messages of a position: ship_msgs/TargetDirection without a direction; if INVALID also the reason."""
     unknown = np.full(3, np.nan)
-    told = TargetEstimate(
+    target = TargetEstimate(
         time_ns=estimate.time_ns,
         target_id=estimate.target_id,
         direction_n=unknown,
@@ -112,7 +112,7 @@ def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[Pub
         status=estimate.status,
         text=estimate.text,
     )
-    published: list[Published] = [(POSITION_TOPIC, target_message(factory, told, ORIGIN_FRAME))]
+    published: list[Published] = [(POSITION_TOPIC, target_message(factory, target, ORIGIN_FRAME))]
     if estimate.rejection is not None:
         nis = math.nan if estimate.compared is None else estimate.compared.chi_square
         rejected = rejection_message(factory, "stations", estimate.time_ns, estimate.rejection, nis=nis)

@@ -32,7 +32,7 @@ _AT_ONCE = 1000
 _NO_PARTS = np.empty((0, 3, 3))
 
 
-class _RestsOn(NamedTuple):
+class _PointingInputs(NamedTuple):
     """Inputs of a smoothed pointing besides the states.
 
     Attributes:
@@ -55,7 +55,7 @@ class _ToldAtOnce(NamedTuple):
     """
 
     estimate: PointingEstimate
-    rests_on: _RestsOn | None
+    rests_on: _PointingInputs | None
 
 
 class SmoothingAxisCore(OpticalAxisCore):
@@ -129,10 +129,10 @@ class SmoothingAxisCore(OpticalAxisCore):
     def _keep(self, estimate: PointingEstimate, pending: PendingPointing) -> None:
         rests_on = None
         if not (pending.unconfirmed_reason or _has_unresolved_fault(pending.state)):
-            rests_on = _RestsOn(pending.sample, pending.ship, estimate.covariance_n - estimate.undisputed_n)
+            rests_on = _PointingInputs(pending.sample, pending.ship, estimate.covariance_n - estimate.undisputed_n)
             if pending.ship.correlated_covariance_n is not None:
                 self._stated_n[pending.time_ns] = pending.ship.correlated_covariance_n
-            self._chain.ask(pending.time_ns)
+            self._chain.request_time(pending.time_ns)
         self._told.append(_ToldAtOnce(_alone(estimate), rests_on))
 
     def _between(self) -> Between:
@@ -164,28 +164,28 @@ class _SmoothedOutput:
         # The smoother has no covariance by source: it is assigned to one source.
         self._source = filter_.model.sources.index(SOURCE_AXES)
 
-    def again(self, told: PointingEstimate, rests_on: _RestsOn, known: Known) -> PointingEstimate:
+    def again(self, real_time: PointingEstimate, rests_on: _PointingInputs, known: Known) -> PointingEstimate:
         """Return a pointing from the smoothed states at its own time."""
         sample, ship, separation_covariance_n = rests_on
         mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.parts)
         mean[self._rows], parts[self._source, self._rows[:, None], self._rows] = known
         # The ship's error is as the messages state it at that time: no further step.
         state = replace(
-            self._blank, time_ns=told.time_ns, mean=mean, parts=parts, ship_steady_n=ship.correlated_covariance_n
+            self._blank, time_ns=real_time.time_ns, mean=mean, parts=parts, ship_steady_n=ship.correlated_covariance_n
         )
         corrected = CorrectedAxis(self._filter, state)
         axes = corrected.axes(ShipRun.of([ship]), EncoderRun.of([sample], [""], [0.0]))
         (rotation_nm,), (parts_n,) = axes.rotation_nm, axes.covariance_by_source_n
         covariance_without_separation_n = parts_n.sum(axis=0)
         return replace(
-            told,
+            real_time,
             rotation_nm=rotation_nm,
             covariance_n=covariance_without_separation_n + separation_covariance_n,
             undisputed_n=covariance_without_separation_n,
             # Without beacons the telescope's attitude is not published.
-            rotation_nt=np.where(np.isfinite(told.rotation_nt), rotation_nm @ corrected.rotation_mt, np.nan),
+            rotation_nt=np.where(np.isfinite(real_time.rotation_nt), rotation_nm @ corrected.rotation_mt, np.nan),
             by_error_n=axes.by_error_n[0],
-            rotation_dm=told.rotation_dm if ship.chord_nd is None else ship.chord_nd.T @ rotation_nm,
+            rotation_dm=real_time.rotation_dm if ship.chord_nd is None else ship.chord_nd.T @ rotation_nm,
         )
 
 

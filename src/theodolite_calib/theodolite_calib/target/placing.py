@@ -64,7 +64,7 @@ PlacingOutcome = Outcome[MeasurementDecision[Measurement], PlaceEstimate]
 
 
 @dataclass
-class _Reports:
+class _ReportTimes:
     """Times of one theodolite's reports on a target, INVALID ones included.
 
     Attributes:
@@ -98,7 +98,7 @@ class _Target:
     """
 
     seen_by: list[SeenByStation]
-    reports: list[_Reports]
+    reports: list[_ReportTimes]
     waiting: dict[tuple[int, int], int] = field(default_factory=dict)
     done_ns: int = 0
 
@@ -169,7 +169,7 @@ class TriangulationCore:
         if len(self._targets) >= MOST_TARGETS:
             self._forget(next(iter(self._targets)), outcome)
         seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
-        target = _Target(seen_by, [_Reports() for _ in seen_by], done_ns=self._forgotten_ns)
+        target = _Target(seen_by, [_ReportTimes() for _ in seen_by], done_ns=self._forgotten_ns)
         self._targets[target_id] = target
         return target
 
